@@ -1,0 +1,1 @@
+"""Planners under test: observation in, three-second plan out."""

@@ -1,0 +1,101 @@
+"""Every number that more than one module must agree on.
+
+Lengths are metres, times seconds, frequencies hertz.
+"""
+
+from typing import Final
+
+KEYFRAME_HZ: Final = 2
+"""Annotated samples per second (nuScenes keyframes)."""
+FRAME_HZ: Final = 12
+"""Camera frames per second (nuScenes sweeps)."""
+FRAMES_PER_KEYFRAME: Final = FRAME_HZ // KEYFRAME_HZ
+
+PLAN_STEPS: Final = 6
+"""Waypoints of a plan."""
+PLAN_STEP_S: Final = 0.5
+"""Time between waypoints; the last waypoint is 3 s ahead."""
+HORIZON_STEPS: Final = {"1s": 2, "2s": 4, "3s": 6}
+"""Number of waypoints up to each reported horizon."""
+
+EGO_LENGTH_M: Final = 4.084
+EGO_WIDTH_M: Final = 1.85
+"""Metric footprint of the recording car: what all four official protocols use."""
+EGO_BODY_WIDTH_M: Final = 1.73
+EGO_HEIGHT_M: Final = 1.56
+"""Body of the recording car (a Renault Zoe) without mirrors."""
+EGO_CENTER_FROM_REAR_AXLE_M: Final = 1.39
+"""Box centre ahead of the rear axle, which is the origin of ``ego_pose``."""
+LIDAR_FROM_REAR_AXLE_M: Final = 0.943713
+"""LIDAR_TOP ahead of the rear axle in nuScenes; used where a data set has no lidar calibration."""
+EGO_BOX_FROM_LIDAR_M: Final = 0.5
+"""Centre of the metric footprint ahead of the lidar origin, along the heading (spec of all four protocols)."""
+
+COMMAND_LATERAL_M: Final = 2.0
+"""Lateral displacement of the last valid future waypoint beyond which the command is left or right."""
+
+CAMERA_NAMES: Final = (
+    "CAM_FRONT",
+    "CAM_FRONT_RIGHT",
+    "CAM_FRONT_LEFT",
+    "CAM_BACK",
+    "CAM_BACK_LEFT",
+    "CAM_BACK_RIGHT",
+)
+LIDAR_NAME: Final = "LIDAR_TOP"
+
+NUSCENES_TABLES: Final = (
+    "attribute",
+    "calibrated_sensor",
+    "category",
+    "ego_pose",
+    "instance",
+    "log",
+    "map",
+    "sample",
+    "sample_annotation",
+    "sample_data",
+    "scene",
+    "sensor",
+    "visibility",
+)
+
+OFFICIAL_LOCATIONS: Final = (
+    "boston-seaport",
+    "singapore-onenorth",
+    "singapore-hollandvillage",
+    "singapore-queenstown",
+)
+"""The only names ``NuScenesMap`` of the devkit accepts."""
+
+VEHICLE_CATEGORIES: Final = (
+    "vehicle.car",
+    "vehicle.truck",
+    "vehicle.bus.bendy",
+    "vehicle.bus.rigid",
+    "vehicle.construction",
+    "vehicle.emergency.ambulance",
+    "vehicle.emergency.police",
+    "vehicle.trailer",
+    "vehicle.motorcycle",
+    "vehicle.bicycle",
+)
+FOUR_WHEELED_CATEGORIES: Final = VEHICLE_CATEGORIES[:7]
+
+CATEGORIES: Final = (
+    "animal",
+    "human.pedestrian.adult",
+    "human.pedestrian.child",
+    "human.pedestrian.construction_worker",
+    "human.pedestrian.personal_mobility",
+    "human.pedestrian.police_officer",
+    "human.pedestrian.stroller",
+    "human.pedestrian.wheelchair",
+    "movable_object.barrier",
+    "movable_object.debris",
+    "movable_object.pushable_pullable",
+    "movable_object.trafficcone",
+    "static_object.bicycle_rack",
+    *sorted(VEHICLE_CATEGORIES),
+)
+"""The 23 category names of nuScenes v1.0."""

@@ -1,0 +1,190 @@
+"""Planar boxes, rigid transforms and rotations: the one box convention of the project.
+
+A box is ``(..., 5) = [x, y, length, width, yaw]``: centre in metres, length along the heading, yaw in radians
+counter-clockwise from +x. Quaternions are ``[w, x, y, z]``.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+def wrap_angle(angle_rad: Floats) -> Floats:
+    """Wrap angles to [-pi, pi).
+
+    Args:
+        angle_rad: Angles of any shape, radians.
+
+    Returns:
+        The same shape, radians.
+    """
+    return np.asarray((np.asarray(angle_rad, np.float64) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def box_corners(boxes: Floats) -> Floats:
+    """Corners of boxes, counter-clockwise from front left.
+
+    Args:
+        boxes: (..., 5) boxes.
+
+    Returns:
+        (..., 4, 2) corners, metres.
+    """
+    boxes = np.asarray(boxes, dtype=np.float64)
+    half = 0.5 * boxes[..., None, 2:4] * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    cos, sin = np.cos(boxes[..., None, 4]), np.sin(boxes[..., None, 4])
+    x = half[..., 0] * cos - half[..., 1] * sin
+    y = half[..., 0] * sin + half[..., 1] * cos
+    return np.asarray(np.stack([x, y], axis=-1) + boxes[..., None, :2])
+
+
+def boxes_overlap(first: Floats, second: Floats) -> Bools:
+    """Whether two boxes intersect; touching counts.
+
+    Separating-axis test in half-extent form: two rectangles are disjoint exactly when one of their four edge normals
+    separates them.
+
+    Args:
+        first: (..., 5) boxes.
+        second: (..., 5) boxes, broadcast against ``first``.
+
+    Returns:
+        (...) verdicts.
+    """
+    first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    dx, dy = second[..., 0] - first[..., 0], second[..., 1] - first[..., 1]
+    turn = second[..., 4] - first[..., 4]
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    overlap: Bools | None = None
+    for own, other in ((first, second), (second, first)):
+        axis_cos, axis_sin = np.cos(own[..., 4]), np.sin(own[..., 4])
+        along = np.abs(dx * axis_cos + dy * axis_sin)
+        across = np.abs(dy * axis_cos - dx * axis_sin)
+        reach_along = 0.5 * (own[..., 2] + other[..., 2] * cos + other[..., 3] * sin)
+        reach_across = 0.5 * (own[..., 3] + other[..., 2] * sin + other[..., 3] * cos)
+        inside = (along <= reach_along) & (across <= reach_across)
+        overlap = inside if overlap is None else overlap & inside
+    assert overlap is not None
+    return overlap
+
+
+def box_gap(first: Floats, second: Floats) -> Floats:
+    """Distance between two boxes, zero where they overlap.
+
+    Args:
+        first: (..., 5) boxes.
+        second: (..., 5) boxes, broadcast against ``first``.
+
+    Returns:
+        (...) metres.
+    """
+    first, second = np.broadcast_arrays(np.asarray(first, np.float64), np.asarray(second, np.float64))
+    gaps = np.minimum(_corner_gap(first, second), _corner_gap(second, first))
+    return np.where(boxes_overlap(first, second), 0.0, gaps)
+
+
+def _corner_gap(box: Floats, other: Floats) -> Floats:
+    """Smallest distance from a corner of ``other`` to the rectangle ``box``, (...)."""
+    offset = box_corners(other) - box[..., None, :2]
+    cos, sin = np.cos(box[..., None, 4]), np.sin(box[..., None, 4])
+    along = np.abs(offset[..., 0] * cos + offset[..., 1] * sin) - 0.5 * box[..., None, 2]
+    across = np.abs(offset[..., 1] * cos - offset[..., 0] * sin) - 0.5 * box[..., None, 3]
+    distance: Floats = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+    return np.asarray(distance.min(axis=-1))
+
+
+def to_local(points: Floats, pose: Floats) -> Floats:
+    """Planar points from the global frame into the frame of a pose.
+
+    Args:
+        points: (..., 2) metres, global.
+        pose: (..., 3) x, y, yaw of the frame; broadcast against the leading axes of ``points``.
+
+    Returns:
+        (..., 2) metres; x along the pose's heading, y to its left.
+    """
+    offset = np.asarray(points, np.float64) - np.asarray(pose)[..., :2]
+    cos, sin = np.cos(np.asarray(pose)[..., 2]), np.sin(np.asarray(pose)[..., 2])
+    return np.stack([offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin], axis=-1)
+
+
+def to_global(points: Floats, pose: Floats) -> Floats:
+    """Planar points from the frame of a pose into the global frame; the inverse of `to_local`.
+
+    Args:
+        points: (..., 2) metres in the frame of ``pose``.
+        pose: (..., 3) x, y, yaw of the frame; broadcast against the leading axes of ``points``.
+
+    Returns:
+        (..., 2) metres, global.
+    """
+    points, pose = np.asarray(points, np.float64), np.asarray(pose, np.float64)
+    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x = points[..., 0] * cos - points[..., 1] * sin
+    y = points[..., 0] * sin + points[..., 1] * cos
+    return np.asarray(np.stack([x, y], axis=-1) + pose[..., :2])
+
+
+def poses_between(first: Floats, second: Floats, fraction: Floats) -> Floats:
+    """Poses between two poses: linear position, shortest-arc heading.
+
+    Args:
+        first: (..., 3) x, y, yaw.
+        second: (..., 3) x, y, yaw.
+        fraction: (...) 0 at ``first``, 1 at ``second``.
+
+    Returns:
+        (..., 3) poses; yaw is not wrapped.
+    """
+    first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    step = second - first
+    step[..., 2] = wrap_angle(step[..., 2])
+    return np.asarray(first + np.asarray(fraction)[..., None] * step)
+
+
+def quaternion_from_yaw(yaw_rad: Floats) -> Floats:
+    """Rotations about the vertical.
+
+    Args:
+        yaw_rad: (...) radians.
+
+    Returns:
+        (..., 4) quaternions w, x, y, z.
+    """
+    half = 0.5 * np.asarray(yaw_rad, np.float64)
+    zero = np.zeros_like(half)
+    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
+
+
+def yaw_of_quaternion(quaternion: Floats) -> Floats:
+    """Heading of the rotated x axis, seen from above.
+
+    Args:
+        quaternion: (..., 4) w, x, y, z; need not be normalised.
+
+    Returns:
+        (...) radians in [-pi, pi].
+    """
+    w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
+    return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def rotation_matrix(quaternion: Floats) -> Floats:
+    """Rotation matrices of quaternions.
+
+    Args:
+        quaternion: (..., 4) w, x, y, z; normalised here.
+
+    Returns:
+        (..., 3, 3) matrices that turn local vectors into the parent frame.
+    """
+    quaternion = np.asarray(quaternion, np.float64)
+    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -1,0 +1,237 @@
+"""The contract of a planner under test: observation in, three-second plan out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+from benchmark.scene import Camera, Scene
+
+
+class Command(IntEnum):
+    """Driving command, coded as in UniAD, VAD, SparseDrive and DiffusionDrive."""
+
+    RIGHT = 0
+    LEFT = 1
+    STRAIGHT = 2
+
+
+@dataclass(frozen=True, slots=True)
+class CameraView:
+    """One image that a planner may look at.
+
+    Attributes:
+        camera: Calibration.
+        path: Image file.
+        timestamp_us: Exposure time.
+        ego_pose: (3,) planar x, y, yaw of the rear axle at the exposure.
+        load: Reads the file; returns (height, width, 3) uint8 RGB; raises `InputError` if it is missing or broken.
+    """
+
+    camera: Camera
+    path: Path
+    timestamp_us: int
+    ego_pose: Floats
+    load: Callable[[], NDArray[np.uint8]]
+
+
+@dataclass(frozen=True, slots=True)
+class EgoState:
+    """Ego motion at the sample, in the ego frame (x forward, y left).
+
+    Attributes:
+        pose: (3,) planar x, y, yaw of the rear axle, global.
+        position: (3,) rear axle, global, metres.
+        rotation: (4,) quaternion, global.
+        velocity: (2,) m/s.
+        acceleration: (2,) m/s^2.
+        yaw_rate: rad/s.
+        steering_angle: Steering wheel angle in radians, or ``None`` where nothing measures it.
+        source: Whether the motion was measured (CAN bus) or derived from past poses.
+    """
+
+    pose: Floats
+    position: Floats
+    rotation: Floats
+    velocity: Floats
+    acceleration: Floats
+    yaw_rate: float
+    steering_angle: float | None
+    source: Literal["can_bus", "derived"]
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What a planner may see at one sample; nothing of the future but the command.
+
+    Attributes:
+        scene: Scene name.
+        sample_token: Sample token.
+        index: Number of the sample in its scene, from 0.
+        timestamp_us: Keyframe time.
+        views: Images by camera name; empty where the data set has none.
+        ego: Ego motion now.
+        past_poses: (H, 3) planar rear-axle poses at the last H keyframes, oldest first, ending with now; global.
+        past_valid: (H,) False before the scene began.
+        command: Where the route goes.
+    """
+
+    scene: str
+    sample_token: str
+    index: int
+    timestamp_us: int
+    views: dict[str, CameraView]
+    ego: EgoState
+    past_poses: Floats
+    past_valid: Bools
+    command: Command
+
+
+class PlanFrame(StrEnum):
+    """Frame of a plan.
+
+    ``lidar``: x right, y forward, positions of the lidar origin (the convention of the four models and their
+    metrics). ``ego``: x forward, y left, positions of the rear axle.
+    """
+
+    LIDAR = "lidar"
+    EGO = "ego"
+
+
+@dataclass(frozen=True, slots=True)
+class Forecasts:
+    """A planner's own expectation of the others, in the frame of its plan.
+
+    Attributes:
+        boxes: (A, 5) present boxes x, y, length, width, yaw.
+        trajectories: (A, M, 6, 2) box centres at the plan's steps, M modes.
+        scores: (A, M) mode probabilities.
+    """
+
+    boxes: Floats
+    trajectories: Floats
+    scores: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Where a planner wants to be.
+
+    Attributes:
+        waypoints: (6, 2) metres at 0.5 s steps to 3 s, in ``frame`` at the sample's time.
+        frame: See `PlanFrame`.
+        modes: (M, 6, 2) all alternatives, or ``None``.
+        mode_scores: (M,) their scores, or ``None``.
+        forecasts: Expected motion of others, or ``None``.
+
+    Raises:
+        InputError: If the waypoints are not (6, 2) finite numbers.
+    """
+
+    waypoints: Floats
+    frame: PlanFrame
+    modes: Floats | None = None
+    mode_scores: Floats | None = None
+    forecasts: Forecasts | None = None
+
+    def __post_init__(self) -> None:
+        if self.waypoints.shape != (PLAN_STEPS, 2):
+            raise InputError(f"a plan needs {PLAN_STEPS} waypoints of x and y, this one has {self.waypoints.shape}")
+        if not np.isfinite(self.waypoints).all():
+            raise InputError("a plan's waypoints must be finite numbers, this one has NaN or infinity")
+
+    def waypoints_in_lidar(self, lidar_ahead_m: float = LIDAR_FROM_REAR_AXLE_M) -> Floats:
+        """The waypoints as positions of the lidar origin, x right, y forward: what every protocol reads.
+
+        From ``ego`` the reference point moves ahead along the heading of each step (`chord_headings`), because
+        the lidar turns with the car.
+
+        Args:
+            lidar_ahead_m: Lidar origin ahead of the rear axle.
+
+        Returns:
+            (6, 2) metres.
+        """
+        if self.frame is PlanFrame.LIDAR:
+            return self.waypoints
+        heading = chord_headings(self.waypoints, start_heading_rad=0.0)
+        ahead = self.waypoints + lidar_ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
+        return np.column_stack([-ahead[:, 1], ahead[:, 0] - lidar_ahead_m])
+
+
+def chord_headings(waypoints: Floats, *, start_heading_rad: float, hold_below_m: float = 0.3) -> Floats:
+    """Heading at each waypoint: direction of the chord between its neighbours, held where the car hardly moves.
+
+    Section 8 of the protocol specification: chord from waypoint k-1 to k+1 (the start is the origin; the last step
+    uses the last segment) if it is at least ``hold_below_m`` long, else the previous heading.
+
+    Args:
+        waypoints: (..., 6, 2) metres, relative to the start.
+        start_heading_rad: Heading at the start.
+        hold_below_m: Shortest chord that is trusted.
+
+    Returns:
+        (..., 6) radians.
+    """
+    waypoints = np.asarray(waypoints, np.float64)
+    start = np.zeros((*waypoints.shape[:-2], 1, 2))
+    path = np.concatenate([start, waypoints], axis=-2)
+    behind, ahead = path[..., :-1, :], np.concatenate([path[..., 2:, :], path[..., -1:, :]], axis=-2)
+    chord = ahead - behind
+    long_enough = np.hypot(chord[..., 0], chord[..., 1]) >= hold_below_m
+    headings = np.empty(waypoints.shape[:-1])
+    held = np.full(waypoints.shape[:-2], start_heading_rad, dtype=np.float64)
+    for step in range(waypoints.shape[-2]):
+        direction = np.arctan2(chord[..., step, 1], chord[..., step, 0])
+        held = np.where(long_enough[..., step], direction, held)
+        headings[..., step] = held
+    return headings
+
+
+@dataclass(frozen=True, slots=True)
+class SceneInfo:
+    """What a planner may know of a scene before it starts.
+
+    Attributes:
+        name: Scene name.
+        location: nuScenes location.
+        cameras: Calibrated cameras.
+    """
+
+    name: str
+    location: str
+    cameras: tuple[Camera, ...]
+
+
+class Planner(Protocol):
+    """A planner under test. Stateful ones see the samples of a scene in order.
+
+    Attributes:
+        name: Shown in tables.
+    """
+
+    name: str
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Forget the previous scene."""
+
+    def plan(self, observation: Observation) -> Plan:
+        """Plan the next three seconds.
+
+        An exception is recorded as a failure of this sample with its traceback, never as a zero.
+        """
+
+
+@runtime_checkable
+class PrivilegedPlanner(Protocol):
+    """A baseline that sees what no car sees: all boxes, the map, or the recorded future. Tables mark it."""
+
+    def reveal(self, scene: Scene) -> None:
+        """Called after `Planner.reset` with the whole scene."""

@@ -1,0 +1,211 @@
+"""The static map: vector layers in the global frame, and the drivable area as a raster or a point test."""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import LineString, MultiPolygon, Polygon
+
+from benchmark.geometry import Bools, Floats, to_global
+
+
+class DividerKind(StrEnum):
+    """How a divider is painted."""
+
+    SOLID_WHITE = "solid-white"
+    DASHED_WHITE = "dashed-white"
+    SOLID_YELLOW = "solid-yellow"
+    DASHED_YELLOW = "dashed-yellow"
+    UNPAINTED = "unpainted"
+
+
+@dataclass(frozen=True, slots=True)
+class Divider:
+    """A painted or unpainted line between lanes (``lane_divider``) or directions (``road_divider``).
+
+    Attributes:
+        identifier: Unique in its map.
+        line: (M, 2) metres, M >= 2.
+        kind: Paint.
+        between_directions: True for a nuScenes ``road_divider``, False for a ``lane_divider``.
+    """
+
+    identifier: str
+    line: Floats
+    kind: DividerKind
+    between_directions: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """One lane or lane connector.
+
+    Attributes:
+        identifier: Unique in its map.
+        centerline: (M, 2) metres in driving direction, M >= 2.
+        polygon: Surface, or ``None`` where the source has none (nuScenes lane connectors).
+        successors: Identifiers of the lanes that continue it.
+        predecessors: Identifiers of the lanes that lead into it.
+        is_connector: True inside junctions (nuScenes ``lane_connector``).
+    """
+
+    identifier: str
+    centerline: Floats
+    polygon: Polygon | None
+    successors: tuple[str, ...]
+    predecessors: tuple[str, ...]
+    is_connector: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RoadMap:
+    """Vector layers of one place, planar, global frame, metres.
+
+    Attributes:
+        location: nuScenes location name.
+        drivable_area: Everything a car may drive on, one geometry with holes.
+        lanes: Lanes and connectors by identifier.
+        dividers: Lane and road dividers.
+        ped_crossings: Crossing surfaces by identifier.
+        walkways: Pavements by identifier.
+        road_segments: Road surfaces by identifier; ``intersections`` names those that are junctions.
+        intersections: Identifiers in ``road_segments``.
+        stop_lines: Stop areas by identifier.
+        carparks: Parking surfaces by identifier.
+        canvas_m: Width and height of the whole map.
+    """
+
+    location: str
+    drivable_area: MultiPolygon
+    lanes: dict[str, Lane] = field(default_factory=dict)
+    dividers: tuple[Divider, ...] = ()
+    ped_crossings: dict[str, Polygon] = field(default_factory=dict)
+    walkways: dict[str, Polygon] = field(default_factory=dict)
+    road_segments: dict[str, Polygon] = field(default_factory=dict)
+    intersections: frozenset[str] = frozenset()
+    stop_lines: dict[str, Polygon] = field(default_factory=dict)
+    carparks: dict[str, Polygon] = field(default_factory=dict)
+    canvas_m: tuple[float, float] = (0.0, 0.0)
+
+    def is_drivable(self, points: Floats) -> Bools:
+        """Exact point test against the drivable polygons; the border counts as drivable.
+
+        Args:
+            points: (..., 2) metres, global.
+
+        Returns:
+            (...) verdicts.
+        """
+        points = np.asarray(points, np.float64)
+        return np.asarray(shapely.intersects_xy(self.drivable_area, points[..., 0], points[..., 1]), dtype=np.bool_)
+
+    def near(self, bounds: tuple[float, float, float, float]) -> Self:
+        """The part of the map that touches a rectangle; geometries are kept whole, the drivable area is clipped.
+
+        Args:
+            bounds: x_min, y_min, x_max, y_max, metres.
+
+        Returns:
+            A smaller map with the same identifiers.
+        """
+        window = shapely.box(*bounds)
+
+        def keep(layer: dict[str, Polygon]) -> dict[str, Polygon]:
+            return {name: shape for name, shape in layer.items() if shape.intersects(window)}
+
+        road_segments = keep(self.road_segments)
+        lanes = {
+            name: lane
+            for name, lane in self.lanes.items()
+            if LineString(lane.centerline).intersects(window)
+            or (lane.polygon is not None and lane.polygon.intersects(window))
+        }
+        return replace(
+            self,
+            drivable_area=as_multipolygon(self.drivable_area.intersection(window)),
+            lanes=lanes,
+            dividers=tuple(line for line in self.dividers if LineString(line.line).intersects(window)),
+            ped_crossings=keep(self.ped_crossings),
+            walkways=keep(self.walkways),
+            road_segments=road_segments,
+            intersections=self.intersections & frozenset(road_segments),
+            stop_lines=keep(self.stop_lines),
+            carparks=keep(self.carparks),
+        )
+
+
+def as_multipolygon(shape: shapely.Geometry) -> MultiPolygon:
+    """The polygons of any geometry; lines and points are dropped.
+
+    Args:
+        shape: Any shapely geometry.
+
+    Returns:
+        A multipolygon, possibly empty.
+    """
+    parts = [part for part in shapely.get_parts(shape) if isinstance(part, Polygon) and not part.is_empty]
+    return MultiPolygon(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class DrivableRaster:
+    """The drivable area around a pose as a grid of booleans.
+
+    A point looks up the cell ``rint((local + half_extent) / resolution)``, half to even, as the reference does
+    (scoring golden set); outside the grid is not drivable.
+
+    Attributes:
+        cells: (n, n) first index along the pose's right, second along its heading.
+        pose: (3,) x, y, yaw at the centre.
+        resolution_m: Cell size.
+    """
+
+    cells: NDArray[np.bool_]
+    pose: Floats
+    resolution_m: float
+
+    @classmethod
+    def around(
+        cls, road_map: RoadMap, pose: Floats, *, half_extent_m: float = 50.0, resolution_m: float = 0.5
+    ) -> "DrivableRaster":
+        """Rasterise the map around a pose.
+
+        Args:
+            road_map: Where to look.
+            pose: (3,) x, y, yaw of the centre, global.
+            half_extent_m: Half the side of the square.
+            resolution_m: Cell size.
+
+        Returns:
+            The raster; a cell is drivable when its centre node is.
+        """
+        count = round(2 * half_extent_m / resolution_m)
+        steps = (np.arange(count) * resolution_m) - half_extent_m
+        right, forward = np.meshgrid(steps, steps, indexing="ij")
+        nodes = to_global(np.stack([forward, -right], axis=-1), np.asarray(pose, np.float64))
+        reach = half_extent_m * np.sqrt(2.0) + resolution_m
+        x, y = float(pose[0]), float(pose[1])
+        local = road_map.near((x - reach, y - reach, x + reach, y + reach))
+        shapely.prepare(local.drivable_area)
+        return cls(local.is_drivable(nodes), np.asarray(pose, np.float64), resolution_m)
+
+    def look_up(self, points: Floats) -> Bools:
+        """Whether points are drivable.
+
+        Args:
+            points: (..., 2) metres, global.
+
+        Returns:
+            (...) verdicts.
+        """
+        cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
+        dx, dy = points[..., 0] - self.pose[0], points[..., 1] - self.pose[1]
+        half = self.cells.shape[0] / 2
+        right = np.rint((dx * sin - dy * cos) / self.resolution_m + half).astype(np.int64)
+        forward = np.rint((dx * cos + dy * sin) / self.resolution_m + half).astype(np.int64)
+        limit = self.cells.shape[0]
+        inside = (right >= 0) & (right < limit) & (forward >= 0) & (forward < limit)
+        return np.asarray(inside & self.cells[np.where(inside, right, 0), np.where(inside, forward, 0)])

@@ -1,0 +1,151 @@
+"""Files that are either whole or absent, and keys made of content.
+
+Everything the project writes goes through here: a temporary file beside the target, flushed to disk, then renamed.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from benchmark.errors import InputError
+
+
+def canonical_json(value: Any, *, indent: int | None = None) -> str:
+    """JSON text that is the same for the same value.
+
+    Args:
+        value: Anything ``json`` can write; NaN and infinity are refused because they are not JSON.
+        indent: Spaces of indentation, or ``None`` for one line.
+
+    Returns:
+        Text with sorted keys.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
+    separators = (",", ":") if indent is None else (",", ": ")
+    return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, separators=separators)
+
+
+def content_key(*parts: Any) -> str:
+    """SHA-256 of the canonical JSON of ``parts``, 64 hexadecimal digits."""
+    return hashlib.sha256(canonical_json(parts).encode()).hexdigest()
+
+
+def token(*parts: Any) -> str:
+    """A nuScenes-style token, 32 hexadecimal digits, made of content and never of chance."""
+    return content_key(*parts)[:32]
+
+
+def content_seed(*parts: Any) -> int:
+    """A 63-bit seed made of content, so that results do not depend on the order of work."""
+    return int(content_key(*parts)[:16], 16) >> 1
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, 64 hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def writing_to(path: Path) -> Iterator[None]:
+    """Turn the operating system's refusal to write into a sentence.
+
+    Args:
+        path: What is being written; named in the message.
+
+    Raises:
+        InputError: If the disk is full, read-only or not writable for this user.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            f"cannot write {path}: {reason}; free some space or choose another place with --out, then run the same "
+            "command again (finished work is kept)"
+        ) from error
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Args:
+        path: Target; its folder is made.
+        data: The bytes.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with writing_to(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+def write_json(path: Path, value: Any, *, indent: int | None = 1) -> None:
+    """Write canonical JSON with a final newline, whole or not at all (see `write_bytes`)."""
+    write_bytes(path, (canonical_json(value, indent=indent) + "\n").encode())
+
+
+def write_json_lines(path: Path, rows: list[Any]) -> None:
+    """Write one canonical JSON value a line, whole or not at all (see `write_bytes`)."""
+    write_bytes(path, "".join(canonical_json(row) + "\n" for row in rows).encode())
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The value.
+
+    Raises:
+        InputError: If it is absent, unreadable or not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise InputError(f"{path} is not valid JSON ({error}); it may be truncated, fetch or make it again") from error
+
+
+def read_json_lines(path: Path) -> list[Any]:
+    """Read one JSON value a line.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The values.
+
+    Raises:
+        InputError: If it is absent, unreadable or a line is not JSON.
+    """
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            rows.append(json.loads(line))
+        except ValueError as error:
+            raise InputError(f"{path} line {number} is not valid JSON ({error}); it may be truncated") from error
+    return rows

@@ -1,0 +1,1 @@
+"""Builds the data: adversarial scenes, renderers, the nuScenes writer, the embedded town."""

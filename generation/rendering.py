@@ -1,0 +1,38 @@
+"""The contract of a renderer: a scene in, six images per frame out."""
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.scene import Camera, Scene
+
+Images = dict[str, NDArray[np.uint8]]
+"""(height, width, 3) uint8 RGB by camera name."""
+
+
+class Renderer(Protocol):
+    """Draws what the cameras see. The same scene and frame give the same bytes on every call and in every process.
+
+    Attributes:
+        name: Recorded in the data set's provenance.
+        version: Changes when the pictures change.
+    """
+
+    name: str
+    version: str
+
+    def cameras(self, scene: Scene) -> tuple[Camera, ...]:
+        """The scene's cameras at the size that is rendered."""
+
+    def render(self, scene: Scene, frames: Sequence[int]) -> Iterator[Images]:
+        """Render frames of one scene.
+
+        Args:
+            scene: The scene.
+            frames: Frame indices in ``scene.timestamps_us``.
+
+        Yields:
+            The images of each frame, in order.
+        """
