@@ -4,6 +4,7 @@ Metres, radians, seconds; right-handed, x forward, y left, yaw counter-clockwise
 there is a mask (``valid``); where it is not, the arrays hold the nearest valid value, never NaN and never zero.
 """
 
+import re
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Self
@@ -28,7 +29,7 @@ class Look(StrEnum):
     def of_description(cls, description: str) -> "Look":
         """Read the look from a nuScenes scene description, which names night and rain in words."""
         words = description.lower()
-        return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if look.value in words), cls.DAY)
+        return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if re.search(rf"\b{look.value}", words)), cls.DAY)
 
 
 @dataclass(frozen=True, slots=True)

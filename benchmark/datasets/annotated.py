@@ -1,0 +1,123 @@
+"""Objects of a scene: annotations as the tables have them, and the tracks in between."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.datasets.tables import Row
+from benchmark.geometry import Bools, poses_between, yaw_of_quaternion
+from benchmark.scene import Agents, Annotations
+
+_VISIBILITY_LEVELS: Final = {"v0-40": 1, "v40-60": 2, "v60-80": 3, "v80-100": 4}
+
+
+def nearest_valid(valid: Bools) -> NDArray[np.int64]:
+    """Index of the nearest valid entry along the last axis; the earlier one of two equally near.
+
+    Args:
+        valid: (N, T); each row needs at least one valid entry.
+
+    Returns:
+        (N, T) indices.
+    """
+    count = valid.shape[-1]
+    index = np.arange(count)
+    before = np.maximum.accumulate(np.where(valid, index, -1), axis=-1)
+    after = np.minimum.accumulate(np.where(valid, index, 2 * count)[..., ::-1], axis=-1)[..., ::-1]
+    to_before = np.where(before >= 0, index - before, 2 * count)
+    return np.asarray(np.where(to_before <= after - index, before, after), dtype=np.int64)
+
+
+def read_objects(nusc: Any, samples: list[Row], keyframes: NDArray[np.int64]) -> tuple[Agents, Annotations]:
+    """Every annotated object of a scene, in the order in which the instances first appear.
+
+    An agent is there at its annotated keyframes and between two consecutive ones; a gap in its annotations stays a
+    gap. Numbers of annotations are the tables' own.
+
+    Args:
+        nusc: ``NuScenes`` of the devkit.
+        samples: Rows of the scene's samples in time order.
+        keyframes: (K,) frame of each sample.
+
+    Returns:
+        N agents at T frames and their annotations at K keyframes.
+    """
+    rows = [[nusc.get("sample_annotation", token) for token in sample["anns"]] for sample in samples]
+    instances = list(dict.fromkeys(row["instance_token"] for at_sample in rows for row in at_sample))
+    number = {instance: index for index, instance in enumerate(instances)}
+    shape = (len(instances), len(samples))
+    position, rotation, size = np.zeros((*shape, 3)), np.zeros((*shape, 4)), np.ones((*shape, 3))
+    valid, attribute = np.zeros(shape, dtype=np.bool_), np.full(shape, "", dtype=object)
+    counts = {name: np.zeros(shape, dtype=np.int64) for name in ("visibility", "num_lidar_pts", "num_radar_pts")}
+    categories = [""] * len(instances)
+    for column, at_sample in enumerate(rows):
+        for row in at_sample:
+            at = (number[row["instance_token"]], column)
+            categories[at[0]] = row["category_name"]
+            valid[at] = True
+            position[at], rotation[at] = row["translation"], row["rotation"]
+            width, length, height = row["size"]
+            size[at] = length, width, height
+            attribute[at] = ";".join(nusc.get("attribute", token)["name"] for token in row["attribute_tokens"])
+            counts["visibility"][at] = _visibility(nusc, row.get("visibility_token", ""))
+            counts["num_lidar_pts"][at], counts["num_radar_pts"][at] = row["num_lidar_pts"], row["num_radar_pts"]
+    held = nearest_valid(valid)
+    pick = (np.arange(len(instances))[:, None], held)
+    annotations = Annotations(
+        position=position[pick],
+        rotation=rotation[pick],
+        size=size[pick],
+        valid=valid,
+        attribute=attribute.astype(np.str_),
+        **counts,
+    )
+    return tracks_between(tuple(instances), tuple(categories), annotations, keyframes), annotations
+
+
+def tracks_between(
+    ids: tuple[str, ...], categories: tuple[str, ...], annotations: Annotations, keyframes: NDArray[np.int64]
+) -> Agents:
+    """Tracks at every frame from annotations at keyframes: linear position, shortest-arc heading.
+
+    Args:
+        ids: N instance identifiers.
+        categories: N category names.
+        annotations: (N, K) annotations.
+        keyframes: (K,) frames, increasing, starting at 0.
+
+    Returns:
+        Agents at ``keyframes[-1] + 1`` frames; sizes are those of each agent's first annotation.
+    """
+    frames = np.arange(keyframes[-1] + 1)
+    left = np.searchsorted(keyframes, frames, side="right") - 1
+    right = np.minimum(left + 1, len(keyframes) - 1)
+    span = np.maximum(keyframes[right] - keyframes[left], 1)
+    fraction = (frames - keyframes[left]) / span
+    on_keyframe = frames == keyframes[left]
+    there = annotations.valid[:, left] & (annotations.valid[:, right] | on_keyframe)
+    fraction = np.where(there, fraction, np.round(fraction))
+    yaw_at = yaw_of_quaternion(annotations.rotation)
+    poses = np.concatenate([annotations.position[..., :2], yaw_at[..., None]], axis=-1)
+    between = poses_between(poses[:, left], poses[:, right], fraction)
+    z = annotations.position[..., 2]
+    heights = z[:, left] + fraction * (z[:, right] - z[:, left])
+    position, yaw = np.concatenate([between[..., :2], heights[..., None]], axis=-1), between[..., 2]
+    pick = (np.arange(len(ids))[:, None], nearest_valid(there))
+    first = annotations.valid.argmax(axis=-1)
+    return Agents(
+        ids=ids,
+        categories=categories,
+        position=position[pick],
+        yaw=yaw[pick],
+        size=annotations.size[np.arange(len(ids)), first],
+        valid=there,
+    )
+
+
+def _visibility(nusc: Any, token: str) -> int:
+    if not token or token not in nusc._token2ind["visibility"]:
+        return 0
+    row = nusc.get("visibility", token)
+    level = _VISIBILITY_LEVELS.get(str(row.get("level", "")), 0)
+    return level or (int(token) if token in ("1", "2", "3", "4") else 0)

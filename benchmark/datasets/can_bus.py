@@ -1,0 +1,189 @@
+"""Ego motion at a sample: measured (CAN bus expansion) or derived from past poses, and never from the future.
+
+The files are those of the CAN bus expansion. The devkit's reader refuses scene names that are not ``scene-dddd``, which
+the published Adv-nuSc has, so they are read here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import FRAME_HZ
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.planning import EgoState
+from benchmark.scene import EgoTrack
+from benchmark.storage import read_json
+
+_STALE_AFTER_US: Final = 500_000
+"""A message that is older than this says nothing about now."""
+_FIT_FRAMES: Final = FRAME_HZ + 1
+"""Derived motion is fitted to the poses of the last second."""
+_FIT_QUADRATIC_FROM: Final = 7
+"""Below this many poses a parabola follows the jitter of the localisation."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanMessages:
+    """Messages of one kind, in time order.
+
+    Attributes:
+        times_us: (M,) microseconds.
+        values: (M, F) what was asked for.
+    """
+
+    times_us: NDArray[np.int64]
+    values: Floats
+
+    @classmethod
+    def read(cls, path: Path, fields: Sequence[tuple[str, int]]) -> Self | None:
+        """Read a message file.
+
+        Args:
+            path: ``can_bus/<scene>_<message>.json``.
+            fields: Names of fields and the number of values in each.
+
+        Returns:
+            The messages, or ``None`` if there is no such file or it is empty.
+
+        Raises:
+            InputError: If the file is broken, a field is missing or a number is not finite.
+        """
+        if not path.is_file():
+            return None
+        messages = read_json(path)
+        if not isinstance(messages, list):
+            raise InputError(f"{path} must hold a list of CAN messages; fetch or make it again")
+        if not messages:
+            return None
+        try:
+            times_us = np.array([round(message["utime"]) for message in messages], dtype=np.int64)
+            columns = [_column(messages, name).reshape(len(messages), length) for name, length in fields]
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            needed = ", ".join(("utime", *(name for name, _ in fields)))
+            raise InputError(f"{path}: every message needs the fields {needed} ({error}); make it again") from error
+        values = np.concatenate(columns, axis=-1)
+        if not np.isfinite(values).all():
+            raise InputError(f"{path} has a value that is not a finite number; make it again or remove the file")
+        order = np.argsort(times_us, kind="stable")
+        return cls(times_us[order], values[order])
+
+    def before(self, timestamp_us: int) -> Floats | None:
+        """Latest values not later than a time, or ``None`` if there are none within half a second.
+
+        Args:
+            timestamp_us: Now.
+
+        Returns:
+            (F,) values.
+        """
+        index = int(np.searchsorted(self.times_us, timestamp_us, side="right")) - 1
+        if index < 0 or timestamp_us - int(self.times_us[index]) > _STALE_AFTER_US:
+            return None
+        return np.asarray(self.values[index])
+
+
+def _column(messages: list[dict[str, Any]], name: str) -> Floats:
+    return np.array([message[name] for message in messages], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class CanBus:
+    """CAN bus messages of one scene.
+
+    Attributes:
+        motion: Velocity, acceleration and rotation rate in the ego frame (message ``pose``), if there.
+        steering: Steering wheel angle (message ``steeranglefeedback``), if there.
+    """
+
+    motion: CanMessages | None
+    steering: CanMessages | None
+
+    @classmethod
+    def read(cls, root: Path, scene: str) -> Self:
+        """Read the CAN bus files of a scene; any of them may be absent.
+
+        Args:
+            root: Data set root.
+            scene: Scene name.
+
+        Returns:
+            The messages.
+
+        Raises:
+            InputError: If a file is broken.
+        """
+        folder = root / "can_bus"
+        pose_fields = (("vel", 3), ("accel", 3), ("rotation_rate", 3))
+        return cls(
+            CanMessages.read(folder / f"{scene}_pose.json", pose_fields),
+            CanMessages.read(folder / f"{scene}_steeranglefeedback.json", (("value", 1),)),
+        )
+
+
+def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_bus: CanBus) -> EgoState:
+    """Ego motion at a frame.
+
+    Velocity, acceleration and yaw rate are measured where a CAN message of the last half second exists, else fitted
+    to the poses of the last second (`derived_motion`).
+
+    Args:
+        ego: Recorded motion; only frames up to ``frame`` are looked at.
+        timestamps_us: (T,) frame times.
+        frame: Now.
+        can_bus: Messages of the scene.
+
+    Returns:
+        The state, which says where the motion comes from.
+    """
+    now_us, pose = int(timestamps_us[frame]), ego.pose[frame]
+    measured = can_bus.motion.before(now_us) if can_bus.motion else None
+    steering = can_bus.steering.before(now_us) if can_bus.steering else None
+    if measured is not None:
+        velocity, acceleration, yaw_rate = measured[0:2], measured[3:5], float(measured[8])
+    else:
+        first = max(frame + 1 - _FIT_FRAMES, 0)
+        seconds = (timestamps_us[first : frame + 1] - now_us) * 1e-6
+        velocity, acceleration, yaw_rate = derived_motion(ego.pose[first : frame + 1], seconds)
+    return EgoState(
+        pose=pose,
+        position=ego.position[frame],
+        rotation=ego.rotation[frame],
+        velocity=velocity,
+        acceleration=acceleration,
+        yaw_rate=yaw_rate,
+        steering_angle=None if steering is None else float(steering[0]),
+        source="derived" if measured is None else "can_bus",
+    )
+
+
+def derived_motion(poses: Floats, seconds: Floats) -> tuple[Floats, Floats, float]:
+    """Velocity, acceleration and yaw rate at the last of some poses, by least squares.
+
+    A rear axle moves along the heading, so the distance driven is fitted by a parabola and the heading by a line.
+
+    Args:
+        poses: (H, 3) planar poses of the rear axle, oldest first.
+        seconds: (H,) their times, the last one 0.
+
+    Returns:
+        (2,) m/s and (2,) m/s^2 in the frame of the last pose, and rad/s. A single pose tells no motion: zeros. Fewer
+        than seven tell no longitudinal acceleration.
+    """
+    if len(poses) < 2:
+        return np.zeros(2), np.zeros(2), 0.0
+    yaw = np.unwrap(poses[:, 2])
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    steps = np.diff(poses[:, :2], axis=0)
+    driven = np.concatenate([[0.0], np.cumsum(steps[:, 0] * np.cos(middle) + steps[:, 1] * np.sin(middle))])
+    degree = 2 if len(poses) >= _FIT_QUADRATIC_FROM else 1
+    powers = np.vander(seconds, degree + 1, increasing=True)
+    along, *_ = np.linalg.lstsq(powers, driven, rcond=None)
+    turning, *_ = np.linalg.lstsq(powers[:, :2], yaw - yaw[-1], rcond=None)
+    speed, yaw_rate = float(along[1]), float(turning[1])
+    speeding_up = 2 * float(along[2]) if degree == 2 else 0.0
+    return np.array([speed, 0.0]), np.array([speeding_up, speed * yaw_rate]), yaw_rate

@@ -1,0 +1,39 @@
+"""A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.storage import content_key, file_sha256
+
+
+def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
+    """Hash of everything that a run reads.
+
+    Bytes of the tables, of ``splits.json``, ``challenger.json`` and the map expansions; names and sizes of CAN bus
+    files and of keyframe images. Sweeps and lidar files are read by nothing here and do not count.
+
+    Args:
+        root: Data set root.
+        version: Version folder.
+        images: Names of image files relative to the root.
+
+    Returns:
+        64 hexadecimal digits.
+    """
+    tables = root / version
+    hashed = {f"tables/{table}.json": tables / f"{table}.json" for table in NUSCENES_TABLES}
+    for name in ("splits.json", "challenger.json"):
+        hashed[f"tables/{name}"] = tables / name
+    hashed["splits.json"] = root / "splits.json"
+    for path in sorted((root / "maps" / "expansion").glob("*.json")):
+        hashed[f"maps/expansion/{path.name}"] = path
+    contents = {name: file_sha256(path) for name, path in hashed.items() if path.is_file()}
+    can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
+    sizes = {name: _size(root / name) for name in sorted(set(images))}
+    return content_key("data set", 1, contents, can_bus, sizes)
+
+
+def _size(path: Path) -> int:
+    """Size of a file in bytes, -1 where it is missing."""
+    return path.stat().st_size if path.is_file() else -1

@@ -1,0 +1,84 @@
+"""All checks of one data set, in the order in which a reader would trip over the faults."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.integrity.faults import Fault, FaultList
+from benchmark.datasets.integrity.files import check_files
+from benchmark.datasets.integrity.links import check_chains, check_links
+from benchmark.datasets.integrity.provenance import check_provenance, check_splits
+from benchmark.datasets.integrity.tables import read_checked
+from benchmark.datasets.integrity.values import check_sensors, check_values
+from benchmark.datasets.tables import version_folders
+from benchmark.errors import InputError
+
+_VARIANT_ROOT = re.compile(r"v\d+")
+
+
+def check_tables(root: Path, *, version: str | None = None) -> list[Fault]:
+    """Everything that is wrong with a nuScenes-format data set.
+
+    Linear in the number of rows. Of each kind of fault in each table the first few are told and the rest counted.
+
+    Args:
+        root: Root of the data set; a folder that directly holds tables, or one root a variant (``v0``, ``v1``, ...:
+            the tables of the faults then begin with the variant's name), will do too.
+        version: Version folder, or ``None`` to take the only one.
+
+    Returns:
+        The faults, errors first; empty if there are none.
+
+    Raises:
+        InputError: If there is no such folder, no tables in it, or several versions to choose from.
+    """
+    if not root.is_dir():
+        raise InputError(f"there is no folder {root}; give the root of a nuScenes-format data set")
+    variants = sorted(
+        (path for path in root.iterdir() if _VARIANT_ROOT.fullmatch(path.name) and path.is_dir() and _versions(path)),
+        key=lambda path: int(path.name[1:]),
+    )
+    if variants and not _versions(root):
+        faults = [
+            replace(fault, table=f"{variant.name}/{fault.table}")
+            for variant in variants
+            for fault in check_tables(variant, version=version)
+        ]
+        return sorted(faults, key=lambda fault: fault.severity)
+    folder, data_root = _table_folder(root, version)
+    return _check(folder, data_root)
+
+
+def _check(folder: Path, data_root: Path) -> list[Fault]:
+    faults = FaultList()
+    tables = read_checked(folder, faults)
+    check_links(tables, faults)
+    check_chains(tables, faults)
+    check_values(tables, faults)
+    check_sensors(tables, faults)
+    check_files(data_root, tables, faults)
+    check_splits(folder, tables, faults)
+    check_provenance(folder, tables, faults)
+    return faults.told()
+
+
+def _table_folder(root: Path, version: str | None) -> tuple[Path, Path]:
+    """Folder of the tables, and folder that file names are relative to."""
+    if version is not None:
+        if Path(version).name != version or not (root / version).is_dir():
+            known = ", ".join(_versions(root)) or "none"
+            raise InputError(f"{root} has no version folder {version!r}; versions there: {known}")
+        return root / version, root
+    if any((root / f"{table}.json").is_file() for table in NUSCENES_TABLES):
+        return root, root.parent
+    found = _versions(root)
+    if not found:
+        raise InputError(f"{root} holds no nuScenes tables (scene.json and 12 more); give the root of a data set")
+    if len(found) > 1:
+        raise InputError(f"{root} has several versions ({', '.join(found)}); name one with --version")
+    return root / found[0], root
+
+
+def _versions(root: Path) -> tuple[str, ...]:
+    return version_folders(root)

@@ -1,0 +1,59 @@
+"""Faults and the list that keeps them few enough to read."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+Severity = Literal["error", "warning"]
+
+SHOWN_PER_KIND: Final = 5
+"""Faults of one kind in one table that are told one by one; the rest are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong with a data set.
+
+    Attributes:
+        table: Table or file that it was found in.
+        token: Token of the row, or an empty string.
+        sentence: What is wrong.
+        severity: ``error``: software that follows the format crashes or computes something wrong. ``warning``: legal,
+            but most likely not meant.
+    """
+
+    table: str
+    token: str
+    sentence: str
+    severity: Severity = "error"
+
+
+@dataclass(slots=True)
+class FaultList:
+    """Collects faults; of each kind in each table the first few are kept and the rest counted."""
+
+    faults: list[Fault] = field(default_factory=list)
+    counts: Counter[tuple[str, str, Severity]] = field(default_factory=Counter)
+
+    def add(self, kind: str, table: str, token: str, sentence: str, *, severity: Severity = "error") -> None:
+        """Note a fault.
+
+        Args:
+            kind: Two or three words for what the faults of a kind have in common; names them when counted.
+            table: See `Fault`.
+            token: See `Fault`.
+            sentence: See `Fault`.
+            severity: See `Fault`.
+        """
+        self.counts[(kind, table, severity)] += 1
+        if self.counts[(kind, table, severity)] <= SHOWN_PER_KIND:
+            self.faults.append(Fault(table, token, sentence, severity))
+
+    def told(self) -> list[Fault]:
+        """The faults, errors first, each kind that was cut short ended by how many more there are."""
+        more = [
+            Fault(table, "", f"and {count - SHOWN_PER_KIND} more: {kind}", severity)
+            for (kind, table, severity), count in self.counts.items()
+            if count > SHOWN_PER_KIND
+        ]
+        return sorted([*self.faults, *more], key=lambda fault: fault.severity)

@@ -1,0 +1,267 @@
+"""Data sets in nuScenes format, through the unmodified devkit."""
+
+import functools
+from collections import OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, Self
+
+from shapely.geometry import MultiPolygon
+
+from benchmark.datasets.annotated import read_objects
+from benchmark.datasets.can_bus import CanBus
+from benchmark.datasets.fingerprint import fingerprint_of
+from benchmark.datasets.map_layers import expansion_file, read_road_map
+from benchmark.datasets.observations import observations_of_scene
+from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.sensors import read_cameras, read_lidar
+from benchmark.datasets.split_names import read_splits, scenes_of_split
+from benchmark.datasets.tables import Row, Tables, check_tables, find_version, read_tables
+from benchmark.datasets.timeline import read_timeline, samples_of_scene
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.planning import Observation
+from benchmark.road_map import RoadMap
+from benchmark.scene import Scene
+from benchmark.storage import read_json
+from benchmark.truth import SampleTruth
+
+MAP_MARGIN_M: Final = 120.0
+"""A scene's map reaches this far around everything that the ego visits."""
+_KEPT_SCENES: Final = 4
+
+
+class NuScenesData:
+    """One root in nuScenes format.
+
+    Attributes:
+        root: Root folder.
+        version: Version folder in it.
+        name: Shown in tables.
+    """
+
+    def __init__(self, nusc: Any, root: Path, version: str, name: str) -> None:
+        self.root = root
+        self.version = version
+        self.name = name
+        self._nusc = nusc
+        self._rows: dict[str, Row] = {row["name"]: row for row in nusc.scene}
+        self._splits = read_splits(root, version)
+        self._provenance = _read_provenance(root / version / "challenger.json", set(self._rows))
+        self._scenes: OrderedDict[str, Scene] = OrderedDict()
+        self._maps: dict[str, RoadMap] = {}
+        self._fingerprint: str | None = None
+
+    @classmethod
+    def open(cls, root: Path, *, version: str | None = None, name: str | None = None) -> Self:
+        """Open a data set: any version folder, any scene names, with or without CAN bus, lidar or image files.
+
+        Args:
+            root: Root folder, the one that contains the version folder.
+            version: Version folder; needed only where there are several.
+            name: Shown in tables; the root's name by default.
+
+        Returns:
+            The data set, its tables loaded and checked.
+
+        Raises:
+            InputError: If there is no such data set, or a table is missing, broken, or links to nothing.
+        """
+        root = Path(root)
+        version = find_version(root, version)
+        return cls(_load(root, version), root, version, name or root.resolve().name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as a path; each process loads the tables once."""
+        return _reopened, (str(self.root), self.version, self.name)
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """Splits that ``splits.json`` defines (in the version folder or in the root), scene names by split."""
+        return dict(self._splits)
+
+    def scene_names(self, split: str | None = None) -> tuple[str, ...]:
+        """Names of scenes.
+
+        Args:
+            split: A split (the rules are those of `scenes_of_split`), or ``None`` for all scenes.
+
+        Returns:
+            Sorted names.
+
+        Raises:
+            InputError: If there is no such split.
+        """
+        present = tuple(sorted(self._rows))
+        if split is None:
+            return present
+        built_as = self._provenance.get("split") if self._provenance else None
+        return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=built_as)
+
+    def scene(self, name: str) -> Scene:
+        """Read one scene; the last few are kept in memory.
+
+        Args:
+            name: Scene name.
+
+        Returns:
+            The scene at 12 Hz from the first to the last keyframe. Its map is cropped to 120 m around the ego's path,
+            and empty where the data set has no map expansion for its location (see `has_map`).
+
+        Raises:
+            InputError: If there is no such scene or something in it is broken.
+        """
+        if name in self._scenes:
+            self._scenes.move_to_end(name)
+            return self._scenes[name]
+        scene = self._read_scene(self._row(name))
+        self._scenes[name] = scene
+        if len(self._scenes) > _KEPT_SCENES:
+            self._scenes.popitem(last=False)
+        return scene
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        """What a planner may see, one observation a sample, in time order.
+
+        Args:
+            name: Scene name.
+
+        Yields:
+            Observations.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        scene, samples = self.scene(name), samples_of_scene(self._nusc, self._row(name))
+        yield from observations_of_scene(self._nusc, self.root, scene, samples, CanBus.read(self.root, name))
+
+    def truth(self, name: str) -> tuple[SampleTruth, ...]:
+        """What really happened, one truth a sample, in time order.
+
+        Args:
+            name: Scene name.
+
+        Returns:
+            Truths in the order of `observations`.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        samples = samples_of_scene(self._nusc, self._row(name))
+        return truth_of_scene(self.scene(name), [sample["token"] for sample in samples])
+
+    def has_map(self, name: str) -> bool:
+        """Whether there is a map expansion file for the location of a scene.
+
+        Args:
+            name: Scene name.
+
+        Raises:
+            InputError: If there is no such scene.
+        """
+        return expansion_file(self.root, self._log(self._row(name))["location"]) is not None
+
+    def fingerprint(self) -> str:
+        """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits."""
+        if self._fingerprint is None:
+            rows = self._nusc.sample_data
+            images = (row["filename"] for row in rows if row["is_key_frame"] and row["sensor_modality"] == "camera")
+            self._fingerprint = fingerprint_of(self.root, self.version, images)
+        return self._fingerprint
+
+    def provenance(self) -> dict[str, Any] | None:
+        """How the data set was made (``challenger.json`` in the version folder), or ``None`` if it does not say."""
+        return self._provenance
+
+    def _row(self, name: str) -> Row:
+        if name not in self._rows:
+            some = ", ".join(sorted(self._rows)[:5]) + (", ..." if len(self._rows) > 5 else "")
+            raise InputError(f"{self.root} has no scene {name!r}; it has {len(self._rows)}: {some}")
+        return self._rows[name]
+
+    def _log(self, row: Row) -> Row:
+        log: Row = self._nusc.get("log", row["log_token"])
+        return log
+
+    def _read_scene(self, row: Row) -> Scene:
+        nusc, log = self._nusc, self._log(row)
+        samples = samples_of_scene(nusc, row)
+        timeline = read_timeline(nusc, samples)
+        agents, annotations = read_objects(nusc, samples, timeline.keyframes)
+        made = self._provenance["scenes"].get(row["name"], {}) if self._provenance else {}
+        adversaries = tuple(made.get("adversaries", ()))
+        if unknown := sorted(set(adversaries) - set(agents.ids)):
+            raise InputError(
+                f"{self.root / self.version / 'challenger.json'} names the adversary {unknown[0]} of {row['name']}, "
+                "which is never annotated there; write the data set again"
+            )
+        return Scene(
+            name=row["name"],
+            token=row["token"],
+            description=str(row.get("description", "")),
+            log=str(log["logfile"]),
+            vehicle=str(log.get("vehicle", "")),
+            date=str(log.get("date_captured", "")),
+            timestamps_us=timeline.timestamps_us,
+            keyframes=timeline.keyframes,
+            ego=timeline.ego,
+            agents=agents,
+            annotations=annotations,
+            cameras=read_cameras(nusc, samples[0]),
+            lidar=read_lidar(nusc, samples[0]),
+            road_map=self._map_around(str(log["location"]), timeline.ego.position),
+            adversaries=adversaries,
+        )
+
+    def _map_around(self, location: str, position: Floats) -> RoadMap:
+        if location not in self._maps:
+            path = expansion_file(self.root, location)
+            self._maps[location] = read_road_map(path) if path else RoadMap(location, MultiPolygon())
+        low, high = position[:, :2].min(axis=0) - MAP_MARGIN_M, position[:, :2].max(axis=0) + MAP_MARGIN_M
+        return self._maps[location].near((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
+
+
+@functools.lru_cache(maxsize=2)
+def _reopened(root: str, version: str, name: str) -> NuScenesData:
+    return NuScenesData.open(Path(root), version=version, name=name)
+
+
+def _load(root: Path, version: str) -> Any:
+    """The devkit's object. It crashes on broken tables, so the tables are then read again to say what is wrong."""
+    from nuscenes.nuscenes import NuScenes
+
+    try:
+        nusc = NuScenes(version=version, dataroot=str(root), verbose=False)
+    except Exception as error:
+        tables = read_tables(root / version)
+        _check(tables, root, version)
+        raise InputError(
+            f"nuscenes-devkit cannot open {root / version} ({type(error).__name__}: {error}); correct the tables"
+        ) from error
+    _check({table: getattr(nusc, table) for table in nusc.table_names if hasattr(nusc, table)}, root, version)
+    return nusc
+
+
+def _check(tables: Tables, root: Path, version: str) -> None:
+    check_tables(tables, root / version)
+    for row in tables["map"]:
+        if not (root / str(row["filename"])).is_file():
+            raise InputError(
+                f"map mask {root / str(row['filename'])} of map.json is missing; the devkit needs the file (any small "
+                "PNG does)"
+            )
+
+
+def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    value = read_json(path)
+    made = value.get("scenes") if isinstance(value, dict) else None
+    if not isinstance(value, dict) or not isinstance(made, dict) or not isinstance(value.get("split"), str):
+        raise InputError(f"{path} must be an object with a split and its scenes; write the data set again")
+    for name, entry in made.items():
+        adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
+        if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
+            raise InputError(f"{path}: scene {name} must be an object with a list of adversaries; write it again")
+        if name not in scenes:
+            raise InputError(f"{path} names the scene {name}, which is not in scene.json; write the data set again")
+    return value

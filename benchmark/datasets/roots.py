@@ -1,0 +1,205 @@
+"""What a data set is to everybody else, and data sets that lie in several roots.
+
+Official model code accepts only original scene names, so several adversarial variants of one scene need several
+roots: ``v0/``, ``v1/``, ... side by side, each a complete nuScenes root. They are read as one data set whose scenes
+are called ``v0/scene-0061``.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.tables import version_folders
+from benchmark.errors import InputError
+from benchmark.planning import Observation
+from benchmark.scene import Scene
+from benchmark.storage import content_key
+from benchmark.truth import SampleTruth
+
+
+class DataSet(Protocol):
+    """Scenes, observations and truth by scene name; `NuScenesData` says what each method promises.
+
+    Attributes:
+        root: Root folder.
+        version: Version folder.
+        name: Shown in tables.
+    """
+
+    root: Path
+    version: str
+    name: str
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """Custom splits."""
+
+    def scene_names(self, split: str | None = None) -> tuple[str, ...]:
+        """Sorted names of the scenes of a split, or of all."""
+
+    def scene(self, name: str) -> Scene:
+        """One scene."""
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        """One observation a sample, in time order."""
+
+    def truth(self, name: str) -> tuple[SampleTruth, ...]:
+        """One truth a sample, in time order."""
+
+    def has_map(self, name: str) -> bool:
+        """Whether the scene's location has a vector map."""
+
+    def fingerprint(self) -> str:
+        """Content hash."""
+
+    def provenance(self) -> dict[str, Any] | None:
+        """How the data set was made, if it says."""
+
+
+class VariantRoots:
+    """Several roots ``v0/``, ``v1/``, ... presented as one data set.
+
+    Attributes:
+        root: Folder that holds the roots.
+        version: Version folder of the first root.
+        name: Shown in tables.
+    """
+
+    def __init__(self, root: Path, name: str, variants: dict[str, NuScenesData]) -> None:
+        self.root = root
+        self.name = name
+        self.version = next(iter(variants.values())).version
+        self._variants = variants
+
+    @classmethod
+    def open(cls, root: Path, *, version: str | None = None, name: str | None = None) -> Self:
+        """Open every variant.
+
+        Args:
+            root: Folder that holds ``v0/``, ``v1/``, ...
+            version: Version folder in each; needed only where there are several.
+            name: Shown in tables; the folder's name by default.
+
+        Returns:
+            The data set.
+
+        Raises:
+            InputError: If a variant cannot be opened.
+        """
+        variants = {folder: NuScenesData.open(root / folder, version=version) for folder in variant_folders(root)}
+        if not variants:
+            raise InputError(f"{root} holds no variants (v0/, v1/, ...); give the folder that contains them")
+        return cls(root, name or root.resolve().name, variants)
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """Custom splits of all variants together, scene names by split."""
+        merged: dict[str, tuple[str, ...]] = {}
+        for folder, data in self._variants.items():
+            for split, names in data.splits().items():
+                merged[split] = (*merged.get(split, ()), *(f"{folder}/{name}" for name in names))
+        return merged
+
+    def scene_names(self, split: str | None = None) -> tuple[str, ...]:
+        """Names of the scenes of a split, or of all; variants in order, sorted within each.
+
+        Raises:
+            InputError: If a variant has no such split.
+        """
+        return tuple(f"{folder}/{name}" for folder, data in self._variants.items() for name in data.scene_names(split))
+
+    def scene(self, name: str) -> Scene:
+        """One scene, called by its prefixed name.
+
+        Raises:
+            InputError: If there is no such scene or something in it is broken.
+        """
+        data, inner = self._find(name)
+        return replace(data.scene(inner), name=name)
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        """One observation a sample, in time order.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return (replace(observation, scene=name) for observation in data.observations(inner))
+
+    def truth(self, name: str) -> tuple[SampleTruth, ...]:
+        """One truth a sample, in time order.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return tuple(replace(truth, scene=name) for truth in data.truth(inner))
+
+    def has_map(self, name: str) -> bool:
+        """Whether the scene's location has a vector map.
+
+        Raises:
+            InputError: If there is no such scene.
+        """
+        data, inner = self._find(name)
+        return data.has_map(inner)
+
+    def fingerprint(self) -> str:
+        """Content hash of all variants, 64 hexadecimal digits."""
+        return content_key("variants", {folder: data.fingerprint() for folder, data in self._variants.items()})
+
+    def provenance(self) -> dict[str, Any] | None:
+        """Provenance of the first variant with the scenes of all, or ``None`` if any variant does not say."""
+        said = {folder: data.provenance() for folder, data in self._variants.items()}
+        known = {folder: value for folder, value in said.items() if value is not None}
+        if len(known) < len(said):
+            return None
+        scenes = {f"{folder}/{name}": made for folder, value in known.items() for name, made in value["scenes"].items()}
+        return {**next(iter(known.values())), "scenes": scenes}
+
+    def _find(self, name: str) -> tuple[NuScenesData, str]:
+        folder, _, inner = name.partition("/")
+        if folder not in self._variants or not inner:
+            raise InputError(
+                f"{self.root} has no scene {name!r}; its scenes are called like {next(iter(self.scene_names()))!r}"
+            )
+        return self._variants[folder], inner
+
+
+def variant_folders(root: Path) -> tuple[str, ...]:
+    """Names of the variant roots in a folder: ``v0``, ``v1``, ... in numeric order.
+
+    Args:
+        root: Any path.
+
+    Returns:
+        Folder names; none unless at least one of them holds a version folder. An unfinished variant beside finished
+        ones is among them, so that opening fails and nothing is computed from a part of the data.
+    """
+    if not root.is_dir():
+        return ()
+    numbered = [path for path in root.iterdir() if re.fullmatch(r"v\d+", path.name) and path.is_dir()]
+    if not any(map(version_folders, numbered)):
+        return ()
+    return tuple(path.name for path in sorted(numbered, key=lambda path: int(path.name[1:])))
+
+
+def open_data(root: Path, *, version: str | None = None, name: str | None = None) -> DataSet:
+    """Open a nuScenes-format root, or a folder of variant roots.
+
+    Args:
+        root: Root folder.
+        version: Version folder; needed only where there are several.
+        name: Shown in tables; the folder's name by default.
+
+    Returns:
+        The data set.
+
+    Raises:
+        InputError: If there is no such data set, or it is broken.
+    """
+    root = Path(root)
+    if variant_folders(root):
+        return VariantRoots.open(root, version=version, name=name)
+    return NuScenesData.open(root, version=version, name=name)

@@ -1,0 +1,115 @@
+"""`SampleTruth` of every sample of a scene: recorded futures seen from the lidar of each keyframe."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.datasets.annotated import nearest_valid
+from benchmark.geometry import Bools, Floats, to_local, wrap_angle, yaw_of_quaternion
+from benchmark.planning import Command
+from benchmark.scene import Scene
+from benchmark.truth import SampleTruth
+
+
+def truth_of_scene(scene: Scene, sample_tokens: Sequence[str]) -> tuple[SampleTruth, ...]:
+    """What really happened around each sample, for protocols (specification of the protocols, section 0).
+
+    Args:
+        scene: The scene; its annotations are used as they are, never the interpolated tracks.
+        sample_tokens: K tokens.
+
+    Returns:
+        One truth a sample, in time order.
+    """
+    lidar_poses = planar_lidar_poses(scene)
+    boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
+    return tuple(_truth(scene, token, index, lidar_poses, boxes_yaw) for index, token in enumerate(sample_tokens))
+
+
+def planar_lidar_poses(scene: Scene) -> Floats:
+    """Planar poses of LIDAR_TOP at the keyframes.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        (K, 3) global x, y of the lidar origin and the heading of the car.
+    """
+    pose = scene.ego.pose[scene.keyframes]
+    ahead_m = float(scene.lidar.translation[0])
+    pose[:, :2] += ahead_m * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+    return pose
+
+
+def command_of(future: Floats, valid: Bools) -> Command:
+    """Driving command from the recorded future: the side on which its last waypoint lies.
+
+    Args:
+        future: (6, 2+) recorded lidar positions, x right.
+        valid: (6,) whether each exists.
+
+    Returns:
+        Right or left from 2 m of lateral displacement at the last valid waypoint, else straight.
+    """
+    if not valid.any():
+        return Command.STRAIGHT
+    lateral_m = float(future[np.flatnonzero(valid)[-1], 0])
+    if lateral_m >= COMMAND_LATERAL_M:
+        return Command.RIGHT
+    return Command.LEFT if lateral_m <= -COMMAND_LATERAL_M else Command.STRAIGHT
+
+
+def ego_future(lidar_poses: Floats, index: int) -> tuple[Floats, Bools]:
+    """Recorded lidar poses at the six plan steps, in the lidar frame of a keyframe.
+
+    Args:
+        lidar_poses: (K, 3) global poses at the keyframes.
+        index: The keyframe.
+
+    Returns:
+        (6, 3) x right, y forward, yaw (held past the end) and (6,) whether the keyframe exists.
+    """
+    steps = index + 1 + np.arange(PLAN_STEPS)
+    valid = steps < len(lidar_poses)
+    return _in_lidar(lidar_poses[np.minimum(steps, len(lidar_poses) - 1)], lidar_poses[index]), valid
+
+
+def _in_lidar(poses: Floats, frame: Floats) -> Floats:
+    """Poses (..., 3) in the planar lidar frame: x right, y forward, straight ahead is pi/2."""
+    local = to_local(poses[..., :2], frame)
+    yaw = wrap_angle(poses[..., 2] - frame[2] + np.pi / 2)
+    return np.stack([-local[..., 1], local[..., 0], yaw], axis=-1)
+
+
+def _truth(scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw: Floats) -> SampleTruth:
+    known = scene.annotations
+    steps = index + np.arange(PLAN_STEPS + 1)
+    exists = steps < len(scene.keyframes)
+    steps = np.minimum(steps, len(scene.keyframes) - 1)
+    seen = np.flatnonzero((known.valid[:, steps] & exists).any(axis=-1))
+    annotated: NDArray[np.bool_] = known.valid[seen][:, steps] & exists
+    rows, columns = seen[:, None], steps[nearest_valid(annotated)] if len(seen) else np.zeros((0, 7), np.int64)
+    poses = np.concatenate([known.position[rows, columns, :2], boxes_yaw[rows, columns][..., None]], axis=-1)
+    local = _in_lidar(poses, lidar_poses[index])
+    boxes = np.concatenate([local[..., :2], known.size[rows, columns, :2], local[..., 2:]], axis=-1)
+    lidar_points, radar_points = known.num_lidar_pts[rows, columns], known.num_radar_pts[rows, columns]
+    future, future_valid = ego_future(lidar_poses, index)
+    return SampleTruth(
+        scene=scene.name,
+        sample_token=token,
+        index=index,
+        timestamp_us=int(scene.timestamps_us[scene.keyframes[index]]),
+        lidar_pose=lidar_poses[index],
+        lidar_ahead_m=float(scene.lidar.translation[0]),
+        ego_future=future,
+        ego_future_valid=future_valid,
+        command=command_of(future, future_valid),
+        instances=tuple(scene.agents.ids[row] for row in seen),
+        categories=tuple(scene.agents.categories[row] for row in seen),
+        boxes=boxes,
+        annotated=annotated,
+        has_points=annotated & (lidar_points + radar_points > 0),
+        has_lidar_points=annotated & (lidar_points > 0),
+    )

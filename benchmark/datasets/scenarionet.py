@@ -1,0 +1,257 @@
+"""`Scene` objects from ScenarioNet files: recordings of nuScenes, Waymo, nuPlan and Argoverse 2 in one format.
+
+What such a file does not have, a scene made of it does not have either: images, point counts (each annotation claims
+one lidar point), attributes and visibility. Files have no clock; see `_timestamps`.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import (
+    EGO_CENTER_FROM_REAR_AXLE_M,
+    FRAME_HZ,
+    FRAMES_PER_KEYFRAME,
+    OFFICIAL_LOCATIONS,
+)
+from benchmark.datasets.safe_pickle import read_pickle
+from benchmark.datasets.scenarionet_map import map_of_features
+from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
+from benchmark.datasets.sensors import standard_lidar
+from benchmark.datasets.tables import scene_number
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
+from benchmark.scene import EgoTrack, Scene
+from benchmark.storage import content_seed, token
+
+_FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
+_UNOFFICIAL_NUMBERS: Final = range(2000, 10000)
+"""Above all numbers of real nuScenes scenes, some of which the devkit's CAN bus reader refuses."""
+_CLOCK_START_US: Final = 1_500_000_000_000_000
+_CLOCK_APART_US: Final = 600_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """What a file says about itself.
+
+    Attributes:
+        path: The file.
+        identifier: Scenario name in its source.
+        dataset: Source, for example ``nuscenes``.
+        seconds: (L,) times of its steps.
+        metadata: Everything else.
+        value: The whole content.
+    """
+
+    path: Path
+    identifier: str
+    dataset: str
+    seconds: Floats
+    metadata: Mapping[str, Any]
+    value: Mapping[str, Any]
+
+    @property
+    def is_nuscenes(self) -> bool:
+        return self.dataset.lower() == "nuscenes"
+
+
+def find_scenarionet(folder: Path) -> tuple[Path, ...]:
+    """ScenarioNet files in a folder and below it.
+
+    Args:
+        folder: A folder, or a single file.
+
+    Returns:
+        Paths of ``sd_*.pkl`` files, sorted; where there are none, of all ``*.pkl`` files but the database's own
+        ``dataset_summary.pkl`` and ``dataset_mapping.pkl``.
+
+    Raises:
+        InputError: If there is no such folder or nothing in it.
+    """
+    if folder.is_file():
+        return (folder,)
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}; give a folder with ScenarioNet files (sd_*.pkl)")
+    pickles = sorted(path for path in folder.rglob("*.pkl") if path.is_file())
+    named = [path for path in pickles if path.name.startswith("sd_")]
+    found = named or [path for path in pickles if path.name not in ("dataset_summary.pkl", "dataset_mapping.pkl")]
+    if not found:
+        raise InputError(f"{folder} has no ScenarioNet files (sd_*.pkl); give the folder that contains them")
+    return tuple(found)
+
+
+def read_scenarionet(path: Path) -> Scene:
+    """Read one ScenarioNet file.
+
+    Steps (usually 10 Hz) are resampled to 12 Hz; each sixth frame is a keyframe, and the scene ends with the last
+    keyframe. The name is the scenario's if that is like ``scene-0061``, else ``scene-2000`` to ``scene-9999`` by hash
+    of the scenario's id. The location is the file's own if it is an official nuScenes one, else ``boston-seaport``,
+    because the devkit accepts no other; coordinates are shifted where they would be negative.
+
+    In nuScenes files the ego's position is ``ego_pose`` (the rear axle), agents' positions are box centres, and the
+    last half second is left out: there ScenarioNet joins two sources of ego poses, which jump by up to a metre. In
+    other files the ego's position is its box centre; heights are made relative to the ground under the ego.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The scene, without cameras, with a map cropped to 200 m around the ego's path.
+
+    Raises:
+        InputError: If the file is refused, broken, or its numbers make no sense.
+    """
+    recording = _read_recording(path)
+    tracks = _tracks_of(recording)
+    ego = _ego_of(recording, tracks)
+    frame_seconds = _frame_seconds(recording, ego)
+    position = _ego_position(recording, ego)
+    ground_z = None if recording.is_nuscenes else position[:, 2].copy()
+    if ground_z is not None:
+        position[:, 2] = 0.0
+    road_map, shift = map_of_features(
+        recording.value["map_features"],
+        path=path,
+        location=_location(recording),
+        official=recording.metadata.get("map") in OFFICIAL_LOCATIONS,
+        ego_path=position[:, :2],
+    )
+    others = {name: track for name, track in tracks.items() if track is not ego}
+    keyframes = np.arange(0, len(frame_seconds), FRAMES_PER_KEYFRAME)
+    agents, annotations = objects_of_tracks(
+        others, recording.seconds, frame_seconds, keyframes, shift=shift, ground_z=ground_z
+    )
+    name = _scene_name(recording)
+    return Scene(
+        name=name,
+        token=_scene_token(recording),
+        # Words of a description name the look, and an identifier may contain any word.
+        description="Imported from ScenarioNet",
+        log=f"scenarionet-{recording.dataset}-{recording.identifier}",
+        vehicle="scenarionet",
+        date=_date(recording),
+        timestamps_us=_timestamps(name, frame_seconds),
+        keyframes=keyframes,
+        ego=_ego_track(recording.seconds, position, ego.heading, frame_seconds, shift),
+        agents=agents,
+        annotations=annotations,
+        cameras=(),
+        lidar=standard_lidar(),
+        road_map=road_map,
+    )
+
+
+def _read_recording(path: Path) -> _Recording:
+    value = read_pickle(path)
+    needed = ("id", "length", "metadata", "tracks", "map_features")
+    if not isinstance(value, dict) or any(key not in value for key in needed):
+        raise InputError(f"{path} is not a ScenarioNet scenario: it needs the keys {', '.join(needed)}")
+    metadata = value["metadata"]
+    if not all(isinstance(value[key], dict) for key in ("metadata", "tracks", "map_features")):
+        raise InputError(f"{path}: metadata, tracks and map_features must be dictionaries; fetch the file again")
+    try:
+        seconds = np.asarray(metadata["ts"], dtype=np.float64).reshape(-1)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: metadata has no usable list of times 'ts'; fetch the file again") from None
+    steps = np.diff(seconds)
+    if len(seconds) != value["length"] or len(seconds) < 2 or not np.isfinite(seconds).all() or not (steps > 0).all():
+        raise InputError(
+            f"{path}: metadata 'ts' must be {value['length']} increasing finite times, one a step; fetch the file again"
+        )
+    if not 0.01 <= float(np.median(steps)) <= 1.0:
+        raise InputError(f"{path}: 'ts' steps by {np.median(steps):g}; it must be in seconds, at 1 to 100 Hz")
+    dataset = str(metadata.get("dataset", "unknown"))
+    return _Recording(path, str(value["id"]), dataset, seconds - seconds[0], metadata, value)
+
+
+def _tracks_of(recording: _Recording) -> dict[str, SourceTrack]:
+    read = {
+        str(name): read_track(track, str(name), len(recording.seconds), recording.path)
+        for name, track in recording.value["tracks"].items()
+    }
+    return {name: track for name, track in read.items() if track is not None}
+
+
+def _ego_of(recording: _Recording, tracks: Mapping[str, SourceTrack]) -> SourceTrack:
+    name = str(recording.metadata.get("sdc_id"))
+    if name not in tracks:
+        raise InputError(
+            f"{recording.path}: metadata sdc_id {name!r} names no track, so there is no ego; fetch the file again"
+        )
+    return tracks[name]
+
+
+def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
+    """12 Hz times from the first step to the last whole keyframe."""
+    if not ego.valid.all():
+        raise InputError(
+            f"{recording.path}: the ego is not there at step {int(np.argmin(ego.valid))}; a recording needs its ego "
+            "at every step"
+        )
+    half_second = FRAMES_PER_KEYFRAME / FRAME_HZ
+    count = int(np.floor(recording.seconds[-1] / half_second + 1e-6)) + 1
+    if recording.is_nuscenes:
+        count -= 1
+    if count < 2:
+        raise InputError(
+            f"{recording.path} lasts {recording.seconds[-1]:g} s; a scene needs two keyframes, half a second apart"
+        )
+    return np.arange((count - 1) * FRAMES_PER_KEYFRAME + 1) / FRAME_HZ
+
+
+def _ego_position(recording: _Recording, ego: SourceTrack) -> Floats:
+    """(L, 3) rear axle on the ground."""
+    if recording.is_nuscenes:
+        return ego.position.copy()
+    back = EGO_CENTER_FROM_REAR_AXLE_M * np.column_stack([np.cos(ego.heading), np.sin(ego.heading)])
+    z = ego.position[:, 2]
+    ground_z = np.zeros_like(z) if not z.any() else z - 0.5 * ego.size[2]
+    return np.column_stack([ego.position[:, :2] - back, ground_z])
+
+
+def _ego_track(seconds: Floats, position: Floats, heading: Floats, wanted: Floats, shift: Floats) -> EgoTrack:
+    right = np.clip(np.searchsorted(seconds, wanted - 1e-9), 1, len(seconds) - 1)
+    fraction = np.clip((wanted - seconds[right - 1]) / (seconds[right] - seconds[right - 1]), 0.0, 1.0)
+    poses = np.column_stack([position[:, :2] + shift, heading])
+    between = poses_between(poses[right - 1], poses[right], fraction)
+    z = np.interp(wanted, seconds, position[:, 2])
+    return EgoTrack(np.column_stack([between[:, :2], z]), quaternion_from_yaw(between[:, 2]))
+
+
+def _location(recording: _Recording) -> str:
+    location = recording.metadata.get("map")
+    return location if location in OFFICIAL_LOCATIONS else _FALLBACK_LOCATION
+
+
+def _scene_name(recording: _Recording) -> str:
+    if scene_number(recording.identifier) is not None:
+        return recording.identifier
+    span = len(_UNOFFICIAL_NUMBERS)
+    number = _UNOFFICIAL_NUMBERS[content_seed("scene name", recording.dataset, recording.identifier) % span]
+    return f"scene-{number:04d}"
+
+
+def _scene_token(recording: _Recording) -> str:
+    given = recording.metadata.get("scenario_token")
+    if isinstance(given, str) and re.fullmatch(r"[0-9a-f]{32}", given):
+        return given
+    return token("scene", recording.dataset, recording.identifier)
+
+
+def _date(recording: _Recording) -> str:
+    date = recording.metadata.get("date")
+    return date if isinstance(date, str) and re.fullmatch(r"\d{4}-\d{2}-\d{2}", date) else "1970-01-01"
+
+
+def _timestamps(name: str, frame_seconds: Floats) -> NDArray[np.int64]:
+    """Scenes ten minutes apart on one clock: official code sorts samples by time and must not mix two scenes."""
+    number = scene_number(name)
+    assert number is not None
+    start_us = _CLOCK_START_US + number * _CLOCK_APART_US
+    return np.asarray(start_us + np.rint(frame_seconds * 1e6), dtype=np.int64)

@@ -1,0 +1,238 @@
+"""Map features of ScenarioNet files as a `RoadMap`."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, MultiPolygon, Polygon
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, wrap_angle
+from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
+
+_REACH_M: Final = 200.0
+"""Files cut their map around the ego; nearer than this to its path they are complete."""
+_MARGIN_M: Final = 20.0
+_JOINED_WITHIN_M: Final = 0.2
+_JOINED_TURN_RAD: Final = np.deg2rad(45.0)
+_DEFAULT_LANE_WIDTH_M: Final = 3.5
+_WIDEST_LANE_M: Final = 10.0
+_RING_PREFIX: Final = "boundary_"
+_CANVAS_M: Final = {
+    "singapore-onenorth": (1585.6, 2025.0),
+    "singapore-hollandvillage": (2808.3, 2922.9),
+    "singapore-queenstown": (3228.6, 3687.1),
+    "boston-seaport": (2979.5, 2118.1),
+}
+"""Extents of the real maps, which scenes with official locations lie in."""
+
+
+def map_of_features(
+    features: Mapping[Any, Any], *, path: Path, location: str, official: bool, ego_path: Floats
+) -> tuple[RoadMap, Floats]:
+    """Build the map of one file.
+
+    The drivable area is made of the ``boundary_*`` rings of nuScenes files, filled even-odd (lane polygons alone leave
+    junctions out); where there are none, of lane surfaces, crossings and driveways. Lanes are linked as the file
+    says, and where it says nothing, where one begins at another's end.
+
+    Args:
+        features: ``map_features`` of the file.
+        path: The file, for messages.
+        location: nuScenes location name to give the map.
+        official: Whether the coordinates are those of the real location, and therefore stay.
+        ego_path: (L, 2) metres.
+
+    Returns:
+        The map within 200 m of the ego's path, and the (2,) shift that was applied: zero, or what makes all
+        coordinates positive.
+
+    Raises:
+        InputError: If a feature has no type or coordinates that are not finite.
+    """
+    read = {str(name): _Feature(feature, str(name), path) for name, feature in features.items()}
+    low, high = ego_path.min(axis=0) - _REACH_M, ego_path.max(axis=0) + _REACH_M
+    lanes = {name: feature for name, feature in read.items() if feature.is_lane}
+    crossings = _surfaces(read, ("CROSSWALK",))
+    bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    road_map = RoadMap(
+        location=location,
+        drivable_area=_drivable_area(read, lanes, crossings, shapely.box(*bounds)),
+        lanes=_linked_lanes(lanes),
+        dividers=tuple(_dividers(read)),
+        ped_crossings=crossings,
+        walkways=_surfaces(read, ("SIDEWALK", "BOUNDARY_SIDEWALK", "ROAD_EDGE_SIDEWALK")),
+    ).near(bounds)
+    extent = _extent(road_map, ego_path)
+    shift = np.zeros(2) if official and (extent[0] >= 0).all() else np.maximum(0.0, _MARGIN_M - extent[0])
+    width, height = (float(value) + _MARGIN_M for value in extent[1] + shift)
+    if official:
+        width, height = (max(pair) for pair in zip((width, height), _CANVAS_M[location], strict=True))
+    return replace(_moved(road_map, shift) if shift.any() else road_map, canvas_m=(width, height)), shift
+
+
+class _Feature:
+    """One map feature with its coordinates checked."""
+
+    def __init__(self, feature: Any, name: str, path: Path) -> None:
+        if not isinstance(feature, dict) or not isinstance(feature.get("type"), str):
+            raise InputError(f"{path}: map feature {name} has no type; fetch the file again")
+        self.name = name
+        self.type: str = feature["type"]
+        self.line = _coordinates(feature, "polyline", name, path)
+        self.outline = _coordinates(feature, "polygon", name, path)
+        self.width = feature.get("width")
+        self.entries = _names(feature.get("entry_lanes"))
+        self.exits = _names(feature.get("exit_lanes"))
+
+    @property
+    def is_lane(self) -> bool:
+        return self.type.startswith("LANE_") and "BIKE" not in self.type and self.line is not None
+
+    def surface(self) -> Polygon | None:
+        """Polygon of the feature, or ``None`` if it has none."""
+        if self.outline is None or len(self.outline) < 3:
+            return None
+        parts = as_multipolygon(shapely.make_valid(Polygon(self.outline)))
+        return max(parts.geoms, key=lambda part: part.area, default=None)
+
+    def strip(self) -> shapely.Geometry:
+        """Surface of a lane without a polygon: its centre line, as wide as the lane."""
+        assert self.line is not None
+        width_m = _DEFAULT_LANE_WIDTH_M
+        if self.width is not None:
+            sides = np.asarray(self.width, dtype=np.float64)
+            total = sides.sum(axis=-1) if sides.ndim == 2 else sides
+            known = total[np.isfinite(total) & (total > 1.0)]
+            width_m = float(np.median(known)) if len(known) else width_m
+        return LineString(self.line).buffer(min(width_m, _WIDEST_LANE_M) / 2, cap_style="flat")
+
+
+def _coordinates(feature: Mapping[str, Any], key: str, name: str, path: Path) -> Floats | None:
+    if key not in feature or feature[key] is None or len(feature[key]) == 0:
+        return None
+    try:
+        points = np.asarray(feature[key], dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] < 2:
+            raise ValueError(f"shape {points.shape}")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: {key} of map feature {name} is not a list of points ({error})") from error
+    points = points[:, :2]
+    if not np.isfinite(points).all():
+        raise InputError(f"{path}: {key} of map feature {name} has a coordinate that is not finite")
+    moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
+    return points[moved] if moved.sum() > 1 else None
+
+
+def _names(value: Any) -> tuple[str, ...] | None:
+    return None if value is None else tuple(str(name) for name in value)
+
+
+def _surfaces(features: Mapping[str, _Feature], types: tuple[str, ...]) -> dict[str, Polygon]:
+    shapes = {name: feature.surface() for name, feature in features.items() if feature.type in types}
+    return {name: shape for name, shape in shapes.items() if shape is not None}
+
+
+def _drivable_area(
+    features: Mapping[str, _Feature], lanes: Mapping[str, _Feature], crossings: Mapping[str, Polygon], window: Polygon
+) -> MultiPolygon:
+    rings = [feature.line for name, feature in features.items() if name.startswith(_RING_PREFIX)]
+    closed = [ring for ring in rings if ring is not None and len(ring) >= 4 and np.allclose(ring[0], ring[-1])]
+    if closed:
+        area = Polygon()
+        for ring in closed:
+            # Clipped first, because rings cover whole cities and far ones would cost most of the time.
+            area = area.symmetric_difference(shapely.make_valid(Polygon(ring)).intersection(window))
+        return as_multipolygon(area)
+    surfaces = [lane.surface() or lane.strip() for lane in lanes.values()]
+    driveways = _surfaces(features, ("DRIVEWAY",))
+    union = shapely.union_all([*surfaces, *crossings.values(), *driveways.values()])
+    # Neighbouring lanes leave slits of a few centimetres between them.
+    return as_multipolygon(union.buffer(0.2, join_style="mitre").buffer(-0.2, join_style="mitre"))
+
+
+def _linked_lanes(features: Mapping[str, _Feature]) -> dict[str, Lane]:
+    given = any(feature.exits is not None or feature.entries is not None for feature in features.values())
+    exits = {name: feature.exits or () for name, feature in features.items()} if given else _touching(features)
+    successors = {name: {other for other in found if other in features} for name, found in exits.items()}
+    if given:
+        for name, feature in features.items():
+            for before in feature.entries or ():
+                if before in successors:
+                    successors[before].add(name)
+    predecessors: dict[str, set[str]] = {name: set() for name in features}
+    for name, found in successors.items():
+        for other in found:
+            predecessors[other].add(name)
+    # nuScenes gives lanes a surface and connectors none; other sources treat all lanes alike.
+    tells_connectors = any(feature.outline is not None for feature in features.values())
+    lanes = {}
+    for name, feature in features.items():
+        assert feature.line is not None
+        lanes[name] = Lane(
+            identifier=name,
+            centerline=feature.line,
+            polygon=feature.surface(),
+            successors=tuple(sorted(successors[name])),
+            predecessors=tuple(sorted(predecessors[name])),
+            is_connector=tells_connectors and feature.outline is None,
+        )
+    return lanes
+
+
+def _touching(features: Mapping[str, _Feature]) -> dict[str, tuple[str, ...]]:
+    """Lanes that begin where another ends, in about the same direction."""
+    names = list(features)
+    if not names:
+        return {}
+    lines = [feature.line for feature in features.values() if feature.line is not None]
+    starts, ends = np.array([line[0] for line in lines]), np.array([line[-1] for line in lines])
+    start_yaw = np.array([np.arctan2(*(line[1] - line[0])[::-1]) for line in lines])
+    end_yaw = np.array([np.arctan2(*(line[-1] - line[-2])[::-1]) for line in lines])
+    distance = np.linalg.norm(ends[:, None] - starts[None], axis=-1)
+    turn = np.abs(wrap_angle(start_yaw[None] - end_yaw[:, None]))
+    joined = (distance < _JOINED_WITHIN_M) & (turn < _JOINED_TURN_RAD) & ~np.eye(len(names), dtype=np.bool_)
+    return {name: tuple(names[other] for other in np.flatnonzero(row)) for name, row in zip(names, joined, strict=True)}
+
+
+def _dividers(features: Mapping[str, _Feature]) -> Iterable[Divider]:
+    for name, feature in features.items():
+        if not feature.type.startswith("ROAD_LINE_") or name.startswith(_RING_PREFIX) or feature.line is None:
+            continue
+        dashed, yellow = "BROKEN" in feature.type, "YELLOW" in feature.type
+        if yellow:
+            kind = DividerKind.DASHED_YELLOW if dashed else DividerKind.SOLID_YELLOW
+        else:
+            kind = DividerKind.DASHED_WHITE if dashed else DividerKind.SOLID_WHITE
+        yield Divider(name, feature.line, kind, yellow)
+
+
+def _extent(road_map: RoadMap, ego_path: Floats) -> Floats:
+    """(2, 2) lowest and highest x and y of everything."""
+    shapes: list[shapely.Geometry] = [LineString(ego_path), road_map.drivable_area]
+    shapes += [LineString(lane.centerline) for lane in road_map.lanes.values()]
+    shapes += [lane.polygon for lane in road_map.lanes.values() if lane.polygon is not None]
+    shapes += [LineString(line.line) for line in road_map.dividers]
+    shapes += [*road_map.ped_crossings.values(), *road_map.walkways.values()]
+    bounds = np.array([shape.bounds for shape in shapes if not shape.is_empty])
+    return np.array([bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)])
+
+
+def _moved(road_map: RoadMap, shift: Floats) -> RoadMap:
+    def moved(shape: Any) -> Any:
+        return None if shape is None else shapely.transform(shape, lambda points: points + shift)
+
+    return replace(
+        road_map,
+        drivable_area=moved(road_map.drivable_area),
+        lanes={
+            name: replace(lane, centerline=lane.centerline + shift, polygon=moved(lane.polygon))
+            for name, lane in road_map.lanes.items()
+        },
+        dividers=tuple(replace(line, line=line.line + shift) for line in road_map.dividers),
+        ped_crossings={name: moved(shape) for name, shape in road_map.ped_crossings.items()},
+        walkways={name: moved(shape) for name, shape in road_map.walkways.items()},
+    )

@@ -1,0 +1,193 @@
+"""Tracks of ScenarioNet files: checked, named as nuScenes names things, and resampled."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import CATEGORIES
+from benchmark.datasets.annotated import nearest_valid
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, poses_between, quaternion_from_yaw
+from benchmark.scene import Agents, Annotations
+
+_CATEGORY_OF_TYPE: Final = {
+    "PEDESTRIAN": "human.pedestrian.adult",
+    "CYCLIST": "vehicle.bicycle",
+    "BICYCLE": "vehicle.bicycle",
+    "MOTORCYCLIST": "vehicle.motorcycle",
+    "MOTORCYCLE": "vehicle.motorcycle",
+    "BUS": "vehicle.bus.rigid",
+    "TRUCK": "vehicle.truck",
+    "TRAFFIC_CONE": "movable_object.trafficcone",
+    "TRAFFIC_BARRIER": "movable_object.barrier",
+    "TRAFFIC_OBJECT": "movable_object.debris",
+    "OTHER": "movable_object.debris",
+    "OTHERS": "movable_object.debris",
+    "UNSET": "movable_object.debris",
+}
+_LONGEST_CAR_M: Final = 6.5
+_LONGEST_TRUCK_M: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class SourceTrack:
+    """One object at every step of its file.
+
+    Attributes:
+        category: nuScenes category name.
+        position: (L, 3) metres; box centre, but for the ego of nuScenes files.
+        heading: (L,) radians.
+        size: (3,) length, width, height.
+        valid: (L,) whether it is there; elsewhere the arrays mean nothing.
+    """
+
+    category: str
+    position: Floats
+    heading: Floats
+    size: Floats
+    valid: Bools
+
+
+def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | None:
+    """Check one track.
+
+    Args:
+        track: Entry of ``tracks``.
+        name: Its key.
+        steps: Number of steps of the file.
+        path: The file, for messages.
+
+    Returns:
+        The track, or ``None`` for one that is never there and for traffic lights.
+
+    Raises:
+        InputError: If arrays are missing, have wrong shapes, or are not finite where the object is there.
+    """
+    try:
+        state, kind = track["state"], str(track["type"])
+        valid = np.asarray(state["valid"], np.float64).reshape(steps) > 0
+        position = np.asarray(state["position"], np.float64)
+        heading = np.asarray(state["heading"], np.float64).reshape(steps)
+        sizes = np.column_stack(
+            [np.asarray(state[field], np.float64).reshape(steps) for field in ("length", "width", "height")]
+        )
+        if position.shape not in ((steps, 2), (steps, 3)):
+            raise ValueError(f"position has shape {position.shape}")
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: track {name} needs type and state with position, heading, length, width, height and valid at "
+            f"{steps} steps ({type(error).__name__}: {error}); fetch the file again"
+        ) from error
+    if not valid.any() or kind == "TRAFFIC_LIGHT":
+        return None
+    if position.shape[1] == 2:
+        position = np.column_stack([position, np.zeros(steps)])
+    size = np.asarray(np.median(sizes[valid], axis=0))
+    good = np.isfinite(position).all(axis=-1) & np.isfinite(heading)
+    if not good[valid].all():
+        step = int(np.flatnonzero(valid & ~good)[0])
+        raise InputError(f"{path}: track {name} has a pose that is not finite at step {step}; fetch the file again")
+    if not np.isfinite(size).all() or not (size > 0).all():
+        raise InputError(f"{path}: track {name} has the size {size.tolist()}; sizes must be positive, fetch it again")
+    return SourceTrack(_category(track, kind, size), position, heading, size, valid)
+
+
+def _category(track: Mapping[str, Any], kind: str, size: Floats) -> str:
+    """The source's own nuScenes category if it has one; else by type, vehicles without a type by their length."""
+    metadata = track.get("metadata")
+    detailed = metadata.get("type") if isinstance(metadata, dict) else None
+    if detailed in CATEGORIES:
+        return str(detailed)
+    if kind != "VEHICLE":
+        return _CATEGORY_OF_TYPE.get(kind, "movable_object.debris")
+    if size[0] <= _LONGEST_CAR_M:
+        return "vehicle.car"
+    return "vehicle.truck" if size[0] <= _LONGEST_TRUCK_M else "vehicle.bus.rigid"
+
+
+def objects_of_tracks(
+    tracks: Mapping[str, SourceTrack],
+    seconds: Floats,
+    frame_seconds: Floats,
+    keyframes: NDArray[np.int64],
+    *,
+    shift: Floats,
+    ground_z: Floats | None,
+) -> tuple[Agents, Annotations]:
+    """Resample tracks: linear position, shortest-arc heading; there only where both neighbouring steps are.
+
+    Objects that are at no keyframe are left out, because nothing would annotate them.
+
+    Args:
+        tracks: N or more tracks by name.
+        seconds: (L,) times of the source's steps.
+        frame_seconds: (T,) times of frames.
+        keyframes: (K,) frames that are keyframes.
+        shift: (2,) metres added to all positions.
+        ground_z: (L,) ground heights to subtract, or ``None`` where heights are fine as they are. Tracks with height 0
+            throughout stand on the ground.
+
+    Returns:
+        Agents at the frames, annotations at the keyframes; both with box centres.
+    """
+    right = np.clip(np.searchsorted(seconds, frame_seconds - 1e-9), 1, len(seconds) - 1)
+    left = right - 1
+    fraction = np.clip((frame_seconds - seconds[left]) / (seconds[right] - seconds[left]), 0.0, 1.0)
+    fraction[fraction < 1e-6], fraction[fraction > 1 - 1e-6] = 0.0, 1.0
+    kept: dict[str, tuple[SourceTrack, Floats, Floats, Bools]] = {}
+    for name, track in tracks.items():
+        there = (track.valid[left] | (fraction == 1.0)) & (track.valid[right] | (fraction == 0.0))
+        if not there[keyframes].any():
+            continue
+        xyz, yaw = _between(track, left, right, fraction, ground_z)
+        held = nearest_valid(there[None])[0]
+        kept[name] = (track, xyz[held] + [*shift, 0.0], yaw[held], there)
+    count, frames = len(kept), len(frame_seconds)
+    agents = Agents(
+        ids=tuple(kept),
+        categories=tuple(track.category for track, *_ in kept.values()),
+        position=np.array([xyz for _, xyz, _, _ in kept.values()]).reshape(count, frames, 3),
+        yaw=np.array([yaw for _, _, yaw, _ in kept.values()]).reshape(count, frames),
+        size=np.array([track.size for track, *_ in kept.values()]).reshape(count, 3),
+        valid=np.array([there for *_, there in kept.values()], dtype=np.bool_).reshape(count, frames),
+    )
+    return agents, _annotations(agents, keyframes)
+
+
+def _between(
+    track: SourceTrack, left: NDArray[np.int64], right: NDArray[np.int64], fraction: Floats, ground_z: Floats | None
+) -> tuple[Floats, Floats]:
+    z = track.position[:, 2]
+    if not z[track.valid].any():
+        z = np.full_like(z, 0.5 * track.size[2])
+    elif ground_z is not None:
+        z = z - ground_z
+    poses = np.column_stack([track.position[:, :2], track.heading])
+    between = poses_between(poses[left], poses[right], fraction)
+    # Exact at the source's own steps, so that keyframe annotations keep its values.
+    exact = np.where(fraction == 1.0, right, left)
+    on_step = (fraction == 0.0) | (fraction == 1.0)
+    between = np.where(on_step[:, None], poses[exact], between)
+    height = np.where(on_step, z[exact], z[left] + fraction * (z[right] - z[left]))
+    return np.column_stack([between[:, :2], height]), between[:, 2]
+
+
+def _annotations(agents: Agents, keyframes: NDArray[np.int64]) -> Annotations:
+    """One lidar point for every box: the files count none, and metrics drop boxes without points."""
+    valid = agents.valid[:, keyframes]
+    held = keyframes[nearest_valid(valid)] if len(agents) else np.zeros(valid.shape, np.int64)
+    rows = np.arange(len(agents))[:, None]
+    return Annotations(
+        position=agents.position[rows, held],
+        rotation=quaternion_from_yaw(agents.yaw[rows, held]),
+        size=np.repeat(agents.size[:, None], len(keyframes), axis=1),
+        valid=valid,
+        attribute=np.full(valid.shape, "", dtype=np.str_),
+        visibility=np.zeros(valid.shape, dtype=np.int64),
+        num_lidar_pts=valid.astype(np.int64),
+        num_radar_pts=np.zeros(valid.shape, dtype=np.int64),
+    )

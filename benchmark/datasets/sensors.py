@@ -1,0 +1,157 @@
+"""Cameras and lidar of a nuScenes data set: calibration, and images on demand."""
+
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M, LIDAR_NAME
+from benchmark.datasets.tables import Row
+from benchmark.errors import InputError
+from benchmark.geometry import quaternion_from_yaw, yaw_of_quaternion
+from benchmark.planning import CameraView
+from benchmark.scene import Camera, LidarMount
+
+
+def standard_lidar() -> LidarMount:
+    """LIDAR_TOP as on the nuScenes cars, for data sets that have no lidar calibration: +y forward, 1.84 m high."""
+    return LidarMount(np.array([LIDAR_FROM_REAR_AXLE_M, 0.0, 1.84]), quaternion_from_yaw(np.array(-np.pi / 2)))
+
+
+def read_lidar(nusc: Any, sample: Row) -> LidarMount:
+    """Where LIDAR_TOP sits at a sample, or `standard_lidar` where the data set has none.
+
+    Args:
+        nusc: ``NuScenes`` of the devkit.
+        sample: Row of the sample table.
+
+    Returns:
+        The mount.
+    """
+    if LIDAR_NAME not in sample["data"]:
+        return standard_lidar()
+    row = nusc.get("sample_data", sample["data"][LIDAR_NAME])
+    mount = nusc.get("calibrated_sensor", row["calibrated_sensor_token"])
+    return LidarMount(np.array(mount["translation"], np.float64), np.array(mount["rotation"], np.float64))
+
+
+def read_cameras(nusc: Any, sample: Row) -> tuple[Camera, ...]:
+    """Calibrated cameras at a sample, those of nuScenes first and in its order.
+
+    Args:
+        nusc: ``NuScenes`` of the devkit.
+        sample: Row of the sample table.
+
+    Returns:
+        Cameras, possibly none.
+
+    Raises:
+        InputError: If an intrinsic matrix or an image size makes no sense.
+    """
+    return tuple(_camera(nusc, row) for row in _camera_rows(nusc, sample))
+
+
+def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
+    """Images of a sample by camera name; files are opened only when a view is loaded.
+
+    Args:
+        nusc: ``NuScenes`` of the devkit.
+        root: Data set root.
+        sample: Row of the sample table.
+
+    Returns:
+        Views in the order of `read_cameras`.
+
+    Raises:
+        InputError: If a calibration makes no sense or a file name leaves the root.
+    """
+    views = {}
+    for row in _camera_rows(nusc, sample):
+        camera = _camera(nusc, row)
+        pose = nusc.get("ego_pose", row["ego_pose_token"])
+        path = file_inside(root, row)
+        yaw = float(yaw_of_quaternion(np.array(pose["rotation"], np.float64)))
+        views[camera.name] = CameraView(
+            camera=camera,
+            path=path,
+            timestamp_us=round(row["timestamp"]),
+            ego_pose=np.array([*pose["translation"][:2], yaw], np.float64),
+            load=partial(load_image, path),
+        )
+    return views
+
+
+def file_inside(root: Path, row: Row) -> Path:
+    """Path of a sample_data row's file.
+
+    Args:
+        root: Data set root.
+        row: Row of the sample_data table.
+
+    Returns:
+        A path below the root.
+
+    Raises:
+        InputError: If the table names a place outside the root.
+    """
+    name = PurePosixPath(str(row["filename"]))
+    if name.is_absolute() or ".." in name.parts or not name.parts:
+        raise InputError(
+            f"sample_data {row['token']} names the file {str(name)!r}, which is not inside {root}; file names must be "
+            "relative to the root"
+        )
+    return root / name
+
+
+def load_image(path: Path) -> NDArray[np.uint8]:
+    """Read an image file.
+
+    Args:
+        path: JPEG or PNG file.
+
+    Returns:
+        (height, width, 3) RGB.
+
+    Raises:
+        InputError: If it is missing, truncated or not an image.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"), dtype=np.uint8)
+    except FileNotFoundError as error:
+        raise InputError(f"image {path} is missing; complete the data set or leave its scene out") from error
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(f"image {path} cannot be read ({error}); fetch or make it again") from error
+
+
+def _camera_rows(nusc: Any, sample: Row) -> list[Row]:
+    rows = [nusc.get("sample_data", token) for token in sample["data"].values()]
+    rank = {name: index for index, name in enumerate(CAMERA_NAMES)}
+    cameras = [row for row in rows if row["sensor_modality"] == "camera"]
+    return sorted(cameras, key=lambda row: (rank.get(row["channel"], len(rank)), row["channel"]))
+
+
+def _camera(nusc: Any, row: Row) -> Camera:
+    calibration = nusc.get("calibrated_sensor", row["calibrated_sensor_token"])
+    try:
+        intrinsic = np.array(calibration["camera_intrinsic"], dtype=np.float64)
+        width, height = int(row["width"]), int(row["height"])
+    except (KeyError, TypeError, ValueError):
+        intrinsic, width, height = np.zeros(0), 0, 0
+    if intrinsic.shape != (3, 3) or not np.isfinite(intrinsic).all() or width < 1 or height < 1:
+        raise InputError(
+            f"camera {row['channel']} of sample_data {row['token']} needs a 3 x 3 camera_intrinsic and an image width "
+            f"and height; correct calibrated_sensor {calibration['token']} or the row"
+        )
+    return Camera(
+        name=row["channel"],
+        translation=np.array(calibration["translation"], np.float64),
+        rotation=np.array(calibration["rotation"], np.float64),
+        intrinsic=intrinsic,
+        width=width,
+        height=height,
+    )

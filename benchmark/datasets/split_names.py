@@ -1,0 +1,97 @@
+"""Which scenes a split has."""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmark.errors import InputError
+from benchmark.storage import read_json
+
+_SUFFIXED = re.compile(r"scene-\d{4}-.+")
+
+
+def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
+    """Read the custom splits of a data set: ``<version>/splits.json``, or ``splits.json`` in the root.
+
+    Args:
+        root: Data set root.
+        version: Version folder.
+
+    Returns:
+        Scene names by split, in the order of the file; empty where there is no such file.
+
+    Raises:
+        InputError: If the file is not an object of lists of names.
+    """
+    for path in (root / version / "splits.json", root / "splits.json"):
+        if path.is_file():
+            return _checked(read_json(path), path)
+    return {}
+
+
+def _checked(value: Any, path: Path) -> dict[str, tuple[str, ...]]:
+    if not isinstance(value, dict) or not all(
+        isinstance(names, list) and all(isinstance(name, str) for name in names) for names in value.values()
+    ):
+        raise InputError(f"{path} must map split names to lists of scene names; make it again")
+    for split, names in value.items():
+        if len(set(names)) < len(names):
+            raise InputError(f"{path}: split {split!r} lists a scene twice; name each scene once")
+    return {split: tuple(names) for split, names in value.items()}
+
+
+def scenes_of_split(
+    split: str,
+    present: Sequence[str],
+    custom: Mapping[str, Sequence[str]],
+    *,
+    where: str,
+    built_as: str | None = None,
+) -> tuple[str, ...]:
+    """Scenes of a split, by the first rule that applies.
+
+    1. ``splits.json`` names it. 2. The data set was built as this split (``challenger.json``). 3. nuScenes has an
+    official list of this name and some of its scenes are here. 4. ``adv``, and every scene is called like the
+    published Adv-nuSc's (``scene-0001-suffix``): all. 5. ``val``: ``mini_val`` if present, else all.
+
+    Args:
+        split: Name of the split.
+        present: Scene names of the data set.
+        custom: Content of ``splits.json``.
+        where: The data set, for messages.
+        built_as: Split that the data set was built as, if it says so.
+
+    Returns:
+        Sorted scene names.
+
+    Raises:
+        InputError: If no rule applies, or ``splits.json`` names a scene that is not here.
+    """
+    if split in custom:
+        absent = sorted(set(custom[split]) - set(present))
+        if absent:
+            raise InputError(
+                f"{where}: splits.json puts {absent[0]} into {split!r}, but there is no such scene; complete the data "
+                "set or correct splits.json"
+            )
+        return tuple(sorted(custom[split]))
+    suffixed = all(_SUFFIXED.fullmatch(name) for name in present)
+    if split == built_as or (split == "adv" and suffixed):
+        return tuple(sorted(present))
+    known = _official(present)
+    if split in known:
+        return known[split]
+    if split == "val":
+        return known.get("mini_val", tuple(sorted(present)))
+    names = {*custom, *known, "val", *({"adv"} if suffixed else ()), *({built_as} if built_as else ())}
+    raise InputError(f"{where} has no split {split!r}; it has {', '.join(sorted(names))}")
+
+
+def _official(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Official nuScenes splits, reduced to the scenes that are here; empty ones are left out."""
+    from nuscenes.utils.splits import create_splits_scenes
+
+    here = set(present)
+    reduced = {name: tuple(sorted(here & set(scenes))) for name, scenes in create_splits_scenes().items()}
+    return {name: scenes for name, scenes in reduced.items() if scenes}
