@@ -1,0 +1,191 @@
+"""Flat painting of a map: road surfaces and markings as polygons, drawn into any plan view."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import Polygon
+from shapely.ops import substring
+
+from benchmark.geometry import Floats
+from benchmark.road_map import Divider, DividerKind, RoadMap
+
+_SHIFT = 4
+_LINE_WIDTH_M = 0.15
+_DASH_M, _GAP_M = 3.0, 5.0
+_STRIPE_M = 0.5
+_STOP_BAR_M = 0.4
+_KERB_M = 0.22
+
+
+class Coat(IntEnum):
+    """What a polygon is painted with; later coats cover earlier ones."""
+
+    CAR_PARK = 0
+    PAVEMENT = 1
+    KERB = 2
+    ROAD = 3
+    WHITE = 4
+    YELLOW = 5
+
+
+@dataclass(frozen=True, slots=True)
+class PaintedPolygons:
+    """Polygons of one coat.
+
+    Attributes:
+        coat: The paint.
+        rings: For each polygon its outer ring and holes, each (M, 2) metres, global.
+        bounds: (P, 4) x_min, y_min, x_max, y_max of each polygon.
+    """
+
+    coat: Coat
+    rings: tuple[tuple[Floats, ...], ...]
+    bounds: Floats
+
+
+def painted_polygons(road_map: RoadMap) -> tuple[PaintedPolygons, ...]:
+    """Everything on the ground that has a colour of its own, lowest coat first.
+
+    Args:
+        road_map: The map.
+
+    Returns:
+        One entry per coat.
+    """
+    roads = list(shapely.get_parts(road_map.drivable_area))
+    white = [stripe for name in sorted(road_map.ped_crossings) for stripe in _stripes(road_map.ped_crossings[name])]
+    white += [bar for name in sorted(road_map.stop_lines) for bar in _stop_bar(road_map.stop_lines[name])]
+    yellow: list[shapely.Geometry] = []
+    for divider in road_map.dividers:
+        if divider.kind is not DividerKind.UNPAINTED:
+            is_white = divider.kind in (DividerKind.SOLID_WHITE, DividerKind.DASHED_WHITE)
+            (white if is_white else yellow).extend(_line_paint(divider))
+    coats: dict[Coat, Iterable[shapely.Geometry]] = {
+        Coat.CAR_PARK: [road_map.carparks[name] for name in sorted(road_map.carparks)],
+        Coat.PAVEMENT: [road_map.walkways[name] for name in sorted(road_map.walkways)],
+        Coat.KERB: [shape.buffer(_KERB_M, join_style="mitre") for shape in roads],
+        Coat.ROAD: roads,
+        Coat.WHITE: white,
+        Coat.YELLOW: yellow,
+    }
+    return tuple(_polygons(coat, shapes) for coat, shapes in coats.items())
+
+
+def paint(
+    canvas: NDArray[np.uint8],
+    polygons: tuple[PaintedPolygons, ...],
+    world_to_pixel: Floats,
+    colours: Mapping[Coat, tuple[float, float, float]],
+) -> None:
+    """Fill polygons in a plan view.
+
+    Args:
+        canvas: (h, w, 3) RGB, painted in place; what no polygon covers stays.
+        polygons: From `painted_polygons`.
+        world_to_pixel: (2, 3) affine map from metres to pixels (columns, rows).
+        colours: RGB of each coat; coats without a colour are left out.
+    """
+    window = _world_window(canvas, world_to_pixel)
+    for layer in polygons:
+        if layer.coat not in colours or not len(layer.rings):
+            continue
+        low, high = layer.bounds[:, :2], layer.bounds[:, 2:]
+        inside = ((low <= window[2:]) & (high >= window[:2])).all(axis=1)
+        colour = colours[layer.coat]
+        simple: list[NDArray[np.int32]] = []
+        for index in np.flatnonzero(inside):
+            rings = [to_fixed_point(ring, world_to_pixel) for ring in layer.rings[index]]
+            if layer.coat >= Coat.WHITE and len(rings) == 1:
+                simple.append(rings[0])
+            else:
+                cv2.fillPoly(canvas, rings, colour, cv2.LINE_AA, _SHIFT)
+        for ring in simple:
+            cv2.fillPoly(canvas, [ring], colour, cv2.LINE_AA, _SHIFT)
+
+
+def to_fixed_point(points: Floats, world_to_pixel: Floats) -> NDArray[np.int32]:
+    """Points in the sixteenths of a pixel that OpenCV's drawing takes.
+
+    Args:
+        points: (M, 2) metres.
+        world_to_pixel: (2, 3) affine map.
+
+    Returns:
+        (M, 2) integers.
+    """
+    pixels = points @ world_to_pixel[:, :2].T + world_to_pixel[:, 2]
+    return np.asarray(np.rint(np.clip(pixels, -1e6, 1e6) * (1 << _SHIFT)), dtype=np.int32)
+
+
+def _world_window(canvas: NDArray[np.uint8], world_to_pixel: Floats) -> Floats:
+    height, width = canvas.shape[:2]
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64)
+    world = (corners - world_to_pixel[:, 2]) @ np.linalg.inv(world_to_pixel[:, :2]).T
+    return np.concatenate([world.min(axis=0), world.max(axis=0)])
+
+
+def _polygons(coat: Coat, shapes: Iterable[shapely.Geometry]) -> PaintedPolygons:
+    parts = [part for shape in shapes for part in shapely.get_parts(shape)]
+    parts = [part for part in parts if isinstance(part, Polygon) and not part.is_empty]
+    rings = tuple(
+        tuple(np.asarray(ring.coords, np.float64)[:, :2] for ring in (part.exterior, *part.interiors)) for part in parts
+    )
+    bounds = np.array([part.bounds for part in parts], dtype=np.float64).reshape(-1, 4)
+    return PaintedPolygons(coat, rings, bounds)
+
+
+def _line_paint(divider: Divider) -> list[shapely.Geometry]:
+    """The painted strips of a divider."""
+    line = shapely.LineString(divider.line)
+    if line.length == 0.0:
+        return []
+    if divider.kind in (DividerKind.DASHED_WHITE, DividerKind.DASHED_YELLOW):
+        starts = np.arange(0.0, line.length, _DASH_M + _GAP_M)
+        strips = [substring(line, start, start + _DASH_M) for start in starts]
+        strips = [strip for strip in strips if strip.length > 0.0]
+    else:
+        strips = [line]
+    return [strip.buffer(_LINE_WIDTH_M / 2, cap_style="flat", join_style="mitre") for strip in strips]
+
+
+def _stripes(crossing: Polygon) -> list[shapely.Geometry]:
+    """Zebra stripes: bars along the driving direction, repeated along the long side, which people walk along."""
+    corner, along, across, length, width = _long_side(crossing)
+    count = int(length // (2 * _STRIPE_M))
+    if count == 0 or width == 0.0:
+        return []
+    start = 0.5 * (length - (2 * count - 1) * _STRIPE_M)
+    bars = []
+    for index in range(count):
+        near = corner + (start + 2 * index * _STRIPE_M) * along
+        far = near + _STRIPE_M * along
+        bars.append(Polygon([near, far, far + width * across, near + width * across]).intersection(crossing))
+    return bars
+
+
+def _stop_bar(stop_area: Polygon) -> list[shapely.Geometry]:
+    """One bar in the middle of a stop area, because sources draw the area in which to stop, not the paint."""
+    corner, along, across, length, width = _long_side(stop_area)
+    bar = min(_STOP_BAR_M, width)
+    if length == 0.0 or bar == 0.0:
+        return []
+    near = corner + 0.5 * (width - bar) * across
+    return [Polygon([near, near + length * along, near + length * along + bar * across, near + bar * across])]
+
+
+def _long_side(shape: Polygon) -> tuple[Floats, Floats, Floats, float, float]:
+    """Corner, unit vectors along and across the long side, and both lengths of the tightest rectangle."""
+    box = shape.minimum_rotated_rectangle
+    if not isinstance(box, Polygon):
+        return np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]), 0.0, 0.0
+    corners = np.asarray(box.exterior.coords, np.float64)[:4]
+    first, second = corners[1] - corners[0], corners[3] - corners[0]
+    if np.linalg.norm(first) < np.linalg.norm(second):
+        first, second = second, first
+    length, width = float(np.linalg.norm(first)), float(np.linalg.norm(second))
+    return corners[0], first / length, second / max(width, 1e-9), length, width

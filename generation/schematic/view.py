@@ -1,0 +1,110 @@
+"""One camera at one moment: projection, the ground seen by each pixel, and clipping at the near plane."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Floats, rotation_matrix
+from benchmark.scene import Camera
+
+NEAR_M = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A camera placed in the world.
+
+    Attributes:
+        camera: Calibration.
+        eye: (3,) optical centre, global.
+        rotation: (3, 3) turns global vectors into camera axes (x right, y down, z forward).
+        ground_z: Height of the flat ground, global.
+    """
+
+    camera: Camera
+    eye: Floats
+    rotation: Floats
+    ground_z: float
+
+    @classmethod
+    def of(cls, camera: Camera, ego_position: Floats, ego_rotation: Floats) -> "View":
+        """Place a camera.
+
+        Args:
+            camera: Calibration, mounted on the ego.
+            ego_position: (3,) global, metres.
+            ego_rotation: (4,) quaternion, global.
+        """
+        body = rotation_matrix(ego_rotation)
+        eye = body @ camera.translation + ego_position
+        return cls(camera, eye, (body @ rotation_matrix(camera.rotation)).T, float(ego_position[2]))
+
+    def to_camera(self, points: Floats) -> Floats:
+        """Global points in camera axes.
+
+        Args:
+            points: (..., 3) metres.
+
+        Returns:
+            (..., 3) metres; the last component is the depth.
+        """
+        return np.asarray((points - self.eye) @ self.rotation.T)
+
+    def to_pixels(self, in_camera: Floats) -> Floats:
+        """Pinhole projection.
+
+        Args:
+            in_camera: (..., 3) camera axes, depth positive.
+
+        Returns:
+            (..., 2) columns and rows; integer values are pixel centres.
+        """
+        homogeneous = in_camera @ self.camera.intrinsic.T
+        return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:3])
+
+    def ground_to_pixel(self) -> Floats:
+        """Homography from ground coordinates (x, y, 1), metres, global, to homogeneous pixels.
+
+        Returns:
+            (3, 3) matrix.
+        """
+        columns = np.column_stack(
+            [self.rotation[:, 0], self.rotation[:, 1], self.rotation @ (np.array([0.0, 0.0, self.ground_z]) - self.eye)]
+        )
+        return np.asarray(self.camera.intrinsic @ columns)
+
+    def pixel_rays(self, step: int = 1) -> NDArray[np.float32]:
+        """Directions in which the pixels look.
+
+        Args:
+            step: Take every ``step``-th column and row.
+
+        Returns:
+            (3, h, w) global x, y, z; single precision, because pictures need no more and there are many pixels.
+        """
+        turn = (self.rotation.T @ np.linalg.inv(self.camera.intrinsic)).astype(np.float32)
+        columns = np.arange(0, self.camera.width, step, dtype=np.float32)
+        rows = np.arange(0, self.camera.height, step, dtype=np.float32)[:, None]
+        return np.stack([axis[0] * columns + (axis[1] * rows + axis[2]) for axis in turn])
+
+
+def clip_near(polygon: Floats, near_m: float = NEAR_M) -> Floats:
+    """Part of a convex polygon in front of the near plane (Sutherland and Hodgman).
+
+    Args:
+        polygon: (M, 3) camera axes.
+        near_m: Depth of the plane.
+
+    Returns:
+        (M', 3) polygon; M' is 0 where nothing is left.
+    """
+    kept: list[Floats] = []
+    for index in range(len(polygon)):
+        here, after = polygon[index], polygon[(index + 1) % len(polygon)]
+        if here[2] >= near_m:
+            kept.append(here)
+        if (here[2] >= near_m) != (after[2] >= near_m):
+            share = (near_m - here[2]) / (after[2] - here[2])
+            kept.append(here + share * (after - here))
+    return np.array(kept).reshape(-1, 3)
