@@ -72,12 +72,14 @@ def writing_to(path: Path) -> Iterator[None]:
         ) from error
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file whole or not at all.
 
     Args:
         path: Target; its folder is made.
         data: The bytes.
+        durable: Wait until the disk has it. Without, a power failure (not a killed process) may lose or empty the file:
+            for the many images of a scene, whose sizes are checked when work resumes.
 
     Raises:
         InputError: If it cannot be written.
@@ -88,8 +90,9 @@ def write_bytes(path: Path, data: bytes) -> None:
         try:
             with temporary.open("wb") as stream:
                 stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
+                if durable:
+                    stream.flush()
+                    os.fsync(stream.fileno())
             temporary.replace(path)
         except OSError:
             temporary.unlink(missing_ok=True)

@@ -1,0 +1,220 @@
+"""``idm``: follows its lane and keeps distance by the intelligent-driver model.
+
+Privileged: sees the map and all boxes, but not the future. The model is that of Treiber, Hennecke and Helbing (2000),
+equations 1-3. Others are expected to keep the velocity they have now. Traffic lights and right of way are not seen.
+"""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from adapters.lane_path import Path, lane_path, straight_path
+from benchmark.constants import (
+    EGO_CENTER_FROM_REAR_AXLE_M,
+    EGO_LENGTH_M,
+    EGO_WIDTH_M,
+    PLAN_STEP_S,
+    PLAN_STEPS,
+)
+from benchmark.geometry import Floats, box_corners, to_local
+from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.scene import Scene
+
+_SUBSTEPS = 5
+_DT = PLAN_STEP_S / _SUBSTEPS
+_HORIZON_S = PLAN_STEP_S * PLAN_STEPS
+
+
+@dataclass(frozen=True, slots=True)
+class DriverSettings:
+    """What kind of driver.
+
+    Attributes:
+        speed_limit: Wanted speed on a free road unless the car is faster already, m/s.
+        time_gap_s: Wanted time gap to the leader.
+        standstill_gap_m: Wanted gap at standstill.
+        acceleration: Largest acceleration, m/s^2.
+        comfortable_braking: m/s^2.
+        hardest_braking: m/s^2.
+        lateral_acceleration: In bends, m/s^2.
+        foresight_s: For how long others are expected to keep moving sideways.
+        side_margin_m: Room beside the car that counts as its corridor.
+        sight_m: Others further away are not looked at.
+    """
+
+    speed_limit: float = 13.9
+    time_gap_s: float = 1.5
+    standstill_gap_m: float = 2.0
+    acceleration: float = 1.5
+    comfortable_braking: float = 2.5
+    hardest_braking: float = 7.0
+    lateral_acceleration: float = 2.5
+    foresight_s: float = 1.5
+    side_margin_m: float = 0.3
+    sight_m: float = 70.0
+
+
+class IntelligentDriver:
+    """Lane following with intelligent-driver distance keeping."""
+
+    name = "idm"
+
+    def __init__(self) -> None:
+        self._driver = DriverSettings()
+        self.settings = asdict(self._driver)
+        self._scene: Scene | None = None
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Forget the scene."""
+        self._scene = None
+
+    def reveal(self, scene: Scene) -> None:
+        """Take map and boxes; only the present and the past of the boxes are looked at."""
+        self._scene = scene
+
+    def plan(self, observation: Observation) -> Plan:
+        """Plan along the lane.
+
+        Args:
+            observation: Ego motion, command and time.
+
+        Returns:
+            Waypoints of the rear axle, ego frame.
+
+        Raises:
+            RuntimeError: If no scene was revealed.
+        """
+        if self._scene is None:
+            raise RuntimeError("idm plans only after reveal(scene)")
+        pose, speed = observation.ego.pose, max(float(observation.ego.velocity[0]), 0.0)
+        length_m = max(speed, self._driver.speed_limit) * (_HORIZON_S + self._driver.time_gap_s) + 30.0
+        path = lane_path(self._scene.road_map, pose, observation.command, speed, length_m)
+        if path is None:
+            path = straight_path(pose, length_m)
+        boxes, velocity = _others_now(self._scene, observation, self._driver.sight_m)
+        travelled = drive(path, speed, obstacles_along(path, boxes, velocity, self._driver), self._driver)
+        return Plan(to_local(path.at(travelled), pose), PlanFrame.EGO)
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacles:
+    """Others as seen along a path at each of K substeps.
+
+    Attributes:
+        rear: (A, K) arc length where each begins, metres; infinite where it is not in the corridor.
+        front: (A, K) arc length where it ends.
+        speed: (A,) speed along the path, m/s, negative when oncoming.
+    """
+
+    rear: Floats
+    front: Floats
+    speed: Floats
+
+
+def obstacles_along(path: Path, boxes: Floats, velocity: Floats, driver: DriverSettings) -> Obstacles:
+    """Which others will be in the corridor, if they keep their velocity.
+
+    Args:
+        path: The ego's path.
+        boxes: (A, 5) present boxes, global.
+        velocity: (A, 2) m/s, global.
+        driver: Width of the corridor.
+
+    Returns:
+        The obstacles at each substep of three seconds.
+    """
+    along, left = path.project(np.concatenate([box_corners(boxes), boxes[:, None, :2]], axis=-2))
+    nearest = np.clip((along[:, -1] / path.arc_length[1]).astype(np.int64), 0, len(path.heading) - 1)
+    cos, sin = np.cos(path.heading[nearest]), np.sin(path.heading[nearest])
+    forward, sideways = velocity[:, 0] * cos + velocity[:, 1] * sin, velocity[:, 1] * cos - velocity[:, 0] * sin
+    # Moving in the path's own coordinates keeps the cars of the next lane there in a bend.
+    seconds = _DT * np.arange(PLAN_STEPS * _SUBSTEPS)
+    moved_along = forward[:, None] * seconds
+    moved_left = sideways[:, None] * np.minimum(seconds, driver.foresight_s)
+    half_width = 0.5 * EGO_WIDTH_M + driver.side_margin_m
+    rear, front = along.min(axis=1)[:, None] + moved_along, along.max(axis=1)[:, None] + moved_along
+    beside = (left.min(axis=1)[:, None] + moved_left < half_width) & (
+        left.max(axis=1)[:, None] + moved_left > -half_width
+    )
+    # What now lies before the start or beyond the end of the path has no place beside it.
+    placed = (along[:, -1] > 0.0) & (along[:, -1] < path.arc_length[-1])
+    inside = beside & placed[:, None]
+    return Obstacles(np.where(inside, rear, np.inf), np.where(inside, front, np.inf), forward)
+
+
+def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings) -> Floats:
+    """Intelligent-driver motion along a path.
+
+    Args:
+        path: The path.
+        speed: Now, m/s.
+        obstacles: Others along it.
+        driver: See `DriverSettings`.
+
+    Returns:
+        (6,) distance travelled at the plan's steps, metres.
+    """
+    wanted = max(speed, driver.speed_limit)
+    allowed = np.minimum(np.sqrt(driver.lateral_acceleration / np.maximum(path.curvature, 1e-4)), wanted)
+    travelled, distances = 0.0, []
+    for step in range(PLAN_STEPS * _SUBSTEPS):
+        free_speed = _speed_for_bends(path, allowed, travelled, driver)
+        gap, leader_speed = _leader(obstacles, step, travelled)
+        acceleration = _acceleration(speed, free_speed, gap, leader_speed, driver)
+        faster = max(speed + acceleration * _DT, 0.0)
+        travelled += 0.5 * (speed + faster) * _DT
+        speed = faster
+        if (step + 1) % _SUBSTEPS == 0:
+            distances.append(travelled)
+    return np.array(distances)
+
+
+def _speed_for_bends(path: Path, allowed: Floats, travelled: float, driver: DriverSettings) -> float:
+    """Highest speed now from which each bend ahead can be reached at its own speed by comfortable braking."""
+    ahead = path.arc_length - travelled
+    reachable = np.sqrt(allowed**2 + 2 * driver.comfortable_braking * np.maximum(ahead, 0.0))
+    return float(np.where(ahead >= -1.0, reachable, np.inf).min(initial=allowed.max()))
+
+
+def _leader(obstacles: Obstacles, step: int, travelled: float) -> tuple[float, float]:
+    """Gap to the nearest other whose end is ahead of the ego's middle, and its speed."""
+    if len(obstacles.speed) == 0:
+        return np.inf, 0.0
+    centre = travelled + EGO_CENTER_FROM_REAR_AXLE_M
+    gaps = np.where(obstacles.front[:, step] > centre, obstacles.rear[:, step], np.inf) - centre - EGO_LENGTH_M / 2
+    nearest = int(gaps.argmin())
+    return float(gaps[nearest]), float(obstacles.speed[nearest])
+
+
+def _acceleration(speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverSettings) -> float:
+    """Equations 1-3 of the intelligent-driver model; braking is limited by the tyres."""
+    free = 1.0 - (speed / max(free_speed, 0.1)) ** 4
+    interaction = 0.0
+    if np.isfinite(gap):
+        closing = speed * (speed - leader_speed) / (2 * np.sqrt(driver.acceleration * driver.comfortable_braking))
+        wanted_gap = driver.standstill_gap_m + max(speed * driver.time_gap_s + closing, 0.0)
+        interaction = (wanted_gap / max(gap, 0.1)) ** 2
+    return max(driver.acceleration * (free - interaction), -driver.hardest_braking)
+
+
+def _others_now(scene: Scene, observation: Observation, sight_m: float) -> tuple[Floats, Floats]:
+    """Boxes now and their velocities, (A, 5) and (A, 2), of everything within sight.
+
+    The velocity is that of the last half second, or of the next one for what has just appeared, as in the devkit.
+    """
+    now, agents = observation.index, scene.agents
+    frame, before, after = (int(scene.keyframes[at]) for at in (now, max(now - 1, 0), min(now + 1, _last(scene))))
+    near = np.hypot(*(agents.position[:, frame, :2] - observation.ego.pose[:2]).T) < sight_m
+    rows = np.flatnonzero(agents.valid[:, frame] & near)
+    here, seconds = agents.position[rows, frame, :2], scene.seconds
+    velocity = np.zeros((len(rows), 2))
+    for start, end in ((frame, after), (before, frame)):
+        if end > start:
+            moved = agents.position[rows, end, :2] - agents.position[rows, start, :2]
+            known = agents.valid[rows, start] & agents.valid[rows, end]
+            velocity = np.where(known[:, None], moved / (seconds[end] - seconds[start]), velocity)
+    return np.column_stack([here, agents.boxes[rows, frame, 2:]]), velocity
+
+
+def _last(scene: Scene) -> int:
+    return len(scene.keyframes) - 1

@@ -1,0 +1,230 @@
+"""The path that a lane-following driver takes: from where the car is onto its lane, and on along the route."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.geometry import Floats, wrap_angle
+from benchmark.planning import Command
+from benchmark.road_map import Lane, RoadMap
+
+SPACING_M = 0.5
+_LARGEST_OFFSET_M = 3.5
+_LARGEST_TURN_RAD = np.deg2rad(50.0)
+_LOOK_ALONG_ROUTE_M = 40.0
+_LEFT_OF = {Command.LEFT: 1.0, Command.RIGHT: -1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A line to drive along, in equal steps.
+
+    Attributes:
+        points: (P, 2) metres, global, first point where the car is.
+        heading: (P,) radians.
+        arc_length: (P,) metres from the first point.
+        curvature: (P,) 1/m, unsigned.
+    """
+
+    points: Floats
+    heading: Floats
+    arc_length: Floats
+    curvature: Floats
+
+    @classmethod
+    def through(cls, points: Floats) -> "Path":
+        """Resample a line to equal steps.
+
+        Args:
+            points: (M, 2) metres.
+
+        Returns:
+            The path.
+        """
+        step = np.hypot(*np.diff(points, axis=0).T)
+        points = points[np.concatenate([[True], step > 1e-6])]
+        if len(points) < 2:
+            raise ValueError("a path needs two different points")
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+        arc_length = np.arange(0.0, max(along[-1], 2 * SPACING_M), SPACING_M)
+        even = np.column_stack([np.interp(arc_length, along, points[:, axis]) for axis in range(2)])
+        beyond = np.maximum(arc_length - along[-1], 0.0)
+        last = (points[-1] - points[-2]) / (along[-1] - along[-2])
+        even += beyond[:, None] * last
+        direction = np.gradient(even, SPACING_M, axis=0)
+        heading = np.unwrap(np.arctan2(direction[:, 1], direction[:, 0]))
+        # Centre lines are polygons; over a car's length their corners are curves.
+        window = np.ones(9) / 9
+        turning = np.convolve(np.pad(np.gradient(heading, SPACING_M), 4, mode="edge"), window, mode="valid")
+        return cls(even, heading, arc_length, np.abs(turning))
+
+    def at(self, arc_length: Floats) -> Floats:
+        """Points on the path.
+
+        Args:
+            arc_length: (...) metres from its start; beyond its end the last point is given.
+
+        Returns:
+            (..., 2) metres.
+        """
+        return np.stack([np.interp(arc_length, self.arc_length, self.points[:, axis]) for axis in range(2)], axis=-1)
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Where points lie beside the path.
+
+        Args:
+            points: (..., 2) metres, global.
+
+        Returns:
+            (...) arc length of the nearest path point, (...) signed distance to the left of the path there, metres.
+        """
+        flat = points.reshape(-1, 2)
+        squared = (flat[:, :1] - self.points[:, 0]) ** 2 + (flat[:, 1:] - self.points[:, 1]) ** 2
+        nearest = squared.argmin(axis=1)
+        offset = flat - self.points[nearest]
+        cos, sin = np.cos(self.heading[nearest]), np.sin(self.heading[nearest])
+        ahead, left = offset[:, 0] * cos + offset[:, 1] * sin, offset[:, 1] * cos - offset[:, 0] * sin
+        shape = points.shape[:-1]
+        return (self.arc_length[nearest] + ahead).reshape(shape), left.reshape(shape)
+
+
+def straight_path(pose: Floats, length_m: float) -> Path:
+    """Straight ahead: where there is no lane to follow.
+
+    Args:
+        pose: (3,) x, y, yaw.
+        length_m: Length.
+
+    Returns:
+        The path.
+    """
+    ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+    return Path.through(pose[:2] + np.array([[0.0], [length_m]]) * ahead)
+
+
+def lane_path(road_map: RoadMap, pose: Floats, command: Command, speed: float, length_m: float) -> Path | None:
+    """From the car onto the nearest lane that goes its way, and along the route that the command names.
+
+    Args:
+        road_map: The map.
+        pose: (3,) x, y, yaw of the rear axle.
+        command: Chooses the successor where a lane forks: the one that turns most to its side, or least.
+        speed: m/s; a faster car takes longer to reach the middle of its lane.
+        length_m: How far to look; beyond the end of the lane the path goes straight on.
+
+    Returns:
+        The path, or ``None`` if no lane is near or the car is at its end.
+    """
+    lane = nearest_lane(road_map, pose)
+    if lane is None:
+        return None
+    route = Path.through(_route(road_map, lane, pose, command, length_m))
+    start, left = (float(value) for value in route.project(pose[:2]))
+    start = max(start, 0.0)
+    remaining = route.arc_length[-1] - start
+    if remaining < 2 * SPACING_M:
+        return None
+    along = np.arange(0.0, remaining, SPACING_M)
+    index = np.minimum(np.rint((start + along) / SPACING_M).astype(np.int64), len(route.points) - 1)
+    turn = float(wrap_angle(np.asarray(pose[2] - route.heading[index[0]])))
+    reach = min(max(2.5 * speed, 8.0), 30.0, float(along[-1]) + SPACING_M)
+    offset = _fade_out(left, np.tan(np.clip(turn, -1.0, 1.0)), np.minimum(along / reach, 1.0), reach)
+    heading = route.heading[index]
+    centre = route.at(start + along)
+    points = centre + offset[:, None] * np.column_stack([-np.sin(heading), np.cos(heading)])
+    points[0] = pose[:2]
+    # Where the mapped lane ends a driver does not stop but goes straight on.
+    missing_m = length_m - float(along[-1])
+    if missing_m > 0.0:
+        ahead = np.array([np.cos(heading[-1]), np.sin(heading[-1])])
+        points = np.concatenate([points, points[-1:] + missing_m * ahead])
+    return Path.through(points)
+
+
+def nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
+    """The lane that a car is on.
+
+    Args:
+        road_map: The map.
+        pose: (3,) x, y, yaw.
+
+    Returns:
+        The lane within 3.5 m that runs within 50 degrees of the car's heading, the closest in position and heading;
+        ``None`` if there is none.
+    """
+    best: tuple[float, str] | None = None
+    for name, lane in road_map.lanes.items():
+        line = lane.centerline
+        low, high = line.min(axis=0) - _LARGEST_OFFSET_M, line.max(axis=0) + _LARGEST_OFFSET_M
+        if (pose[:2] < low).any() or (pose[:2] > high).any():
+            continue
+        distance, heading = _beside(line, pose[:2])
+        turn = abs(float(wrap_angle(np.asarray(pose[2] - heading))))
+        if distance > _LARGEST_OFFSET_M or turn > _LARGEST_TURN_RAD:
+            continue
+        cost = (distance + 3.0 * turn, name)
+        best = min(best, cost) if best else cost
+    return road_map.lanes[best[1]] if best else None
+
+
+def _beside(line: Floats, point: Floats) -> tuple[float, float]:
+    """Distance from a point to a line, and the line's heading there."""
+    start, step = line[:-1], np.diff(line, axis=0)
+    squared = np.maximum((step**2).sum(axis=1), 1e-12)
+    fraction = np.clip(((point - start) * step).sum(axis=1) / squared, 0.0, 1.0)
+    distance = np.hypot(*(start + fraction[:, None] * step - point).T)
+    nearest = int(distance.argmin())
+    return float(distance[nearest]), float(np.arctan2(step[nearest, 1], step[nearest, 0]))
+
+
+def _route(road_map: RoadMap, lane: Lane, pose: Floats, command: Command, length_m: float) -> Floats:
+    """Centre lines one after the other, from the start of the lane to ``length_m`` beyond the car."""
+    line = Path.through(lane.centerline)
+    ahead_m = float(line.arc_length[-1] - line.project(pose[:2])[0])
+    parts, seen = [lane.centerline], {lane.identifier}
+    while ahead_m < length_m:
+        following = [name for name in lane.successors if name in road_map.lanes and name not in seen]
+        if not following:
+            break
+        lane = road_map.lanes[_chosen(road_map, following, command)]
+        seen.add(lane.identifier)
+        parts.append(lane.centerline)
+        ahead_m += float(np.hypot(*np.diff(lane.centerline, axis=0).T).sum())
+    return np.concatenate(parts)
+
+
+def _chosen(road_map: RoadMap, following: list[str], command: Command) -> str:
+    """The branch that turns most to the side of the command, or least; equal ones by name."""
+
+    def cost(name: str) -> tuple[float, str]:
+        turn = _turn_within(road_map, name)
+        side = _LEFT_OF.get(command)
+        return (abs(turn) if side is None else -side * turn, name)
+
+    return min(following, key=cost)
+
+
+def _turn_within(road_map: RoadMap, name: str) -> float:
+    """Change of heading along the first part of a lane and what follows it, radians to the left."""
+    turn, length_m, seen = 0.0, 0.0, set[str]()
+    while length_m < _LOOK_ALONG_ROUTE_M and name not in seen:
+        lane = road_map.lanes[name]
+        seen.add(name)
+        step = np.diff(lane.centerline, axis=0)
+        headings = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+        reached = length_m + np.cumsum(np.hypot(*step.T))
+        last = min(int(np.searchsorted(reached, _LOOK_ALONG_ROUTE_M)), len(headings) - 1)
+        turn += float(headings[last] - headings[0])
+        length_m = float(reached[-1])
+        following = [successor for successor in lane.successors if successor in road_map.lanes]
+        if len(following) != 1:
+            break
+        name = following[0]
+    return turn
+
+
+def _fade_out(offset_m: float, slope: float, fraction: Floats, reach_m: float) -> Floats:
+    """Cubic from an offset and a slope to none of either: how a driver returns to the middle of the lane."""
+    keep = 2 * fraction**3 - 3 * fraction**2 + 1
+    lean = fraction**3 - 2 * fraction**2 + fraction
+    return np.asarray(offset_m * keep + reach_m * slope * lean)

@@ -1,0 +1,275 @@
+"""``--plans FILE``: plans that a model made elsewhere, one row a sample.
+
+CSV, Parquet or JSON with these columns:
+
+* ``sample_token``, or both ``scene`` and ``timestamp`` (microseconds, the sample's keyframe time)
+* ``frame``: ``lidar`` (x right, y forward, positions of the lidar origin) or ``ego`` (x forward, y left, positions of
+  the rear axle)
+* ``x1``, ``y1``, ... ``x6``, ``y6``: waypoints at 0.5, 1.0, ... 3.0 s, metres
+
+JSON is a list of objects with these keys. Columns that are not named here are an error, so that a misspelt one is
+noticed. Every sample of the split needs exactly one row.
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.evaluate import EvalSettings
+from benchmark.geometry import Floats
+from benchmark.plan_rows import code_sha256
+from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.records import PlannerFacts
+from benchmark.storage import file_sha256
+from benchmark.truth import SampleTruth
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+WAYPOINT_COLUMNS = tuple(f"{axis}{step}" for step in range(1, PLAN_STEPS + 1) for axis in "xy")
+_BY_TOKEN, _BY_TIME = ("sample_token",), ("scene", "timestamp")
+_SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFile:
+    """A read plan file.
+
+    Attributes:
+        path: Where it came from.
+        by_token: Whether rows are named by token, else by scene and timestamp.
+        keys: R row names, ``(token,)`` or ``(scene, timestamp)``.
+        frames: R frames.
+        waypoints: (R, 6, 2) metres.
+    """
+
+    path: Path
+    by_token: bool
+    keys: tuple[tuple[Hashable, ...], ...]
+    frames: tuple[PlanFrame, ...]
+    waypoints: Floats
+
+    def require(self, data: "DataSet", split: str, scenes: Sequence[str]) -> None:
+        """Check that there is one row for every sample, and none for anything else.
+
+        Args:
+            data: The data set.
+            split: The split.
+            scenes: Scenes that will be evaluated; rows of the split's other scenes may stay.
+
+        Raises:
+            InputError: If rows are missing or do not belong to the split.
+        """
+        every_scene = data.scene_names(split)
+        samples = {scene: {self._key(truth) for truth in data.truth(scene)} for scene in every_scene}
+        present = set(self.keys)
+        missing = [key for scene in scenes for key in sorted(samples[scene] - present, key=str)]
+        if missing:
+            raise InputError(
+                f"{self.path} has no row for {_listed(missing)} of split {split!r}; every sample needs a plan"
+            )
+        known = set().union(*samples.values())
+        extra = [key for key in self.keys if key not in known]
+        if extra:
+            raise InputError(
+                f"{self.path} has rows for {_listed(extra)} that split {split!r} does not have; remove them"
+            )
+
+    def _key(self, sample: SampleTruth | Observation) -> tuple[Hashable, ...]:
+        return (sample.sample_token,) if self.by_token else (sample.scene, sample.timestamp_us)
+
+
+class PlanFilePlanner:
+    """Gives the plans of a file.
+
+    Args:
+        plans: The file.
+        name: Shown in tables; the file's name by default.
+    """
+
+    def __init__(self, plans: PlanFile, name: str | None = None) -> None:
+        self.name = name or plans.path.stem
+        self._plans = plans
+        self._row_of = {key: row for row, key in enumerate(plans.keys)}
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Nothing is remembered."""
+
+    def plan(self, observation: Observation) -> Plan:
+        """Look the sample up.
+
+        Args:
+            observation: The sample.
+
+        Returns:
+            Its plan.
+
+        Raises:
+            InputError: If the file has no row for it.
+        """
+        row = self._row_of.get(self._plans._key(observation))
+        if row is None:
+            raise InputError(f"{self._plans.path} has no row for sample {observation.sample_token}")
+        return Plan(self._plans.waypoints[row], self._plans.frames[row])
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFileFactory:
+    """Builds the planner of a plan file in any process.
+
+    Attributes:
+        path: The file.
+        facts: Its identity: name and hash of the file.
+    """
+
+    path: Path
+    facts: PlannerFacts
+
+    def __call__(self) -> PlanFilePlanner:
+        """Read the file again."""
+        return PlanFilePlanner(read_plan_file(self.path), self.facts.name)
+
+
+def plan_file_factory(
+    path: Path,
+    data: "DataSet",
+    split: str,
+    *,
+    scenes: tuple[str, ...] | None = None,
+    limit: int | None = None,
+    name: str | None = None,
+) -> PlanFileFactory:
+    """The planner of a plan file, checked against the samples it is for.
+
+    Args:
+        path: CSV, Parquet or JSON file.
+        data: The data set.
+        split: The split.
+        scenes: Only these scenes will be evaluated; the whole split by default.
+        limit: Only the first so many of them.
+        name: Shown in tables; the file's name without its ending by default.
+
+    Returns:
+        A factory for `benchmark.evaluate.evaluate`.
+
+    Raises:
+        InputError: If the file is malformed or its rows do not match the samples.
+    """
+    plans = read_plan_file(path)
+    plans.require(data, split, EvalSettings(scenes=scenes, limit=limit).chosen(data, split))
+    facts = PlannerFacts(
+        name=name or path.stem,
+        privileged=False,
+        weights_sha256=None,
+        code_sha256=code_sha256(PlanFilePlanner),
+        settings={"plans_sha256": file_sha256(path)},
+    )
+    return PlanFileFactory(path, facts)
+
+
+def read_plan_file(path: Path) -> PlanFile:
+    """Read and check a plan file.
+
+    Args:
+        path: ``.csv``, ``.parquet`` or ``.json``.
+
+    Returns:
+        Its rows, in the order of the file.
+
+    Raises:
+        InputError: If the file, a column or a row is not as documented above; names the first few offenders.
+    """
+    table = _read_table(path)
+    columns = [str(column) for column in table.columns]
+    key_columns = _BY_TOKEN if "sample_token" in columns else _BY_TIME
+    _require_columns(path, columns, key_columns)
+    if len(table) == 0:
+        raise InputError(f"{path} has no rows")
+    keys = tuple(_row_key(path, key_columns, values) for values in zip(*(table[column] for column in key_columns)))
+    seen: set[tuple[Hashable, ...]] = set()
+    repeated = [key for key in keys if key in seen or seen.add(key)]  # type: ignore[func-returns-value]
+    if repeated:
+        raise InputError(f"{path} has more than one row for {_listed(repeated)}")
+    waypoints = _numbers(path, table, keys)
+    frames = tuple(str(frame) for frame in table["frame"])
+    wrong = [f"{frame!r} ({_shown(key)})" for frame, key in zip(frames, keys) if frame not in set(PlanFrame)]
+    if wrong:
+        raise InputError(f"{path} has the unknown frame {_counted(wrong)}; a frame is 'lidar' or 'ego'")
+    return PlanFile(path, key_columns == _BY_TOKEN, keys, tuple(PlanFrame(frame) for frame in frames), waypoints)
+
+
+def _read_table(path: Path) -> Any:
+    import pandas as pd
+
+    if not path.is_file():
+        raise InputError(f"there is no plan file {path}")
+    kind = path.suffix.lower()
+    try:
+        if kind == ".csv":
+            return pd.read_csv(path, dtype={"sample_token": str, "scene": str, "frame": str})
+        if kind == ".json":
+            return pd.read_json(path, orient="records", dtype=False, convert_dates=False, precise_float=True)
+        if kind == ".parquet":
+            return pd.read_parquet(path)
+    except ImportError as error:
+        raise InputError(
+            f"reading {path} needs pyarrow; pip install 'challenger-bench[parquet]', or save the plans as CSV"
+        ) from error
+    except (ValueError, OSError, AttributeError, TypeError) as error:
+        raise InputError(f"{path} cannot be read as {kind[1:]}: {str(error).splitlines()[0]}") from error
+    raise InputError(f"{path} is neither .csv, .parquet nor .json")
+
+
+def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...]) -> None:
+    wanted = (*key_columns, "frame", *WAYPOINT_COLUMNS)
+    missing = [column for column in wanted if column not in columns]
+    if missing:
+        hint = "; rows are named by sample_token, or by scene and timestamp" if key_columns == _BY_TIME else ""
+        raise InputError(f"{path} has no column {', '.join(missing)}{hint}")
+    unknown = [column for column in columns if column not in (*wanted, *_BY_TOKEN, *_BY_TIME)]
+    if unknown:
+        raise InputError(f"{path} has unknown columns {', '.join(unknown[:_SHOWN])}; columns are {', '.join(wanted)}")
+
+
+def _row_key(path: Path, columns: tuple[str, ...], values: tuple[Any, ...]) -> tuple[Hashable, ...]:
+    try:
+        if columns == _BY_TIME:
+            scene, timestamp = values
+            if int(timestamp) != timestamp:
+                raise ValueError
+            return (str(scene), int(timestamp))
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(f"{path} has the timestamp {values[1]!r}, which is not whole microseconds") from None
+    if not isinstance(values[0], str) or not values[0]:
+        raise InputError(f"{path} has a row without a sample_token")
+    return values
+
+
+def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> Floats:
+    import pandas as pd
+
+    columns = [pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64) for column in WAYPOINT_COLUMNS]
+    waypoints: Floats = np.column_stack(columns).reshape(-1, PLAN_STEPS, 2)
+    bad = np.flatnonzero(~np.isfinite(waypoints).all(axis=(1, 2)))
+    if len(bad):
+        raise InputError(f"{path} has waypoints that are not finite numbers for {_listed([keys[row] for row in bad])}")
+    return waypoints
+
+
+def _shown(key: tuple[Hashable, ...]) -> str:
+    return " at ".join(str(part) for part in key)
+
+
+def _listed(keys: Sequence[tuple[Hashable, ...]]) -> str:
+    count = f"{len(keys)} samples" if len(keys) > 1 else "sample"
+    return f"{count} {_counted([_shown(key) for key in keys])}"
+
+
+def _counted(items: Sequence[str]) -> str:
+    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
+    return f"{', '.join(items[:_SHOWN])}{more}"

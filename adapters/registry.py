@@ -1,0 +1,165 @@
+"""Planners by name: the built-in ones, those of installed packages, and ``package.module:Class``."""
+
+import importlib
+import inspect
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from benchmark.errors import InputError
+from benchmark.plan_rows import facts_of
+from benchmark.planning import Planner
+from benchmark.records import PlannerFacts
+from benchmark.storage import file_sha256
+
+BUILT_IN = {
+    "constant-velocity": "adapters.constant_velocity:ConstantVelocity",
+    "log-replay": "adapters.log_replay:LogReplay",
+    "idm": "adapters.idm:IntelligentDriver",
+    "ego-status": "adapters.ego_status:EgoStatus",
+}
+ENTRY_POINT_GROUP = "challenger_bench.adapters"
+_CONTRACT = ("reset", "plan")
+
+
+@dataclass(frozen=True, slots=True)
+class NamedPlanner:
+    """Builds a planner by name in any process (`benchmark.plan_rows.PlannerFactory`).
+
+    Attributes:
+        name: What `planner` takes.
+        checkpoint: Weights file, if not the planner's own.
+        seed: Passed to planners that take one.
+        facts: Identity of what is built.
+    """
+
+    name: str
+    checkpoint: Path | None
+    seed: int
+    facts: PlannerFacts
+
+    def __call__(self) -> Planner:
+        """Build it."""
+        return planner(self.name, checkpoint=self.checkpoint, seed=self.seed)
+
+
+def planner_factory(name: str, *, checkpoint: Path | None = None, data: Any = None, seed: int = 0) -> NamedPlanner:
+    """A planner that several processes can build; it is built once here, so that mistakes show at once.
+
+    Args:
+        name: See `planner`.
+        checkpoint: See `planner`.
+        data: See `planner`; a planner that needs the data set itself cannot be rebuilt elsewhere.
+        seed: See `planner`.
+
+    Returns:
+        The factory with the planner's identity.
+
+    Raises:
+        InputError: As `planner` does.
+    """
+    facts = facts_of(planner(name, checkpoint=checkpoint, data=data, seed=seed))
+    settings = dict(facts.settings)
+    if checkpoint is not None and checkpoint.is_file():
+        settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
+    return NamedPlanner(name, checkpoint, seed, facts.model_copy(update={"settings": settings, "seed": seed}))
+
+
+def planner(name: str, *, checkpoint: Path | None = None, data: Any = None, seed: int = 0) -> Planner:
+    """Build a planner.
+
+    Args:
+        name: Built in, from the entry-point group ``challenger_bench.adapters``, or ``package.module:Class``.
+        checkpoint: Weights file for planners that take ``checkpoint``.
+        data: The data set, for planners that take ``data``.
+        seed: For planners that take ``seed``.
+
+    Returns:
+        The planner.
+
+    Raises:
+        InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
+    """
+    installed = installed_planners()
+    if name in BUILT_IN:
+        made = _import(BUILT_IN[name], name)
+    elif name in installed:
+        made = _load(installed[name])
+    elif ":" in name:
+        made = _import(name, name)
+    else:
+        known = ", ".join((*BUILT_IN, *installed))
+        raise InputError(f"unknown model {name!r}; known are {known}; your own is --model package.module:Class")
+    if checkpoint is not None and not checkpoint.exists():
+        raise InputError(f"there is no checkpoint {checkpoint}")
+    return _checked(_build(made, name, {"checkpoint": checkpoint, "data": data, "seed": seed}), name)
+
+
+def installed_planners() -> dict[str, EntryPoint]:
+    """Planners of installed packages, by name; built-in names cannot be taken over."""
+    found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
+    return {point.name: point for point in found if point.name not in BUILT_IN}
+
+
+def _import(reference: str, name: str) -> Any:
+    module_name, _, attribute = reference.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise InputError(
+            f"model {name!r}: cannot import {module_name} ({error}); install it in this environment or put its "
+            "folder on PYTHONPATH"
+        ) from error
+    except ValueError as error:
+        raise InputError(f"model {name!r} is not of the form package.module:Class") from error
+    made: Any = module
+    for part in attribute.split("."):
+        if not hasattr(made, part):
+            raise InputError(f"model {name!r}: module {module_name} has no {attribute!r}")
+        made = getattr(made, part)
+    return made
+
+
+def _load(point: EntryPoint) -> Any:
+    try:
+        return point.load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f"model {point.name!r} is installed as {point.value} but cannot be imported: {error}"
+        ) from error
+
+
+def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
+    """Call a class or function with those of our arguments that it takes."""
+    if not callable(made):
+        raise InputError(f"model {name!r} is a {type(made).__name__}, not a class or a function that makes a planner")
+    parameters = inspect.signature(made).parameters.values()
+    takes_any = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
+    taken = {parameter.name for parameter in parameters}
+    if offered["checkpoint"] is not None and not takes_any and "checkpoint" not in taken:
+        raise InputError(f"model {name!r} takes no checkpoint; leave --checkpoint out")
+    missing = [
+        parameter.name
+        for parameter in parameters
+        if parameter.default is inspect.Parameter.empty
+        and parameter.kind not in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+        and offered.get(parameter.name) is None
+    ]
+    if missing:
+        raise InputError(f"model {name!r} cannot be built without {', '.join(missing)}")
+    return made(**{key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None})
+
+
+def _checked(built: Any, name: str) -> Planner:
+    """Whether a stranger's class keeps the contract of `benchmark.planning.Planner`."""
+    missing = [method for method in _CONTRACT if not callable(getattr(built, method, None))]
+    if missing:
+        raise InputError(
+            f"model {name!r} is no planner: it has no method {' and no method '.join(missing)}; a planner has "
+            "reset(scene), plan(observation) -> Plan and a name (benchmark/planning.py)"
+        )
+    if not isinstance(getattr(built, "name", None), str) or not built.name:
+        raise InputError(f"model {name!r} has no name; set the attribute name, a string that tables show")
+    typed: Planner = built
+    return typed

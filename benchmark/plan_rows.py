@@ -1,0 +1,255 @@
+"""Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept."""
+
+import inspect
+import random
+import re
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.planning import Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.records import PlannerFacts
+from benchmark.scene import Scene
+from benchmark.storage import content_key, content_seed, read_json_lines, write_json_lines
+
+ROW_FORMAT = 1
+"""Raised whenever the rows of an unchanged planner would change."""
+
+
+class PlannerFactory(Protocol):
+    """Builds the same planner in any process. Must be picklable.
+
+    Attributes:
+        facts: Which planner it builds; part of the content key of every row.
+    """
+
+    @property
+    def facts(self) -> PlannerFacts:
+        """Identity of the planner."""
+
+    def __call__(self) -> Planner:
+        """Build it."""
+
+
+class SceneSource(Protocol):
+    """The part of a data set that planning needs."""
+
+    def scene(self, name: str) -> Scene:
+        """The whole scene."""
+
+    def observations(self, name: str) -> Any:
+        """One `Observation` for each sample, in time order."""
+
+
+class BrokenImageError(InputError):
+    """An image of the data set cannot be read: the data's fault, not the planner's."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedScene:
+    """Rows of one scene.
+
+    Attributes:
+        rows: One JSON object for each sample.
+        seconds: Time spent inside the planner, or ``None`` where the rows were kept from before.
+    """
+
+    rows: list[dict[str, Any]]
+    seconds: float | None
+
+
+def facts_of(planner: Planner) -> PlannerFacts:
+    """Identity of a planner that was built by hand.
+
+    Args:
+        planner: The planner; optional attributes ``weights_sha256``, ``settings`` and ``seed`` are taken over.
+
+    Returns:
+        Its identity, with the hash of its class's source files.
+    """
+    return PlannerFacts(
+        name=planner.name,
+        privileged=isinstance(planner, PrivilegedPlanner),
+        weights_sha256=getattr(planner, "weights_sha256", None),
+        code_sha256=code_sha256(type(planner)),
+        settings=dict(getattr(planner, "settings", {})),
+        seed=int(getattr(planner, "seed", 0)),
+    )
+
+
+@cache
+def code_sha256(planner_class: type) -> str | None:
+    """Hash of the Python files that a planner class lives among, so that changed code is never taken for done work.
+
+    Args:
+        planner_class: The class.
+
+    Returns:
+        Hash of its module, and of the rest of its package if it is in one; ``None`` if it has no source file.
+    """
+    try:
+        source = inspect.getsourcefile(planner_class)
+    except TypeError:
+        return None
+    if source is None or not Path(source).is_file():
+        return None
+    file = Path(source)
+    package = file.parent if (file.parent / "__init__.py").is_file() else None
+    files = sorted(package.rglob("*.py")) if package else [file]
+    base = file.parent
+    return content_key([(path.relative_to(base).as_posix(), path.read_text()) for path in files])
+
+
+def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
+    """Content key of one scene's plan rows. Protocols are not part of it: they judge kept plans again.
+
+    Args:
+        fingerprint: Of the data set.
+        split: Name of the split.
+        scene: Scene name.
+        facts: Identity of the planner.
+
+    Returns:
+        The key.
+    """
+    return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, facts.model_dump(mode="json"))
+
+
+def rows_path(directory: Path, scene: str) -> Path:
+    """File of one scene's plan rows; scene names may hold slashes."""
+    return directory / "rows" / f"{quote(scene, safe='')}.jsonl"
+
+
+def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key: str, *, fresh: bool) -> PlannedScene:
+    """Plan every sample of a scene, or take the rows that are there already.
+
+    Args:
+        planner: The planner.
+        source: Where the scene comes from.
+        name: Scene name.
+        path: Where the rows are kept.
+        key: Their content key; rows of another key are made again.
+        fresh: Make them again in any case.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: If an image is broken or the rows cannot be written.
+    """
+    kept = None if fresh else _kept_rows(path, key)
+    if kept is not None:
+        return PlannedScene(kept, None)
+    _seed_everything(content_seed(key))
+    started = time.perf_counter()
+    rows = _rows(planner, source.scene(name), list(source.observations(name)))
+    seconds = time.perf_counter() - started
+    write_json_lines(path, [{"key": key, "rows": len(rows)}, *rows])
+    return PlannedScene(rows, seconds)
+
+
+def _kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
+    if not path.exists():
+        return None
+    try:
+        header, *rows = read_json_lines(path)
+    except (InputError, ValueError):
+        # A damaged file is unfinished work: it is made again.
+        return None
+    return rows if header == {"key": key, "rows": len(rows)} else None
+
+
+def _seed_everything(seed: int) -> None:
+    """Planners that draw from global generators draw the same whatever ran before in this process."""
+    random.seed(seed)
+    np.random.seed(seed % 2**32)
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(seed)
+
+
+def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+    try:
+        planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+        if isinstance(planner, PrivilegedPlanner):
+            planner.reveal(scene)
+    except Exception:
+        error = _traceback()
+        return [_row(observation, None, error) for observation in observations]
+    return [_planned_row(planner, observation) for observation in observations]
+
+
+def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
+    views = {name: replace(view, load=_loud(view.load)) for name, view in observation.views.items()}
+    try:
+        plan = planner.plan(replace(observation, views=views))
+        if not isinstance(plan, Plan):
+            raise TypeError(f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan")
+        return _row(observation, _plan_json(plan), None)
+    except BrokenImageError:
+        raise
+    except Exception:
+        return _row(observation, None, _traceback())
+
+
+def _row(observation: Observation, plan: dict[str, Any] | None, error: str | None) -> dict[str, Any]:
+    return {
+        "scene": observation.scene,
+        "sample_token": observation.sample_token,
+        "index": observation.index,
+        "timestamp_us": observation.timestamp_us,
+        "status": "failed" if plan is None else "ok",
+        "ego_motion": observation.ego.source,
+        "plan": plan,
+        "error": error,
+    }
+
+
+def _plan_json(plan: Plan) -> dict[str, Any]:
+    """The plan as it was given; refuses numbers that JSON does not have."""
+    forecasts = plan.forecasts
+    parts: dict[str, Floats | None] = {
+        "waypoints": plan.waypoints,
+        "modes": plan.modes,
+        "mode_scores": plan.mode_scores,
+    }
+    for part, values in parts.items():
+        if values is not None and not np.isfinite(values).all():
+            raise ValueError(f"a plan's {part} must be finite numbers")
+    found: dict[str, Any] = {name: None if v is None else np.asarray(v, float).tolist() for name, v in parts.items()}
+    found["forecasts"] = None
+    if forecasts is not None:
+        arrays = {"boxes": forecasts.boxes, "trajectories": forecasts.trajectories, "scores": forecasts.scores}
+        if not all(np.isfinite(values).all() for values in arrays.values()):
+            raise ValueError("a plan's forecasts must be finite numbers")
+        found["forecasts"] = {name: np.asarray(values, float).tolist() for name, values in arrays.items()}
+    return {"frame": plan.frame.value, **found}
+
+
+def _loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:
+    """A broken image stops the run; anything else that a planner raises is the planner's failure."""
+
+    def loaded() -> NDArray[np.uint8]:
+        try:
+            return load()
+        except InputError as error:
+            raise BrokenImageError(str(error)) from error
+
+    return loaded
+
+
+def _traceback() -> str:
+    """The traceback being handled, without what differs between machines and runs: folders and addresses."""
+    text = traceback.format_exc()
+    text = re.sub(r'File "([^"]*[/\\])?([^"/\\]+)"', r'File "\2"', text)
+    return re.sub(r"0x[0-9a-f]{4,}", "0x...", text)

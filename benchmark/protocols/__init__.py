@@ -1,0 +1,44 @@
+"""Protocols by name: every definition of collision and L2 that a run is judged by."""
+
+from benchmark.errors import InputError
+from benchmark.protocols.contract import CollisionProtocol, Outcomes
+from benchmark.protocols.exact import Exact
+
+__all__ = ["PROTOCOLS", "CollisionProtocol", "Outcomes", "protocol", "register"]
+
+PROTOCOLS: dict[str, CollisionProtocol] = {}
+"""Every known protocol, in the order of their columns."""
+
+
+def register(definition: CollisionProtocol) -> None:
+    """Make a protocol known.
+
+    Args:
+        definition: The protocol.
+
+    Raises:
+        ValueError: If the name is taken: two protocols never share a column.
+    """
+    if definition.name in PROTOCOLS:
+        raise ValueError(f"there already is a protocol named {definition.name!r}")
+    PROTOCOLS[definition.name] = definition
+
+
+def protocol(name: str) -> CollisionProtocol:
+    """Look a protocol up.
+
+    Args:
+        name: Its name.
+
+    Returns:
+        The protocol.
+
+    Raises:
+        InputError: If there is none of this name.
+    """
+    if name not in PROTOCOLS:
+        raise InputError(f"unknown protocol {name!r}; known are {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[name]
+
+
+register(Exact())

@@ -1,0 +1,113 @@
+"""What a protocol is: boxes and plans in, verdicts per sample and step out, and how those are averaged."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Bools, Floats
+from benchmark.truth import SampleTruth
+
+
+@dataclass(frozen=True, slots=True)
+class Outcomes:
+    """The verdicts of one protocol on S samples.
+
+    Attributes:
+        collision: (S, 6) what the protocol calls a collision at each step, after its own exclusions.
+        l2: (S, 6) displacement from the recorded ego, metres; 0 where ``valid`` is False.
+        valid: (S, 6) whether the recorded ego exists at the step.
+        counted: (S,) whether the protocol lets the sample into its denominators.
+        steps: Further columns of the protocol, each (S, 6), for example the verdicts before an exclusion.
+        facts: Further values of the protocol, one JSON value for each sample.
+    """
+
+    collision: Bools
+    l2: Floats
+    valid: Bools
+    counted: Bools
+    steps: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    facts: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.counted)
+
+    def as_rows(self) -> list[dict[str, Any]]:
+        """One JSON object for each sample; a displacement that does not exist is null."""
+        return [
+            {
+                "collision": self.collision[index].tolist(),
+                "l2": [float(l2) if valid else None for l2, valid in zip(self.l2[index], self.valid[index])],
+                "counted": bool(self.counted[index]),
+                "steps": {name: column[index].tolist() for name, column in self.steps.items()},
+                "facts": {name: column[index] for name, column in self.facts.items()},
+            }
+            for index in range(len(self))
+        ]
+
+    @classmethod
+    def from_rows(cls, rows: Sequence[Mapping[str, Any]]) -> "Outcomes":
+        """The inverse of `as_rows`.
+
+        Args:
+            rows: One JSON object for each sample, all from the same protocol and version.
+
+        Returns:
+            The arrays.
+        """
+        valid = np.array([[l2 is not None for l2 in row["l2"]] for row in rows], dtype=np.bool_)
+        l2 = np.array([[0.0 if l2 is None else l2 for l2 in row["l2"]] for row in rows], dtype=np.float64)
+        shape = (len(rows), PLAN_STEPS)
+        first = rows[0] if rows else {"steps": {}, "facts": {}}
+        return cls(
+            collision=np.array([row["collision"] for row in rows], dtype=np.bool_).reshape(shape),
+            l2=l2.reshape(shape),
+            valid=valid.reshape(shape),
+            counted=np.array([row["counted"] for row in rows], dtype=np.bool_),
+            steps={name: np.array([row["steps"][name] for row in rows]) for name in first["steps"]},
+            facts={name: tuple(row["facts"][name] for row in rows) for name in first["facts"]},
+        )
+
+
+class CollisionProtocol(Protocol):
+    """A named, versioned definition of collision and L2.
+
+    A new one is one module with one instance of a class like this, registered in ``benchmark/protocols/__init__.py``.
+    It sees boxes and plans only; a protocol that draws a raster draws it itself.
+
+    Attributes:
+        name: Column name; two protocols never share one.
+        version: Raised whenever a verdict or an average may change.
+    """
+
+    name: str
+    version: int
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans against what really happened.
+
+        The verdict on a sample must not depend on the other samples.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            The verdicts.
+        """
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """How much each sample adds to each published number.
+
+        The rate at a horizon is the sum of these values over the counted samples divided by their number, so
+        that "value at the step", "mean up to the step" and "any contact up to the step" are all one form.
+
+        Args:
+            outcomes: S verdicts of this protocol.
+
+        Returns:
+            Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always.
+        """

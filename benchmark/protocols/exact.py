@@ -1,0 +1,160 @@
+"""The ``exact`` protocol: oriented boxes, the ego's own heading, every object, between the waypoints too.
+
+Definition (section 8 of the protocol specification):
+
+* The ego is a 4.084 m x 1.85 m rectangle whose centre is 0.5 m ahead of the lidar origin, along its heading. Its
+  heading at a waypoint is the direction of the chord between the neighbouring waypoints where that is at least 0.3 m
+  long, else the heading before (`benchmark.planning.chord_headings`); between waypoints the position is linear and the
+  heading takes the shortest arc.
+* Every annotated object of every category counts. Between two keyframes it moves linearly and is there only if it is
+  annotated at both; at a keyframe it is there if it is annotated there.
+* A step collides if the rectangles touch at any of the instants 0.1, 0.2, ... 0.5 s after the step before it.
+* A sample collides at a horizon if any step up to it does: contact is not undone by driving on.
+* L2 at a horizon is the displacement from the recorded lidar origin at that step; ``ade`` is its mean up to the step.
+* Samples without a complete recorded future of 3 s are not counted.
+
+Known limits: contact shorter than 0.1 s can be missed; the vertical is ignored; a plan has no heading of its own, so a
+car that creeps along a curve in steps of less than 0.3 m keeps its heading.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, wrap_angle
+from benchmark.planning import chord_headings
+from benchmark.protocols.contract import Outcomes
+from benchmark.truth import SampleTruth
+
+INSTANTS_PER_STEP = 5
+"""Instants that are checked in each half second; the last one is the waypoint."""
+_SAMPLES_AT_ONCE = 256
+"""Bounds the memory of one batch: 256 samples of 30 objects need about 40 MB."""
+
+
+class Exact:
+    """See the module's docstring."""
+
+    name = "exact"
+    version = 1
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the column ``waypoint_collision`` (contact at the waypoints alone) and the facts
+            ``first_contact_s`` and ``hit`` (instance identifier of the object that is touched first).
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        future = np.array([truth.ego_future for truth in truths]).reshape(-1, PLAN_STEPS, 3)
+        valid = np.array([truth.ego_future_valid for truth in truths], dtype=np.bool_).reshape(-1, PLAN_STEPS)
+        ego = ego_boxes(plans)
+        contact = np.zeros(ego.shape[:2], dtype=np.bool_)
+        first: list[tuple[float | None, str | None]] = []
+        for start in range(0, len(truths), _SAMPLES_AT_ONCE):
+            batch = slice(start, start + _SAMPLES_AT_ONCE)
+            contact[batch], first_of_batch = _contacts(ego[batch], truths[batch])
+            first.extend(first_of_batch)
+        by_step = contact.reshape(-1, PLAN_STEPS, INSTANTS_PER_STEP)
+        distance = np.hypot(plans[..., 0] - future[..., 0], plans[..., 1] - future[..., 1])
+        return Outcomes(
+            collision=by_step.any(axis=-1),
+            l2=np.where(valid, distance, 0.0),
+            valid=valid,
+            counted=valid.all(axis=-1),
+            steps={"waypoint_collision": by_step[..., -1]},
+            facts={"first_contact_s": tuple(time for time, _ in first), "hit": tuple(name for _, name in first)},
+        )
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """Any contact up to the horizon; displacement at the horizon; mean displacement up to it.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision``, ``l2`` and ``ade``, each (S, 3).
+        """
+        steps = list(HORIZON_STEPS.values())
+        return {
+            "collision": np.stack([outcomes.collision[:, :count].any(axis=1) for count in steps], axis=1).astype(float),
+            "l2": np.stack([outcomes.l2[:, count - 1] for count in steps], axis=1),
+            "ade": np.stack([outcomes.l2[:, :count].mean(axis=1) for count in steps], axis=1),
+        }
+
+
+def ego_boxes(plans_lidar: Floats) -> Floats:
+    """The ego's rectangle at the 30 instants 0.1, 0.2, ... 3.0 s of a plan.
+
+    Args:
+        plans_lidar: (..., 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+    Returns:
+        (..., 30, 5) boxes.
+    """
+    plans = np.asarray(plans_lidar, np.float64)
+    heading = chord_headings(plans, start_heading_rad=np.pi / 2)
+    poses = np.concatenate([plans, heading[..., None]], axis=-1)
+    start = np.broadcast_to([0.0, 0.0, np.pi / 2], (*poses.shape[:-2], 1, 3))
+    before = np.concatenate([start, poses[..., :-1, :]], axis=-2)
+    between = poses_between(before[..., None, :], poses[..., None, :], _fractions())
+    path = between.reshape(*poses.shape[:-2], PLAN_STEPS * INSTANTS_PER_STEP, 3)
+    yaw = path[..., 2]
+    center = path[..., :2] + EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], center.shape)
+    return np.concatenate([center, size, yaw[..., None]], axis=-1)
+
+
+def object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:
+    """Objects at the 30 instants, and whether they are there.
+
+    Args:
+        boxes: (M, 7, 5) boxes at the keyframes 0..6.
+        annotated: (M, 7) where they are annotated.
+
+    Returns:
+        (M, 30, 5) boxes, (M, 30) presence.
+    """
+    step = np.diff(boxes, axis=1)
+    step[..., 4] = wrap_angle(step[..., 4])
+    between = boxes[:, :-1, None] + _fractions()[:, None] * step[:, :, None]
+    # The keyframe itself is taken as annotated: "start + 1 * difference" need not give it back exactly.
+    between[:, :, -1] = boxes[:, 1:]
+    present = np.repeat((annotated[:, :-1] & annotated[:, 1:])[..., None], INSTANTS_PER_STEP, axis=-1)
+    present[..., -1] = annotated[:, 1:]
+    count = PLAN_STEPS * INSTANTS_PER_STEP
+    return between.reshape(len(boxes), count, 5), present.reshape(len(boxes), count)
+
+
+def _fractions() -> Floats:
+    return np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
+
+
+def _contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[tuple[float | None, str | None]]]:
+    """Contact at each instant, (S, 30), and for each sample when and whom it touches first."""
+    boxes = np.concatenate([truth.boxes for truth in truths])
+    annotated = np.concatenate([truth.annotated for truth in truths])
+    sample_of = np.repeat(np.arange(len(truths)), [len(truth.instances) for truth in truths])
+    objects, present = object_boxes(boxes, annotated)
+    mine = ego[sample_of]
+    # Two boxes can only touch if the circles around them do.
+    offset = objects[..., :2] - mine[..., :2]
+    reach = 0.5 * (np.hypot(objects[..., 2], objects[..., 3]) + np.hypot(EGO_LENGTH_M, EGO_WIDTH_M)) + 1e-6
+    near = present & (offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
+    which, instant = np.nonzero(near)
+    hit = boxes_overlap(mine[which, instant], objects[which, instant])
+    which, instant = which[hit], instant[hit]
+    contact = np.zeros(ego.shape[:2], dtype=np.bool_)
+    contact[sample_of[which], instant] = True
+    names = [name for truth in truths for name in truth.instances]
+    first: list[tuple[float | None, str | None]] = [(None, None)] * len(truths)
+    # Earliest contact of each sample; objects that are touched at the same instant are told apart by their names.
+    for sample, at, name in sorted(zip(sample_of[which].tolist(), instant.tolist(), (names[row] for row in which))):
+        if first[sample][0] is None:
+            first[sample] = (round((at + 1) * PLAN_STEP_S / INSTANTS_PER_STEP, 3), name)
+    return contact, first

@@ -1,0 +1,139 @@
+"""A data set in memory over hand-made scenes, with truth and observations straight from the scene."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.datasets.can_bus import CanBus, ego_state
+from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.planning import CameraView, Command, Observation
+from benchmark.scene import Scene
+from benchmark.storage import content_key, token
+from benchmark.truth import SampleTruth
+from tests.hand_made import Car, scene_on_straight_road
+
+HISTORY = 5
+
+
+def town_of_two(*, slow_leader: bool = False) -> "FakeData":
+    """Two straight-road scenes of 8 s; with a slow leader the ego would run into it if it kept its speed."""
+    leader = (Car(75.0, 198.25, 2.0),) if slow_leader else ()
+    return FakeData(
+        {
+            "scene-9901": scene_on_straight_road(name="scene-9901"),
+            "scene-9902": scene_on_straight_road(
+                (*leader, Car(60.0, 194.75, 10.0), Car(120.0, 201.75, 9.0, np.pi)), name="scene-9902"
+            ),
+        }
+    )
+
+
+@dataclass
+class FakeData:
+    scenes: dict[str, Scene]
+    root: Path = Path("fake")
+    version: str = "v1.0-fake"
+    name: str = "fake"
+    views: dict[str, CameraView] = field(default_factory=dict)
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        return {"val": tuple(sorted(self.scenes))}
+
+    def scene_names(self, split: str | None = None) -> tuple[str, ...]:
+        return tuple(sorted(self.scenes))
+
+    def scene(self, name: str) -> Scene:
+        return self.scenes[name]
+
+    def has_map(self, name: str) -> bool:
+        return True
+
+    def provenance(self) -> dict[str, Any] | None:
+        return None
+
+    def fingerprint(self) -> str:
+        return content_key([(name, self.scenes[name].agents.position.tolist()) for name in sorted(self.scenes)])
+
+    def truth(self, name: str) -> tuple[SampleTruth, ...]:
+        return tuple(sample_truth(self.scenes[name], index) for index in range(len(self.scenes[name].keyframes)))
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        scene = self.scenes[name]
+        for index in range(len(scene.keyframes)):
+            yield observation(scene, index, self.views)
+
+
+def sample_truth(scene: Scene, index: int) -> SampleTruth:
+    count = len(scene.keyframes)
+    ahead = float(scene.lidar.translation[0])
+    pose = scene.ego.pose[scene.keyframes]
+    lidar = np.column_stack(
+        [pose[:, :2] + ahead * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])]), pose[:, 2]]
+    )
+    steps = np.arange(index, index + PLAN_STEPS + 1)
+    valid = steps < count
+    at = np.minimum(steps, count - 1)
+    rows = np.flatnonzero((scene.annotations.valid[:, at] & valid).any(axis=1))
+    boxes = np.empty((len(rows), PLAN_STEPS + 1, 5))
+    boxes[..., :2] = in_lidar_axes(scene.annotations.position[rows][:, at, :2], lidar[index])
+    boxes[..., 2:4] = scene.annotations.size[rows][:, at, :2]
+    frames = scene.keyframes[at]
+    boxes[..., 4] = wrap_angle(scene.agents.yaw[rows][:, frames] - lidar[index, 2] + np.pi / 2)
+    future = np.column_stack(
+        [
+            in_lidar_axes(lidar[at[1:], :2], lidar[index]),
+            wrap_angle(lidar[at[1:], 2] - lidar[index, 2] + np.pi / 2),
+        ]
+    )
+    annotated: Bools = scene.annotations.valid[rows][:, at] & valid
+    points = scene.annotations.num_lidar_pts[rows][:, at] > 0
+    return SampleTruth(
+        scene=scene.name,
+        sample_token=token(scene.name, index),
+        index=index,
+        timestamp_us=int(scene.timestamps_us[scene.keyframes[index]]),
+        lidar_pose=lidar[index],
+        lidar_ahead_m=ahead,
+        ego_future=future,
+        ego_future_valid=valid[1:],
+        command=_command(future[valid[1:]]),
+        instances=tuple(scene.agents.ids[row] for row in rows),
+        categories=tuple(scene.agents.categories[row] for row in rows),
+        boxes=boxes,
+        annotated=annotated,
+        has_points=points & annotated,
+        has_lidar_points=points & annotated,
+    )
+
+
+def in_lidar_axes(points: Floats, pose: Floats) -> Floats:
+    forward_left = to_local(points, pose)
+    return np.stack([-forward_left[..., 1], forward_left[..., 0]], axis=-1)
+
+
+def observation(scene: Scene, index: int, views: dict[str, CameraView]) -> Observation:
+    frame = int(scene.keyframes[index])
+    pose = scene.ego.pose[scene.keyframes]
+    past = np.arange(index - HISTORY + 1, index + 1)
+    return Observation(
+        scene=scene.name,
+        sample_token=token(scene.name, index),
+        index=index,
+        timestamp_us=int(scene.timestamps_us[frame]),
+        views=views,
+        ego=ego_state(scene.ego, scene.timestamps_us, frame, CanBus(None, None)),
+        past_poses=pose[np.maximum(past, 0)],
+        past_valid=past >= 0,
+        command=sample_truth(scene, index).command,
+    )
+
+
+def _command(future: Floats) -> Command:
+    lateral = future[-1, 0] if len(future) else 0.0
+    if lateral >= COMMAND_LATERAL_M:
+        return Command.RIGHT
+    return Command.LEFT if lateral <= -COMMAND_LATERAL_M else Command.STRAIGHT

@@ -1,0 +1,79 @@
+"""Planners with faults, for tests; importable so that other processes can build them."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.records import PlannerFacts
+
+AHEAD = np.column_stack([4.0 * np.arange(1, 7), np.zeros(6)])
+
+
+class Straight:
+    """8 m/s straight ahead, whatever happens. Counts how often it was asked."""
+
+    name = "straight"
+
+    def __init__(self, pause_s: float = 0.0) -> None:
+        self.calls = 0
+        self._pause_s = pause_s
+
+    def reset(self, scene: SceneInfo) -> None:
+        pass
+
+    def plan(self, observation: Observation) -> Plan:
+        self.calls += 1
+        time.sleep(self._pause_s)
+        return Plan(AHEAD, PlanFrame.EGO)
+
+
+class Failing(Straight):
+    """Raises on one sample of each scene."""
+
+    name = "failing"
+
+    def __init__(self, index: int = 3) -> None:
+        super().__init__()
+        self._index = index
+
+    def plan(self, observation: Observation) -> Plan:
+        if observation.index == self._index:
+            raise RuntimeError(f"no idea {object()}")
+        return super().plan(observation)
+
+
+class Remembering(Straight):
+    """Draws from the global generator and drives on from where it is: stateful, as real models are."""
+
+    name = "remembering"
+
+    def reset(self, scene: SceneInfo) -> None:
+        self._speed = 4.0
+
+    def plan(self, observation: Observation) -> Plan:
+        self._speed += float(np.random.normal(0.0, 0.1))
+        return Plan(AHEAD * self._speed / 4.0, PlanFrame.EGO)
+
+
+class LooksAtImages(Straight):
+    """Opens its front camera."""
+
+    name = "looks"
+
+    def plan(self, observation: Observation) -> Plan:
+        observation.views["CAM_FRONT"].load()
+        return super().plan(observation)
+
+
+@dataclass(frozen=True)
+class Factory:
+    """Builds one of these in any process."""
+
+    made: type[Straight] = Straight
+    arguments: tuple[float, ...] = ()
+    facts: PlannerFacts = field(default_factory=lambda: PlannerFacts(name="made", privileged=False))
+
+    def __call__(self) -> Straight:
+        return self.made(*self.arguments)

@@ -1,0 +1,154 @@
+"""Records: what is written reads back, old ones load for ever, damaged ones say so."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from benchmark.errors import InputError
+from benchmark.evaluate import evaluate
+from benchmark.records import SampleRow, find_records, load_record, scene_failures, summarise
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.planners import Straight
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "records"
+
+
+def row(scene: str, index: int, *, collides: bool = False, counted: bool = True, status: str = "ok") -> SampleRow:
+    verdict: dict[str, Any] = {
+        "collision": [collides] * 6,
+        "l2": [1.0] * 6 if counted else [1.0] * 5 + [None],
+        "counted": counted,
+        "steps": {},
+        "facts": {},
+    }
+    return SampleRow.model_validate(
+        {
+            "scene": scene,
+            "sample_token": f"{scene}-{index}",
+            "index": index,
+            "timestamp_us": index,
+            "status": status,
+            "command": 2,
+            "ego_motion": "derived",
+            "lidar_ahead_m": 0.94,
+            "complete": counted,
+            "recorded_future": [[0.0, 1.0, 1.5]] * 6,
+            "plan": None if status == "failed" else {"frame": "ego", "waypoints": [[1.0, 0.0]] * 6},
+            "error": "RuntimeError" if status == "failed" else None,
+            "outcomes": {} if status == "failed" else {"exact": verdict},
+        }
+    )
+
+
+@pytest.mark.parametrize("directory", sorted(GOLDEN.iterdir()), ids=lambda path: path.name)
+def test_records_of_earlier_schemas_load(directory: Path) -> None:
+    record = load_record(directory)
+    assert record.planner == "failing" and not record.complete
+    assert len(record.rows) == 32 and record.summary.failed == 2
+    collision = record.summary.protocols["exact"].columns["collision"]["3s"]
+    assert (collision.numerator, collision.denominator) == (8.0, 18)
+    again = summarise(record.rows, record.run.protocols, seed=record.run.seed)
+    assert again.protocols["exact"].columns["collision"] == record.summary.protocols["exact"].columns["collision"]
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    return evaluate(town_of_two(), "val", Straight(), tmp_path / "runs").directory
+
+
+def test_a_scene_fails_if_any_counted_sample_collides() -> None:
+    rows = [
+        row("clean", 0),
+        row("hit", 0, collides=True),
+        row("hit", 1),
+        row("uncounted hit", 0, collides=True, counted=False),
+        row("uncounted hit", 1),
+        row("unknown", 0),
+        row("unknown", 1, status="failed"),
+        row("hit anyway", 0, status="failed"),
+        row("hit anyway", 1, collides=True),
+        row("failed where it does not count", 0),
+        row("failed where it does not count", 1, status="failed", counted=False),
+        row("never counted", 0, counted=False),
+    ]
+    assert scene_failures(rows, "exact") == {
+        "clean": False,
+        "hit": True,
+        "uncounted hit": False,
+        "unknown": None,
+        "hit anyway": True,
+        "failed where it does not count": False,
+        "never counted": None,
+    }
+    assert scene_failures(rows[::-1], "exact") == scene_failures(rows, "exact")
+
+
+def test_a_summary_leaves_failed_samples_out_of_both_sums() -> None:
+    rows = [row("a", 0, collides=True), row("a", 1), row("a", 2, status="failed")]
+    summary = summarise(rows, {"exact": 1}, seed=0)
+    rate = summary.protocols["exact"].columns["collision"]["3s"]
+    assert (rate.numerator, rate.denominator, summary.failed) == (1.0, 2, 1)
+
+
+def test_rows_have_no_nan() -> None:
+    with pytest.raises(ValidationError):
+        SampleRow.model_validate({**row("a", 0).model_dump(), "lidar_ahead_m": float("nan")})
+
+
+def test_numbers_in_files_are_json(directory: Path) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(name)
+
+    for path in directory.glob("*.json"):
+        json.loads(path.read_text(), parse_constant=refuse)
+    for line in (directory / "samples.jsonl").read_text().splitlines():
+        json.loads(line, parse_constant=refuse)
+
+
+def test_a_newer_schema_is_refused(directory: Path) -> None:
+    change(directory / "run.json", schema=99)
+    with pytest.raises(InputError, match="upgrade challenger-bench"):
+        load_record(directory)
+
+
+@pytest.mark.parametrize("name", ["samples.jsonl", "summary.json"])
+def test_files_that_do_not_belong_together_are_refused(directory: Path, name: str) -> None:
+    path = directory / name
+    path.write_bytes(path.read_bytes().replace(b"0", b"1", 1))
+    with pytest.raises(InputError, match=name):
+        load_record(directory)
+    path.unlink()
+    with pytest.raises(InputError, match="cannot read"):
+        load_record(directory)
+
+
+def test_a_truncated_or_foreign_run_file_is_refused(directory: Path) -> None:
+    text = (directory / "run.json").read_text()
+    (directory / "run.json").write_text(text[:100])
+    with pytest.raises(InputError, match="not valid JSON"):
+        load_record(directory)
+    for foreign in ("[]", "{}", '{"schema": 1, "files": {}}', '{"schema": true}', '{"schema": 1, "files": []}'):
+        (directory / "run.json").write_text(foreign)
+        with pytest.raises(InputError):
+            load_record(directory)
+
+
+def test_a_file_outside_the_record_is_never_hashed(directory: Path) -> None:
+    change(directory / "run.json", files={"../../secret": "0" * 64})
+    with pytest.raises(InputError):
+        load_record(directory)
+
+
+def test_records_are_found_by_path(directory: Path, tmp_path: Path) -> None:
+    shutil.copytree(directory, tmp_path / "runs" / "another")
+    assert [record.directory for record in find_records(tmp_path)] == sorted([directory, tmp_path / "runs" / "another"])
+    with pytest.raises(InputError, match="no folder"):
+        find_records(tmp_path / "nowhere")
+
+
+def change(path: Path, **values: Any) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
