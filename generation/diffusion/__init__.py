@@ -1,0 +1,1 @@
+"""The trajectory diffusion model: how a vehicle could plausibly move (paper, Diffusion Trajectory Generator)."""

@@ -1,0 +1,86 @@
+"""Speeds, accelerations and turns of 2 Hz trajectories: which ones a driver could have driven."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import KEYFRAME_HZ
+from benchmark.geometry import Floats
+
+STEP_S: Final = 1.0 / KEYFRAME_HZ
+STILL_BELOW_M: Final = 0.15
+"""Shorter steps (0.3 m/s) have no direction that could be trusted."""
+MAX_ACCELERATION: Final = 8.0
+"""m/s^2, in any direction: dry tarmac."""
+MAX_CURVATURE: Final = 0.22
+"""1/m: a rear axle turns around a point at least 4.5 m away."""
+FREE_TURN_RAD: Final = 0.06
+"""Turn that is forgiven whatever the step length, because short steps are noisy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Finite differences of trajectories that start now.
+
+    Attributes:
+        speed: (..., 17) mean speed of each half second, the one before now first, m/s.
+        acceleration: (..., 16) along the motion, m/s^2.
+        turn: (..., 16) change of direction from one half second to the next, radians; 0 while standing still.
+        lateral: (..., 16) acceleration across the motion, m/s^2.
+        curvature: (..., 16) turn per metre, 1/m; 0 while standing still.
+    """
+
+    speed: Floats
+    acceleration: Floats
+    turn: Floats
+    lateral: Floats
+    curvature: Floats
+
+    @property
+    def yaw_rate(self) -> Floats:
+        """(..., 16) rad/s."""
+        return self.turn / STEP_S
+
+    @property
+    def excess(self) -> Floats:
+        """(...) how far the worst step is beyond what a car can do, radians or m/s^2; 0 if it is drivable throughout.
+
+        A reversal is a turn of half a circle, so it is never drivable.
+        """
+        reach = 0.5 * STEP_S * (self.speed[..., :-1] + self.speed[..., 1:])
+        turned_too_far = np.abs(self.turn) - MAX_CURVATURE * reach - FREE_TURN_RAD
+        pulled_too_hard = np.hypot(self.acceleration, self.lateral) - MAX_ACCELERATION
+        return np.asarray(np.maximum(np.maximum(turned_too_far, pulled_too_hard), 0.0).max(axis=-1))
+
+
+def motion(waypoints: Floats, previous: Floats) -> Motion:
+    """Motion along trajectories.
+
+    Args:
+        waypoints: (..., 16, 3) x, y, heading at 2 Hz in the local frame, metres; the vehicle is at the origin and
+            looks along x.
+        previous: (..., 3) pose half a second ago.
+
+    Returns:
+        See `Motion`. A direction is held where the vehicle stands still; before it first moves, and at the start of a
+        trajectory from rest, it is the heading, zero.
+    """
+    waypoints = np.asarray(waypoints, np.float64)
+    previous = np.broadcast_to(np.asarray(previous, np.float64), (*waypoints.shape[:-2], waypoints.shape[-1]))
+    path = np.concatenate([previous[..., None, :2], np.zeros_like(previous)[..., None, :2], waypoints[..., :2]], -2)
+    step = np.diff(path, axis=-2)
+    length = np.hypot(step[..., 0], step[..., 1])
+    moving = length >= STILL_BELOW_M
+    pointing = np.arctan2(step[..., 1], step[..., 0])
+    direction = np.zeros_like(length)
+    held = np.zeros(length.shape[:-1])
+    for index in range(length.shape[-1]):
+        held = np.where(moving[..., index], pointing[..., index], held)
+        direction[..., index] = held
+    turn = (np.diff(direction, axis=-1) + np.pi) % (2 * np.pi) - np.pi
+    speed = length / STEP_S
+    between = 0.5 * (speed[..., 1:] + speed[..., :-1])
+    acceleration = np.diff(speed, axis=-1) / STEP_S
+    curvature = turn / np.maximum(between * STEP_S, STILL_BELOW_M)
+    return Motion(speed, acceleration, turn, between * turn / STEP_S, curvature)

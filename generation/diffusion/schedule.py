@@ -1,0 +1,149 @@
+"""The noise schedule and the DDIM reverse process of the reference model.
+
+100 steps, scaled-linear betas, noise prediction, predicted clean sample clamped to [-1, 1] without recomputing the
+noise. The forward process keeps 48 % of the signal's variance at its last step: it never reaches pure noise.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+
+STEPS: Final = 100
+"""Steps of the forward process."""
+BETA_START: Final = 1e-4
+BETA_END: Final = 0.02
+CLAMP: Final = 1.0
+"""Largest action that a predicted clean sample may hold: 4 m of second difference per half second."""
+
+Denoise = Callable[[Tensor, Tensor], Tensor]
+"""Noisy actions (B, 16, 3) and timesteps (1,) to predicted noise (B, 16, 3)."""
+
+
+def _alpha_bars() -> tuple[Floats, Floats]:
+    betas = np.linspace(BETA_START**0.5, BETA_END**0.5, STEPS) ** 2
+    return betas, np.cumprod(1.0 - betas)
+
+
+BETAS, ALPHA_BARS = _alpha_bars()
+"""(100,) noise added per step; (100,) share of the signal's variance left after it."""
+
+
+def signal_and_noise(timestep: int) -> tuple[float, float]:
+    """Factors of the clean sample and of the noise after a forward step.
+
+    Args:
+        timestep: 0..99.
+
+    Returns:
+        Square roots of alpha-bar and of its complement.
+    """
+    return float(ALPHA_BARS[timestep] ** 0.5), float((1.0 - ALPHA_BARS[timestep]) ** 0.5)
+
+
+def reference_eta(timestep: int) -> float:
+    """Stochasticity of a reverse step in the reference: sqrt(beta / (1 - beta)) of the step before.
+
+    At timestep 0 the reference's index wraps around; nothing is added there, so the value is harmless.
+    """
+    beta = BETAS[timestep - 1]
+    return float((beta / (1.0 - beta)) ** 0.5)
+
+
+def add_noise(actions: Tensor, noise: Tensor, timestep: int) -> Tensor:
+    """Forward process in one go.
+
+    Args:
+        actions: (B, 16, 3) clean actions.
+        noise: (B, 16, 3) standard normal.
+        timestep: 0..99.
+
+    Returns:
+        (B, 16, 3) noisy actions.
+    """
+    signal, spread = signal_and_noise(timestep)
+    return signal * actions + spread * noise
+
+
+def reverse_step(
+    noisy: Tensor, predicted_noise: Tensor, timestep: int, target: int, *, eta: float = 0.0, fresh: Tensor | None = None
+) -> Tensor:
+    """One DDIM step (Song, Meng, Ermon 2020, equation 12).
+
+    Args:
+        noisy: (B, 16, 3) actions at ``timestep``.
+        predicted_noise: (B, 16, 3) the network's answer.
+        timestep: 0..99.
+        target: Timestep to go to, smaller than ``timestep``; -1 is the clean sample.
+        eta: 0 is deterministic, 1 is ancestral sampling.
+        fresh: (B, 16, 3) standard normal noise, used where ``eta`` is not zero.
+
+    Returns:
+        (B, 16, 3) actions at ``target``.
+    """
+    here = float(ALPHA_BARS[timestep])
+    there = 1.0 if target < 0 else float(ALPHA_BARS[target])
+    clean = ((noisy - (1.0 - here) ** 0.5 * predicted_noise) / here**0.5).clamp(-CLAMP, CLAMP)
+    spread: float = eta * ((1.0 - there) / (1.0 - here) * (1.0 - here / there)) ** 0.5
+    moved: Tensor = there**0.5 * clean + (1.0 - there - spread**2) ** 0.5 * predicted_noise
+    return moved if fresh is None or spread == 0.0 else moved + spread * fresh
+
+
+def reverse(
+    denoise: Denoise,
+    noisy: Tensor,
+    timesteps: Sequence[int],
+    *,
+    draw: Callable[[], Tensor] | None = None,
+) -> Tensor:
+    """The reverse process from the first of ``timesteps`` to the clean sample.
+
+    Args:
+        denoise: Predicts the noise.
+        noisy: (B, 16, 3) actions at ``timesteps[0]``.
+        timesteps: Strictly falling timesteps at which the network is asked.
+        draw: Gives (B, 16, 3) standard normal noise for the reference's stochastic steps; ``None`` is deterministic.
+
+    Returns:
+        (B, 16, 3) clean actions.
+    """
+    for timestep, target in zip(timesteps, [*timesteps[1:], -1]):
+        predicted = denoise(noisy, torch.tensor([timestep], dtype=torch.float32, device=noisy.device))
+        stochastic = draw is not None and target >= 0
+        noisy = reverse_step(
+            noisy,
+            predicted,
+            timestep,
+            target,
+            eta=reference_eta(timestep) if stochastic else 0.0,
+            fresh=draw() if draw is not None and stochastic else None,
+        )
+    return noisy
+
+
+def strided_timesteps(first: int, calls: int | None) -> tuple[int, ...]:
+    """Timesteps at which the network is asked on the way from ``first`` to the clean sample.
+
+    Args:
+        first: 0..99, always the first one asked.
+        calls: How many, spread evenly; ``None`` or more than there are asks at every timestep, as the reference does.
+
+    Returns:
+        Strictly falling timesteps.
+
+    Raises:
+        InputError: If ``first`` is outside the schedule or ``calls`` is not positive.
+    """
+    if not 0 <= first < STEPS:
+        raise InputError(f"a noise level must be between 1 and {STEPS}, got {first + 1}")
+    if calls is not None and calls < 1:
+        raise InputError(f"at least one denoising step is needed, got {calls}")
+    if calls is None or calls > first:
+        return tuple(range(first, -1, -1))
+    spread = np.linspace(first, 0, calls + 1)[:-1] if calls > 1 else np.array([first])
+    return tuple(int(timestep) for timestep in np.round(spread))

@@ -1,0 +1,129 @@
+"""Noise schedule, DDIM steps and the Verlet standardiser."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from generation.diffusion.schedule import (
+    ALPHA_BARS,
+    BETAS,
+    STEPS,
+    add_noise,
+    reverse,
+    reverse_step,
+    strided_timesteps,
+)
+from generation.diffusion.standardiser import actions_from_waypoints, waypoints_from_actions
+
+GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "denoiser"
+needs_golden = pytest.mark.skipif(not GOLDEN.is_dir(), reason="no reference numbers here")
+
+
+def test_forward_process_never_reaches_pure_noise() -> None:
+    assert ALPHA_BARS[0] == pytest.approx(0.9999)
+    assert ALPHA_BARS[99] == pytest.approx(0.4846, abs=1e-4)
+    assert (np.diff(ALPHA_BARS) < 0).all()
+
+
+@needs_golden
+def test_schedule_equals_the_reference() -> None:
+    with np.load(GOLDEN / "schedule.npz") as golden:
+        assert np.abs(golden["betas"] - BETAS).max() < 1e-8
+        assert np.abs(golden["alphas_cumprod"] - ALPHA_BARS).max() < 1e-6
+        assert golden["timesteps"].tolist() == list(strided_timesteps(99, None))
+
+
+@settings(max_examples=30, deadline=None)
+@given(timestep=st.integers(0, 99), seed=st.integers(0, 1000))
+def test_true_noise_leads_back_to_the_clean_sample(timestep: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clean = torch.from_numpy(rng.uniform(-0.9, 0.9, (3, 16, 3)))
+    noise = torch.from_numpy(rng.standard_normal((3, 16, 3)))
+    noisy = add_noise(clean, noise, timestep)
+    assert (reverse_step(noisy, noise, timestep, -1) - clean).abs().max() < 1e-9
+    if timestep:
+        lower = reverse_step(noisy, noise, timestep, timestep // 2)
+        assert (lower - add_noise(clean, noise, timestep // 2)).abs().max() < 1e-9
+
+
+@pytest.mark.parametrize("calls", [1, 2, 7, None])
+def test_perfect_denoiser_recovers_the_sample_at_any_stride(calls: int | None) -> None:
+    clean = torch.from_numpy(np.random.default_rng(1).uniform(-0.5, 0.5, (2, 16, 3)))
+
+    def perfect(noisy: torch.Tensor, timesteps: torch.Tensor) -> torch.Tensor:
+        alpha_bar = float(ALPHA_BARS[int(timesteps)])
+        noise: torch.Tensor = (noisy - alpha_bar**0.5 * clean) / (1 - alpha_bar) ** 0.5
+        return noise
+
+    for first in (0, 4, 99):
+        end = reverse(perfect, torch.full_like(clean, 0.3), strided_timesteps(first, calls))
+        assert (end - clean).abs().max() < 1e-6
+
+
+def test_predicted_sample_is_clamped() -> None:
+    noisy = torch.full((1, 16, 3), 5.0)
+    assert reverse_step(noisy, torch.zeros_like(noisy), 50, -1).max() == 1.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(first=st.integers(0, 99), calls=st.integers(1, 120))
+def test_strided_timesteps_fall_from_the_first(first: int, calls: int) -> None:
+    asked = strided_timesteps(first, calls)
+    assert asked[0] == first
+    assert len(asked) == min(calls, first + 1)
+    assert all(later < earlier for earlier, later in itertools.pairwise(asked))
+    assert asked[-1] >= 0
+
+
+def test_reference_asks_at_every_step() -> None:
+    assert strided_timesteps(4, None) == (4, 3, 2, 1, 0)
+    assert strided_timesteps(STEPS - 1, None) == tuple(range(99, -1, -1))
+
+
+@pytest.mark.parametrize(("first", "calls"), [(-1, None), (100, None), (5, 0), (5, -3)])
+def test_impossible_strides_are_refused(first: int, calls: int | None) -> None:
+    with pytest.raises(InputError):
+        strided_timesteps(first, calls)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_standardiser_is_its_own_inverse(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    actions, previous = rng.uniform(-1, 1, (5, 16, 3)), rng.uniform(-8, 0, 3)
+    waypoints = waypoints_from_actions(actions, previous)
+    assert np.abs(actions_from_waypoints(waypoints, previous) - actions).max() < 1e-10
+
+
+def test_no_action_keeps_the_speed() -> None:
+    waypoints = waypoints_from_actions(np.zeros((1, 16, 3)), np.array([-5.0, 0.0, 0.0]))
+    assert np.allclose(waypoints[0, :, 0], 5.0 * np.arange(1, 17))
+    assert np.allclose(waypoints[0, :, 1:], 0.0)
+
+
+def test_full_action_is_four_metres_of_second_difference() -> None:
+    actions = np.zeros((1, 16, 3))
+    actions[0, 0, 0] = 1.0
+    waypoints = waypoints_from_actions(actions, np.zeros(3))
+    assert np.allclose(np.diff(waypoints[0, :, 0], prepend=0.0), 4.0)
+
+
+@needs_golden
+def test_standardiser_equals_the_reference() -> None:
+    with np.load(GOLDEN / "parity.npz") as golden:
+        history = golden["verlet_history"][:, -2:, :3].astype(np.float64)
+        actions = golden["full_eta0_actions"].reshape(8, 16, 3).astype(np.float64)
+        still = waypoints_from_actions(actions, np.zeros(3))
+        stored = golden["full_eta0_trajectory_zero_history"].reshape(8, 16, 3)
+        assert np.abs(still - stored).max() < 1e-6 * np.abs(stored).max()  # the reference sums in float32
+        moved = golden["verlet_untransform_with_history"].reshape(8, 16, 3).astype(np.float64)
+        error = np.abs(waypoints_from_actions(actions, history[:, 0], history[:, 1]) - moved).max()
+        assert error < 1e-6 * np.abs(moved).max()
+        back = actions_from_waypoints(moved, history[:, 0], history[:, 1])
+        assert np.abs(back - golden["verlet_transform_back"].reshape(8, 16, 3)).max() < 5e-5
