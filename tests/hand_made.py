@@ -82,7 +82,7 @@ def scene_on_straight_road(
         np.column_stack([ego_x + ego_speed * time, np.full(count, ego_y), np.zeros(count)]),
         quaternion_from_yaw(np.zeros(count)),
     )
-    agents = _agents(cars, time)
+    agents = _agents(cars, time, name)
     keyframes = np.arange(0, count, FRAMES_PER_KEYFRAME)
     shape = (len(cars), len(keyframes))
     annotations = Annotations(
@@ -99,7 +99,7 @@ def scene_on_straight_road(
         name=name,
         token=token("hand-made", name),
         description=description,
-        log="n000-2026-01-01-00-00-00+0000",
+        log=f"n000-{name}",
         vehicle="n000",
         date="2026-01-01",
         timestamps_us=1_700_000_000_000_000 + np.round(time * 1e6).astype(np.int64),
@@ -113,7 +113,7 @@ def scene_on_straight_road(
     )
 
 
-def _agents(cars: tuple[Car, ...], time: Floats) -> Agents:
+def _agents(cars: tuple[Car, ...], time: Floats, scene: str) -> Agents:
     count = len(time)
     position = np.empty((len(cars), count, 3))
     for row, car in enumerate(cars):
@@ -121,7 +121,7 @@ def _agents(cars: tuple[Car, ...], time: Floats) -> Agents:
         position[row, :, 1] = car.y + car.speed * np.sin(car.yaw) * time
         position[row, :, 2] = car.size[2] / 2
     return Agents(
-        ids=tuple(token("car", row) for row in range(len(cars))),
+        ids=tuple(token("car", scene, row) for row in range(len(cars))),
         categories=tuple(car.category for car in cars),
         position=position,
         yaw=np.repeat(np.array([car.yaw for car in cars], dtype=np.float64)[:, None], count, axis=1),

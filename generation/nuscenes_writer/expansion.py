@@ -1,0 +1,197 @@
+"""The vector map in nuScenes' map-expansion format, version 1.3."""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, Polygon
+
+from benchmark.geometry import Floats
+from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
+from benchmark.storage import token
+from generation.nuscenes_writer.arclines import arcline_path
+
+Row = dict[str, Any]
+
+EXPANSION_VERSION: Final = "1.3"
+LAYERS: Final = (
+    "polygon",
+    "line",
+    "node",
+    "drivable_area",
+    "road_segment",
+    "road_block",
+    "lane",
+    "ped_crossing",
+    "walkway",
+    "stop_line",
+    "carpark_area",
+    "road_divider",
+    "lane_divider",
+    "traffic_light",
+    "lane_connector",
+)
+_LANE_WIDTH_M: Final = 3.5
+"""Width of a lane whose source has only its centre line."""
+_SEGMENT_TYPES: Final = {
+    DividerKind.SOLID_WHITE: "SINGLE_SOLID_WHITE",
+    DividerKind.DASHED_WHITE: "DOUBLE_DASHED_WHITE",
+    DividerKind.SOLID_YELLOW: "SINGLE_SOLID_YELLOW",
+    DividerKind.DASHED_YELLOW: "DOUBLE_DASHED_YELLOW",
+    DividerKind.UNPAINTED: "NIL",
+}
+"""nuScenes' names, in which dashed white is called double; it has none for dashed yellow."""
+
+
+def map_expansion(road_map: RoadMap) -> Row:
+    """A road map as the content of ``maps/expansion/<location>.json``.
+
+    Lanes, crossings and the like keep their identifiers as tokens. Lane connectors and lanes without a surface get
+    one around their centre line. There are no road blocks and traffic lights.
+
+    Args:
+        road_map: The whole map of the place.
+
+    Returns:
+        JSON values that the devkit's ``NuScenesMap`` reads.
+    """
+    writer = _LayerWriter(road_map.location)
+    writer.add_areas(road_map)
+    for divider in road_map.dividers:
+        writer.add_divider(divider)
+    kept = {name for name, lane in road_map.lanes.items() if writer.add_lane(lane)}
+    connectivity = {
+        name: {
+            "incoming": [other for other in road_map.lanes[name].predecessors if other in kept],
+            "outgoing": [other for other in road_map.lanes[name].successors if other in kept],
+        }
+        for name in sorted(kept)
+    }
+    return {
+        "version": EXPANSION_VERSION,
+        "canvas_edge": list(road_map.canvas_m),
+        **writer.layers,
+        "connectivity": connectivity,
+        "arcline_path_3": writer.arclines,
+    }
+
+
+class _LayerWriter:
+    """Collects layers; equal coordinates share a node."""
+
+    def __init__(self, location: str) -> None:
+        self.location = location
+        self.layers: dict[str, list[Row]] = {layer: [] for layer in LAYERS}
+        self.arclines: dict[str, list[Row]] = {}
+        self.nodes: dict[tuple[float, float], str] = {}
+
+    def add_areas(self, road_map: RoadMap) -> None:
+        """All surfaces but lanes."""
+        area_token = token("drivable_area", self.location)
+        pieces = _sound(road_map.drivable_area)
+        if pieces:
+            polygons = [self._polygon(piece, ("drivable_area", number)) for number, piece in enumerate(pieces)]
+            self.layers["drivable_area"].append({"token": area_token, "polygon_tokens": polygons})
+        for name, shape in sorted(road_map.road_segments.items()):
+            extra = {
+                "is_intersection": name in road_map.intersections,
+                "drivable_area_token": area_token if pieces else "",
+            }
+            self._surface("road_segment", name, shape, extra)
+        for name, shape in sorted(road_map.ped_crossings.items()):
+            self._surface("ped_crossing", name, shape, {"road_segment_token": ""})
+        for name, shape in sorted(road_map.walkways.items()):
+            self._surface("walkway", name, shape, {})
+        for name, shape in sorted(road_map.stop_lines.items()):
+            cues = {"ped_crossing_tokens": [], "traffic_light_tokens": [], "road_block_token": ""}
+            self._surface("stop_line", name, shape, {"stop_line_type": "TURN_STOP", **cues})
+        for name, shape in sorted(road_map.carparks.items()):
+            self._surface("carpark_area", name, shape, {"orientation": 0.0, "road_block_token": ""})
+
+    def add_divider(self, divider: Divider) -> None:
+        """A lane or road divider with its paint."""
+        line_token, nodes = self._line(divider.line, ("divider", divider.identifier))
+        segments = [{"node_token": node, "segment_type": _SEGMENT_TYPES[divider.kind]} for node in nodes]
+        row = {"token": divider.identifier, "line_token": line_token, "lane_divider_segments": segments}
+        if divider.between_directions:
+            self.layers["road_divider"].append({**row, "road_segment_token": ""})
+        else:
+            self.layers["lane_divider"].append(row)
+
+    def add_lane(self, lane: Lane) -> bool:
+        """A lane or connector; one without any length is left out."""
+        path = arcline_path(lane.centerline)
+        surface = _largest(lane.polygon) if lane.polygon is not None else None
+        if surface is None and path:
+            surface = _largest(LineString(lane.centerline).buffer(_LANE_WIDTH_M / 2, cap_style="flat"))
+        if not path or surface is None:
+            return False
+        self.arclines[lane.identifier] = path
+        polygon = self._polygon(surface, ("lane", lane.identifier))
+        if lane.is_connector:
+            self.layers["lane_connector"].append({"token": lane.identifier, "polygon_token": polygon})
+            return True
+        ends = [self._edge(surface, path[side][pose], (lane.identifier, pose)) for side, pose in _LANE_ENDS]
+        self.layers["lane"].append(
+            {
+                "token": lane.identifier,
+                "polygon_token": polygon,
+                "lane_type": "CAR",
+                "from_edge_line_token": ends[0],
+                "to_edge_line_token": ends[1],
+                "left_lane_divider_segments": [],
+                "right_lane_divider_segments": [],
+            }
+        )
+        return True
+
+    def _surface(self, layer: str, name: str, shape: Polygon, extra: Row) -> None:
+        surface = _largest(shape)
+        if surface is not None:
+            polygon = self._polygon(surface, (layer, name))
+            self.layers[layer].append({"token": name, "polygon_token": polygon, **extra})
+
+    def _polygon(self, polygon: Polygon, key: tuple[Any, ...]) -> str:
+        own_token = token("polygon", self.location, *key)
+        holes = [{"node_tokens": self._ring(ring.coords)} for ring in polygon.interiors]
+        row = {"token": own_token, "exterior_node_tokens": self._ring(polygon.exterior.coords), "holes": holes}
+        self.layers["polygon"].append(row)
+        return own_token
+
+    def _line(self, points: Floats, key: tuple[Any, ...]) -> tuple[str, list[str]]:
+        own_token = token("line", self.location, *key)
+        nodes = [self._node(x, y) for x, y in np.asarray(points)[:, :2].tolist()]
+        self.layers["line"].append({"token": own_token, "node_tokens": nodes})
+        return own_token, nodes
+
+    def _edge(self, surface: Polygon, pose: list[float], key: tuple[Any, ...]) -> str:
+        """The end of a lane: the corners of its surface nearest to where the lane's borders should end."""
+        corners = np.array(surface.exterior.coords)[:-1, :2]
+        left = np.array([-np.sin(pose[2]), np.cos(pose[2])]) * _LANE_WIDTH_M / 2
+        centre = np.array(pose[:2])
+        nearest = [int(np.linalg.norm(corners - point, axis=1).argmin()) for point in (centre + left, centre - left)]
+        return self._line(corners[nearest], ("edge", *key))[0]
+
+    def _ring(self, coordinates: Iterable[tuple[float, ...]]) -> list[str]:
+        return [self._node(point[0], point[1]) for point in list(coordinates)[:-1]]
+
+    def _node(self, x: float, y: float) -> str:
+        at = (float(x) + 0.0, float(y) + 0.0)
+        if at not in self.nodes:
+            self.nodes[at] = token("node", self.location, *at)
+            self.layers["node"].append({"token": self.nodes[at], "x": at[0], "y": at[1]})
+        return self.nodes[at]
+
+
+_LANE_ENDS: Final = ((0, "start_pose"), (-1, "end_pose"))
+
+
+def _sound(shape: shapely.Geometry) -> list[Polygon]:
+    """Valid polygons of a geometry, slivers below a square centimetre dropped."""
+    whole = shape if shape.is_valid else shapely.make_valid(shape)
+    return [piece for piece in as_multipolygon(whole).geoms if piece.area > 1e-4]
+
+
+def _largest(shape: shapely.Geometry) -> Polygon | None:
+    return max(_sound(shape), key=lambda piece: piece.area, default=None)

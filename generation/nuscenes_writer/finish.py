@@ -1,0 +1,208 @@
+"""Putting written scenes together: tables, maps, splits and provenance of each root."""
+
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.errors import InputError
+from benchmark.storage import canonical_json, read_json, write_bytes, write_json, writing_to
+from generation.nuscenes_writer.maps import write_maps
+from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
+from generation.nuscenes_writer.scenes import release_claim
+from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
+
+PROVENANCE: Final = "challenger.json"
+PROVENANCE_SCHEMA: Final = 1
+_LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")
+"""Temporary files of a process that was killed while writing (`benchmark.storage.write_bytes`)."""
+
+Fragment = dict[str, Any]
+
+
+def finish_data_set(
+    plan: DataSetPlan, keys: Sequence[str], *, extra_splits: Mapping[str, Sequence[str]] | None = None
+) -> None:
+    """Merge written scenes into complete roots; ``challenger.json`` is written last and marks a finished root.
+
+    Scenes that were written here earlier and are not named are removed. Running it twice gives the same bytes.
+
+    Args:
+        plan: The data set.
+        keys: What `write_scene` returned, in the order that the scenes get in the tables.
+        extra_splits: Further splits: scene names by split. Their scenes are not in ``plan.split``, unless
+            ``plan.split`` is given here as well.
+
+    Raises:
+        InputError: If there are no keys, a key was never written, two scenes have the same name, files or instances,
+            a split names an unknown scene, or the disk refuses.
+    """
+    if not keys:
+        raise InputError(f"there is no scene to write to {plan.root}; nothing was changed")
+    fragments = [_read_fragment(plan, key) for key in dict.fromkeys(keys)]
+    roots: dict[int, list[Fragment]] = {}
+    for fragment in fragments:
+        roots.setdefault(fragment["variant"] if plan.layout == "per-variant" else 0, []).append(fragment)
+    for variant, members in sorted(roots.items()):
+        require_own_root(plan, variant)
+        _require_distinct(members)
+    splits = _splits(plan, [fragment["name"] for fragment in fragments], extra_splits or {})
+    for root in _all_roots(plan, roots):
+        with writing_to(root):
+            (root / plan.version / PROVENANCE).unlink(missing_ok=True)
+    _remove_stale(plan, roots)
+    vocabulary = Vocabulary.of(plan.source)
+    for variant, members in sorted(roots.items()):
+        _write_root(plan, plan.data_root(variant), vocabulary, members, splits)
+    _remove_left_overs(plan, roots)
+    for variant, members in sorted(roots.items()):
+        write_json(plan.data_root(variant) / plan.version / PROVENANCE, _provenance(plan, members))
+
+
+def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
+    path = plan.fragment_path(key)
+    if not path.is_file():
+        raise InputError(f"scene {key[:12]} of {plan.root} is not written; run the command that builds it again")
+    fragment: Fragment = read_json(path)
+    return fragment
+
+
+def _require_distinct(members: Sequence[Fragment]) -> None:
+    """Refuse scenes that would overwrite each other."""
+    names: set[str] = set()
+    owners: dict[str, dict[str, str]] = {"files": {}, "instances": {}}
+    for fragment in members:
+        name = fragment["name"]
+        if name in names:
+            raise InputError(f"two scenes are called {name}; give each its own name or use another variant")
+        names.add(name)
+        for what, known in owners.items():
+            for item in fragment[what]:
+                if item in known:
+                    raise InputError(
+                        f"{known[item]} and {name} share {what[:-1]} {item}; scenes of one data set need logs or times "
+                        "and instances of their own: rename their logs or identifiers"
+                    )
+                known[item] = name
+
+
+def _splits(plan: DataSetPlan, names: Sequence[str], extra: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    for split, members in extra.items():
+        unknown = sorted(set(members) - set(names))
+        if unknown:
+            raise InputError(f"split {split} names scene {unknown[0]}, which is not among the scenes of {plan.root}")
+    taken = {name for members in extra.values() for name in members}
+    own = {plan.split: [name for name in dict.fromkeys(names) if name not in taken]}
+    return {**own, **{split: list(members) for split, members in extra.items()}}
+
+
+def _all_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
+    """Roots that are written now or were written before."""
+    variants = set(roots) | {claim["variant"] for claim in _claims(plan).values()}
+    return sorted({plan.data_root(variant) for variant in variants})
+
+
+def _claims(plan: DataSetPlan) -> dict[Path, dict[str, Any]]:
+    return {path: read_json(path) for path in sorted((plan.state / "claims").glob("*.json"))}
+
+
+def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) -> None:
+    """Remove scenes that are no longer part of the data set, and roots that have none left."""
+    kept = {fragment["key"] for members in roots.values() for fragment in members}
+    used = {
+        plan.data_root(variant): frozenset(path for fragment in members for path in fragment["files"])
+        for variant, members in roots.items()
+    }
+    for path, claim in _claims(plan).items():
+        if claim["key"] not in kept:
+            root = plan.data_root(claim["variant"])
+            release_claim(plan, claim, used.get(root, frozenset()))
+            with writing_to(path):
+                path.unlink()
+            if root not in used:
+                _remove_root(plan, root)
+    maps = {fragment["map"] for members in roots.values() for fragment in members}
+    for folder, names in (("fragments", kept), ("maps", maps)):
+        for path in sorted((plan.state / folder).glob("*.json")):
+            if path.stem not in names:
+                with writing_to(path):
+                    path.unlink()
+
+
+def _remove_root(plan: DataSetPlan, root: Path) -> None:
+    """Remove what finishing wrote to a root, and the folders that are empty then."""
+    with writing_to(root):
+        for table in (*NUSCENES_TABLES, "splits"):
+            (root / plan.version / f"{table}.json").unlink(missing_ok=True)
+        shutil.rmtree(root / "maps", ignore_errors=True)
+        shutil.rmtree(plan.drawn_path(root), ignore_errors=True)
+        folders = [root / plan.version, *(root / kind for kind in ("samples", "sweeps", "can_bus")), root]
+        for folder in folders:
+            for empty in (*folder.glob("*/"), folder):
+                if empty.is_dir() and not any(empty.iterdir()):
+                    empty.rmdir()
+
+
+def _write_root(
+    plan: DataSetPlan,
+    root: Path,
+    vocabulary: Vocabulary,
+    members: Sequence[Fragment],
+    splits: Mapping[str, Sequence[str]],
+) -> None:
+    logs, maps = write_maps(plan, root, vocabulary, members)
+    shared: dict[str, list[Row]] = {
+        "sensor": sensor_rows(),
+        "category": _labels(vocabulary.category, members, "category"),
+        "attribute": _labels(vocabulary.attribute, members, "attribute"),
+        "visibility": list(vocabulary.visibility),
+        "log": logs,
+        "map": maps,
+    }
+    folder = root / plan.version
+    for table in NUSCENES_TABLES:
+        if table in shared:
+            lines = list(map(canonical_json, shared[table]))
+        else:
+            lines = [fragment["tables"][table] for fragment in members if fragment["tables"][table]]
+        write_bytes(folder / f"{table}.json", ("[\n" + ",\n".join(lines) + "\n]\n").encode())
+    here = {fragment["name"] for fragment in members}
+    present = {split: [name for name in names if name in here] for split, names in splits.items()}
+    write_json(folder / "splits.json", present)
+
+
+def _labels(known: Mapping[str, Row], members: Sequence[Fragment], table: str) -> list[Row]:
+    """The vocabulary's rows, and those that scenes had to make up."""
+    used = {row["name"]: row for fragment in members for row in fragment["labels"][table]}
+    return [*known.values(), *(row for name, row in sorted(used.items()) if name not in known)]
+
+
+def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any]:
+    source = None if plan.source is None else {"name": plan.source.name, "fingerprint": plan.source.fingerprint}
+    scenes = {
+        fragment["name"]: {name: fragment[name] for name in ("source_scene", "adversaries", "report")}
+        for fragment in members
+    }
+    return {
+        "schema": PROVENANCE_SCHEMA,
+        "split": plan.split,
+        "source": source,
+        "renderer": members[0]["renderer"],
+        "scenes": scenes,
+    }
+
+
+def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
+    """Remove temporary files of killed processes."""
+    folders = [plan.state / name for name in ("claims", "fragments", "maps")]
+    for variant in roots:
+        root = plan.data_root(variant)
+        folders += [plan.drawn_path(root), root / plan.version, root / "can_bus", *sorted(root.glob("maps/**/"))]
+        folders += [*sorted(root.glob("samples/*/")), *sorted(root.glob("sweeps/*/"))]
+    for folder in folders:
+        for path in sorted(folder.glob(".*.part")):
+            if _LEFT_OVER.fullmatch(path.name):
+                with writing_to(path):
+                    path.unlink()

@@ -1,0 +1,129 @@
+"""The map files of a finished root: the source's where it has them, else made from the scenes' road maps."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmark.errors import InputError
+from benchmark.road_map import RoadMap
+from benchmark.storage import content_key, read_json, token, write_bytes, write_json
+from generation.nuscenes_writer.expansion import map_expansion
+from generation.nuscenes_writer.masks import basemap, drivable_mask
+from generation.nuscenes_writer.plan import DataSetPlan
+from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
+from generation.nuscenes_writer.vocabulary import Row, Vocabulary
+
+_DEVKIT_MASKS = {
+    "singapore-onenorth": "53992ee3023e5494b90c316c183be829",
+    "singapore-hollandvillage": "37819e65e09e5547b8a3ceaefba56bb2",
+    "singapore-queenstown": "93406b464a165eaba6d9de76ca09f5da",
+    "boston-seaport": "36092f0b03a857c6a3403e25b4b7aab3",
+}
+"""Mask names that the devkit's ``BitMap`` has built in."""
+
+
+def write_maps(
+    plan: DataSetPlan, root: Path, vocabulary: Vocabulary, fragments: Sequence[Mapping[str, Any]]
+) -> tuple[list[Row], list[Row]]:
+    """Write a root's ``maps`` folder.
+
+    Args:
+        plan: The data set.
+        root: The root that is being finished.
+        vocabulary: Rows of the source.
+        fragments: Its scenes: ``location``, ``map`` (key of the stored road map) and ``log`` (row) of each.
+
+    Returns:
+        Rows of the ``log`` and of the ``map`` table.
+
+    Raises:
+        InputError: If the disk refuses.
+    """
+    copied = _copy_source_maps(plan, root)
+    logs = {row["token"]: row for row in (*vocabulary.log, *(fragment["log"] for fragment in fragments))}
+    rows = [{**row, "log_tokens": list(row["log_tokens"])} for row in vocabulary.map]
+    placed = {log_token for row in rows for log_token in row["log_tokens"]}
+    for location in sorted({str(row["location"]) for row in logs.values()}):
+        new_logs = sorted(name for name, row in logs.items() if row["location"] == location and name not in placed)
+        same_place = (row for row in rows if any(_location(logs, name) == location for name in row["log_tokens"]))
+        row = next(same_place, None)
+        if row is None:
+            mask_token = _DEVKIT_MASKS.get(location) or token("map", location)
+            row = {"token": mask_token, "category": "semantic_prior", "filename": f"maps/{mask_token}.png"}
+            rows.append({**row, "log_tokens": new_logs})
+        else:
+            row["log_tokens"] += new_logs
+        keys = list(dict.fromkeys(str(part["map"]) for part in fragments if part["location"] == location))
+        _draw(plan, root, location, keys, mask=row["filename"], copied=copied)
+    return sorted(logs.values(), key=lambda row: str(row["token"])), rows
+
+
+def _location(logs: Mapping[str, Row], log_token: str) -> str | None:
+    """Where a log was recorded; the maps of v1.0-mini also list logs that only v1.0-trainval has."""
+    return str(logs[log_token]["location"]) if log_token in logs else None
+
+
+def _draw(
+    plan: DataSetPlan, root: Path, location: str, map_keys: list[str], *, mask: str, copied: frozenset[str]
+) -> None:
+    """Make the files of one place that were not copied; nothing is drawn twice from the same maps."""
+    expansion, picture = f"maps/expansion/{location}.json", f"maps/basemap/{location}.png"
+    wanted = [path for path in (mask, expansion, picture) if path not in copied]
+    if not wanted:
+        return
+    parts = [unpack_road_map(read_json(plan.map_path(key))) for key in map_keys]
+    road_map = merged(parts) if parts else merged([_empty(location)])
+    drawn_key = content_key(pack_road_map(road_map), _DRAWING_VERSION)
+    note = plan.drawn_path(root) / f"{mask.replace('/', '_')}.json"
+    finished = {"key": drawn_key, "files": wanted}
+    if note.is_file() and read_json(note) == finished and all((root / path).is_file() for path in wanted):
+        return
+    note.unlink(missing_ok=True)
+    if mask in wanted:
+        write_bytes(root / mask, drivable_mask(road_map))
+    if expansion in wanted:
+        write_json(root / expansion, map_expansion(road_map), indent=None)
+    if picture in wanted:
+        write_bytes(root / picture, basemap(road_map))
+    write_json(note, finished)
+
+
+_DRAWING_VERSION = 1
+
+
+def _empty(location: str) -> RoadMap:
+    import shapely
+
+    return RoadMap(location=location, drivable_area=shapely.MultiPolygon())
+
+
+def _copy_source_maps(plan: DataSetPlan, root: Path) -> frozenset[str]:
+    """Copy the source's ``maps`` folder whole; the paths below the root that came from there."""
+    source = None if plan.source is None or plan.source.root is None else plan.source.root / "maps"
+    if source is None or not source.is_dir():
+        return frozenset()
+    copied = set()
+    for path in _files_below(source):
+        relative = f"maps/{path.relative_to(source).as_posix()}"
+        target = root / relative
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror or error}; the new data set needs it") from error
+        if not target.is_file() or target.read_bytes() != data:
+            write_bytes(target, data)
+        copied.add(relative)
+    return frozenset(copied)
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    """Files in a folder, through linked folders, each folder once."""
+    seen = set()
+    for parent, children, names in os.walk(folder, followlinks=True):
+        real = os.path.realpath(parent)
+        if real in seen:
+            children.clear()
+            continue
+        seen.add(real)
+        yield from (Path(parent) / name for name in sorted(names) if not name.startswith("."))

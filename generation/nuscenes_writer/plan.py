@@ -1,0 +1,222 @@
+"""What is known of a data set before work on it starts, and the keys and names that follow from it."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import shapely
+
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.errors import InputError
+from benchmark.scene import Camera, Scene
+from benchmark.storage import content_key, token
+from generation.rendering import Renderer
+
+WRITER_VERSION: Final = 1
+"""Part of every content key; raised when the same scene would be written differently."""
+STATE_FOLDER: Final = ".challenger"
+_PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceInfo:
+    """The data set that another one derives from.
+
+    Attributes:
+        name: Its name.
+        fingerprint: Its content hash.
+        root: Its root folder; maps, CAN bus files and label tokens come from there where it has them.
+        version: Its version folder; may stay ``None`` where the root has only one.
+    """
+
+    name: str
+    fingerprint: str
+    root: Path | None = None
+    version: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DataSetPlan:
+    """One data set to write.
+
+    Attributes:
+        root: Folder to write.
+        split: Name of the split: ``val``, ``val-r``, ``adv``, ...
+        version: Name of the folder with the tables.
+        layout: ``suffixed``: one root for all scenes. ``per-variant``: complete roots ``v0``, ``v1``, ... with the
+            original scene names, which official model code accepts unpatched (``spec/differences.md`` D).
+        renderer: Draws the camera images; ``None`` for a data set without cameras.
+        frames: Which frames get rows and files: all 12 Hz frames or the 2 Hz keyframes.
+        jpeg_quality: 1..100.
+        lossless: PNG instead of JPEG.
+        source: What the data set derives from, or ``None``.
+    """
+
+    root: Path
+    split: str
+    version: str = "v1.0-trainval"
+    layout: Literal["suffixed", "per-variant"] = "suffixed"
+    renderer: Renderer | None = None
+    frames: Literal["all", "keyframes"] = "all"
+    jpeg_quality: int = 92
+    lossless: bool = False
+    source: SourceInfo | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.jpeg_quality <= 100:
+            raise InputError(f"the JPEG quality must be 1 to 100, got {self.jpeg_quality}")
+        for what, name in (("version folder", self.version), ("split", self.split)):
+            require_plain_name(what, name)
+
+    @property
+    def state(self) -> Path:
+        """Folder of what the writer remembers between runs."""
+        return self.root / STATE_FOLDER
+
+    def data_root(self, variant: int) -> Path:
+        """The nuScenes-format root that a scene belongs to."""
+        return self.root if self.layout == "suffixed" else self.root / f"v{variant}"
+
+    def fragment_path(self, key: str) -> Path:
+        """Table rows of one finished scene; its presence means that all files of the scene are there."""
+        return self.state / "fragments" / f"{key}.json"
+
+    def claim_path(self, variant: int, name: str) -> Path:
+        """Which key, and which files, a scene name stands for at the moment."""
+        return self.state / "claims" / f"v{variant}-{name}.json"
+
+    def map_path(self, map_key: str) -> Path:
+        """A stored road map."""
+        return self.state / "maps" / f"{map_key}.json"
+
+    def drawn_path(self, root: Path) -> Path:
+        """Folder of notes on which maps of a data root have been drawn from what."""
+        return self.state / "drawn" / ("root" if root == self.root else root.name)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneNames:
+    """Tokens and file names of one scene.
+
+    Attributes:
+        name: Name of the scene in the data set.
+        suffix: What ``name`` adds to the name of the source scene; part of the file names.
+        log: Log name, as it may stand in a file name.
+        identity: What the tokens are hashes of, beside their own parts.
+        keeps_instances: Whether instance tokens of the source stay what they are.
+    """
+
+    name: str
+    suffix: str
+    log: str
+    identity: tuple[str, ...]
+    keeps_instances: bool
+
+    @classmethod
+    def of(cls, plan: DataSetPlan, scene: Scene, *, name: str, variant: int, source_scene: str) -> "SceneNames":
+        """Names of a scene of a plan; see `write_scene` for the arguments."""
+        require_plain_name("scene", name)
+        suffix = name.removeprefix(source_scene) if name.startswith(source_scene) else ""
+        moved = content_key(digest((scene.timestamps_us, scene.ego, scene.agents, scene.annotations)))
+        return cls(
+            name=name,
+            suffix=suffix,
+            log=re.sub(r"[^A-Za-z0-9.+_-]", "_", scene.log or name),
+            identity=(plan.split, str(variant), name, moved),
+            keeps_instances=plan.layout == "per-variant" or name == source_scene,
+        )
+
+    def token(self, table: str, *parts: Any) -> str:
+        """Token of a row that belongs to this scene."""
+        return token(table, *self.identity, *parts)
+
+    def instance(self, agent_id: str) -> str:
+        """Token of an agent: the source's where no other copy of the scene shares the root, else a hash."""
+        if self.keeps_instances and re.fullmatch(r"[0-9a-f]{32}", agent_id):
+            return agent_id
+        return token("instance", self.name, agent_id)
+
+    def file(self, channel: str, timestamp_us: int, *, is_keyframe: bool, extension: str) -> str:
+        """Path of a sensor file below the data root, in nuScenes' pattern."""
+        folder = "samples" if is_keyframe else "sweeps"
+        return f"{folder}/{channel}/{self.log}__{channel}__{timestamp_us}{self.suffix}.{extension}"
+
+
+def scene_key(
+    plan: DataSetPlan, scene: Scene, cameras: tuple[Camera, ...], *, map_key: str, labels: Mapping[str, Any]
+) -> str:
+    """Key of everything that the files and rows of a scene depend on.
+
+    Args:
+        plan: The data set.
+        scene: The scene.
+        cameras: Its cameras as rendered.
+        map_key: Key of the scene's road map.
+        labels: Name, variant, source scene and report.
+
+    Returns:
+        64 hexadecimal digits.
+    """
+    content = {item.name: digest(getattr(scene, item.name)) for item in fields(scene) if item.name != "road_map"}
+    drawn = None
+    if plan.renderer is not None:
+        drawn = [plan.renderer.name, plan.renderer.version, digest(cameras), plan.jpeg_quality, plan.lossless]
+    source = None if plan.source is None else [plan.source.name, plan.source.fingerprint]
+    return content_key(
+        "writer", WRITER_VERSION, content, map_key, labels, plan.split, plan.layout, plan.frames, drawn, source
+    )
+
+
+def digest(value: Any) -> Any:
+    """A JSON value that differs whenever the content of ``value`` does.
+
+    Args:
+        value: Dataclasses, arrays, geometries, containers and plain values, nested at will.
+
+    Returns:
+        Something `benchmark.storage.content_key` accepts.
+    """
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind in "UO":
+            return value.tolist()
+        data = np.ascontiguousarray(value)
+        return [data.dtype.str, list(data.shape), hashlib.sha256(data.tobytes()).hexdigest()]
+    if isinstance(value, shapely.Geometry):
+        return hashlib.sha256(shapely.to_wkb(value)).hexdigest()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: digest(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, dict):
+        return {str(key): digest(item) for key, item in value.items()}
+    if isinstance(value, frozenset):
+        return sorted(value)
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, tuple | list):
+        return [digest(item) for item in value]
+    return value
+
+
+def require_plain_name(what: str, name: str) -> None:
+    """Refuse names that would leave their folder or confuse a shell.
+
+    Raises:
+        InputError: If ``name`` is not letters, digits and ``. _ + -``.
+    """
+    if not _PLAIN_NAME.fullmatch(name):
+        raise InputError(f"{what} name {name!r} cannot be a file name; use letters, digits, dot, dash and underscore")
+
+
+def require_own_root(plan: DataSetPlan, variant: int) -> None:
+    """Refuse to write over a data set that this writer did not make.
+
+    Raises:
+        InputError: If the target already has tables but none of the writer's own state.
+    """
+    folder = plan.data_root(variant) / plan.version
+    if plan.state.is_dir() or not any((folder / f"{table}.json").exists() for table in NUSCENES_TABLES):
+        return
+    raise InputError(f"{folder} holds a data set that was not written here; choose another --out, nothing was changed")

@@ -1,0 +1,178 @@
+"""Road maps stored beside the fragments, and parts of one place's map put together again."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+
+from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
+
+_SNAP_M = 1e-4
+"""Grid on which clipped pieces of one drivable area are joined: far below map accuracy, closes float seams."""
+
+
+def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
+    """A road map as JSON values.
+
+    Args:
+        road_map: The map.
+
+    Returns:
+        What `unpack_road_map` reads; geometries are exact.
+    """
+    layers = {layer: _pack_polygons(getattr(road_map, layer)) for layer in _POLYGON_LAYERS}
+    return {
+        "location": road_map.location,
+        "canvas_m": list(road_map.canvas_m),
+        "drivable_area": _wkb(road_map.drivable_area),
+        "intersections": sorted(road_map.intersections),
+        "lanes": [
+            {
+                "identifier": lane.identifier,
+                "centerline": np.asarray(lane.centerline, np.float64).tolist(),
+                "polygon": None if lane.polygon is None else _wkb(lane.polygon),
+                "successors": list(lane.successors),
+                "predecessors": list(lane.predecessors),
+                "is_connector": lane.is_connector,
+            }
+            for _, lane in sorted(road_map.lanes.items())
+        ],
+        "dividers": [
+            {
+                "identifier": divider.identifier,
+                "line": np.asarray(divider.line, np.float64).tolist(),
+                "kind": divider.kind.value,
+                "between_directions": divider.between_directions,
+            }
+            for divider in sorted(road_map.dividers, key=lambda divider: divider.identifier)
+        ],
+        **layers,
+    }
+
+
+def unpack_road_map(packed: dict[str, Any]) -> RoadMap:
+    """The road map that `pack_road_map` was given."""
+    lanes = {
+        row["identifier"]: Lane(
+            row["identifier"],
+            np.array(row["centerline"], np.float64),
+            None if row["polygon"] is None else shapely.from_wkb(row["polygon"]),
+            tuple(row["successors"]),
+            tuple(row["predecessors"]),
+            row["is_connector"],
+        )
+        for row in packed["lanes"]
+    }
+    dividers = tuple(
+        Divider(
+            row["identifier"], np.array(row["line"], np.float64), DividerKind(row["kind"]), row["between_directions"]
+        )
+        for row in packed["dividers"]
+    )
+    layers = {layer: {name: shapely.from_wkb(wkb) for name, wkb in packed[layer].items()} for layer in _POLYGON_LAYERS}
+    width, height = packed["canvas_m"]
+    return RoadMap(
+        location=packed["location"],
+        drivable_area=shapely.from_wkb(packed["drivable_area"]),
+        lanes=lanes,
+        dividers=dividers,
+        intersections=frozenset(packed["intersections"]),
+        canvas_m=(width, height),
+        **layers,
+    )
+
+
+def merged(parts: Sequence[RoadMap]) -> RoadMap:
+    """One map of a place out of several, possibly overlapping, parts of it.
+
+    Args:
+        parts: Maps of the same location with the same identifiers for the same things; at least one.
+
+    Returns:
+        Layers joined by identifier (of two versions the longer line or larger surface stays), drivable areas united,
+        on a canvas that holds everything.
+    """
+    if len(parts) == 1:
+        whole = parts[0]
+    else:
+        areas = [part.drivable_area for part in parts]
+        whole = RoadMap(
+            location=parts[0].location,
+            drivable_area=as_multipolygon(shapely.union_all(areas, grid_size=_SNAP_M)),
+            lanes=_merged_lanes(parts),
+            dividers=_merged_dividers(parts),
+            ped_crossings=_merged_polygons(part.ped_crossings for part in parts),
+            walkways=_merged_polygons(part.walkways for part in parts),
+            road_segments=_merged_polygons(part.road_segments for part in parts),
+            intersections=frozenset[str]().union(*(part.intersections for part in parts)),
+            stop_lines=_merged_polygons(part.stop_lines for part in parts),
+            carparks=_merged_polygons(part.carparks for part in parts),
+            canvas_m=(max(part.canvas_m[0] for part in parts), max(part.canvas_m[1] for part in parts)),
+        )
+    return replace(whole, canvas_m=_canvas(whole))
+
+
+_POLYGON_LAYERS = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks")
+
+
+def _canvas(road_map: RoadMap) -> tuple[float, float]:
+    """The map's own canvas, enlarged to whole metres where geometry sticks out of it."""
+    shapes: list[shapely.Geometry] = [road_map.drivable_area]
+    shapes += [shape for layer in _POLYGON_LAYERS for shape in getattr(road_map, layer).values()]
+    shapes += [shapely.LineString(lane.centerline) for lane in road_map.lanes.values()]
+    bounds = np.array([shape.bounds for shape in shapes if not shape.is_empty]).reshape(-1, 4)
+    if not len(bounds):
+        return max(road_map.canvas_m[0], 1.0), max(road_map.canvas_m[1], 1.0)
+    reach = np.ceil(bounds[:, 2:].max(axis=0))
+    return max(road_map.canvas_m[0], float(reach[0]), 1.0), max(road_map.canvas_m[1], float(reach[1]), 1.0)
+
+
+def _merged_lanes(parts: Sequence[RoadMap]) -> dict[str, Lane]:
+    found: dict[str, Lane] = {}
+    for part in parts:
+        for name, lane in part.lanes.items():
+            known = found.get(name)
+            if known is None:
+                found[name] = lane
+                continue
+            longer = max(known, lane, key=lambda candidate: _length(candidate.centerline))
+            found[name] = replace(
+                longer,
+                successors=tuple(sorted({*known.successors, *lane.successors})),
+                predecessors=tuple(sorted({*known.predecessors, *lane.predecessors})),
+            )
+    return dict(sorted(found.items()))
+
+
+def _merged_dividers(parts: Sequence[RoadMap]) -> tuple[Divider, ...]:
+    found: dict[str, Divider] = {}
+    for part in parts:
+        for divider in part.dividers:
+            known = found.get(divider.identifier)
+            if known is None or _length(divider.line) > _length(known.line):
+                found[divider.identifier] = divider
+    return tuple(found[name] for name in sorted(found))
+
+
+def _merged_polygons(layers: Iterable[dict[str, Polygon]]) -> dict[str, Polygon]:
+    found: dict[str, Polygon] = {}
+    for layer in layers:
+        for name, shape in layer.items():
+            if name not in found or shape.area > found[name].area:
+                found[name] = shape
+    return dict(sorted(found.items()))
+
+
+def _length(line: Any) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+
+
+def _pack_polygons(layer: dict[str, Polygon]) -> dict[str, str]:
+    return {name: _wkb(shape) for name, shape in layer.items()}
+
+
+def _wkb(shape: shapely.Geometry) -> str:
+    return str(shapely.to_wkb(shape, hex=True))

@@ -1,0 +1,204 @@
+"""Writing one scene: its files first, the fragment with its table rows last."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import LIDAR_NAME
+from benchmark.errors import InputError
+from benchmark.road_map import RoadMap
+from benchmark.scene import Camera, Scene
+from benchmark.storage import canonical_json, content_key, read_json, write_bytes, write_json, writing_to
+from generation.nuscenes_writer.can_bus import can_bus_files
+from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, require_own_root, scene_key
+from generation.nuscenes_writer.road_maps import pack_road_map
+from generation.nuscenes_writer.rows import Channel, channels_of, scene_tables, used_labels
+from generation.nuscenes_writer.vocabulary import Vocabulary
+from generation.rendering import Images
+
+FRAGMENT_SCHEMA = 1
+
+
+def write_scene(
+    plan: DataSetPlan, scene: Scene, *, name: str, source_scene: str, report: dict[str, Any], variant: int = 0
+) -> str:
+    """Render and write one scene; a scene that is already complete is left alone.
+
+    Safe to call for different scenes in different processes, and to kill at any moment: the same call then goes on
+    and ends with the same bytes.
+
+    Args:
+        plan: The data set it belongs to.
+        scene: What happens in it.
+        name: Its name in the data set.
+        source_scene: Name of the recorded scene it comes from.
+        report: Provenance that ends up in ``challenger.json``; plain JSON values.
+        variant: Number of the root in the ``per-variant`` layout.
+
+    Returns:
+        The content key, for `finish_data_set`.
+
+    Raises:
+        InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
+            holds somebody else's data set, or the disk refuses.
+    """
+    require_sound(scene)
+    require_own_root(plan, variant)
+    names = SceneNames.of(plan, scene, name=name, variant=variant, source_scene=source_scene)
+    cameras = () if plan.renderer is None else plan.renderer.cameras(scene)
+    map_key = _store_map(plan, scene.road_map)
+    labels = {"name": name, "variant": variant, "source_scene": source_scene, "report": report}
+    key = scene_key(plan, scene, cameras, map_key=map_key, labels=labels)
+    if is_complete(plan, key, variant=variant, name=name):
+        return key
+    frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
+    channels = channels_of(cameras, image_extension="png" if plan.lossless else "jpg")
+    vocabulary = Vocabulary.of(plan.source)
+    tables = scene_tables(names, vocabulary, scene, channels, frames)
+    messages = can_bus_files(scene, name=name, source=plan.source, source_scene=source_scene)
+    sensor_files = [row["filename"] for row in tables["sample_data"]]
+    _claim(plan, key, labels, [*sensor_files, *messages])
+    root = plan.data_root(variant)
+    for path, data in messages.items():
+        write_bytes(root / path, data, durable=False)
+    _write_sensor_files(plan, root, names, scene, channels, frames)
+    fragment = {
+        "schema": FRAGMENT_SCHEMA,
+        "key": key,
+        **labels,
+        "adversaries": [names.instance(agent) for agent in scene.agents.ids if agent in scene.adversaries],
+        "location": scene.road_map.location,
+        "map": map_key,
+        "log": vocabulary.log_row(scene),
+        "labels": used_labels(vocabulary, scene),
+        "instances": [row["token"] for row in tables["instance"]],
+        "files": {path: (root / path).stat().st_size for path in sorted([*sensor_files, *messages])},
+        "renderer": _renderer_row(plan, cameras),
+        "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
+    }
+    write_json(plan.fragment_path(key), fragment, indent=None)
+    return key
+
+
+def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:
+    """Whether a scene's fragment, claim and files are all there, the files in the size they were written."""
+    claim_path = plan.claim_path(variant, name)
+    if not plan.fragment_path(key).is_file() or not claim_path.is_file() or read_json(claim_path)["key"] != key:
+        return False
+    root = plan.data_root(variant)
+    sizes = read_json(plan.fragment_path(key))["files"]
+    return all((root / path).is_file() and (root / path).stat().st_size == size for path, size in sizes.items())
+
+
+def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]) -> None:
+    """Remove the fragment and files that a claim stands for.
+
+    Args:
+        plan: The data set.
+        claim: The content of a claim file.
+        keep: Files below the same data root that stay.
+
+    Raises:
+        InputError: If something cannot be removed.
+    """
+    root = plan.data_root(claim["variant"])
+    with writing_to(root):
+        # The fragment goes first: without it the scene is unfinished and whatever is left is written again.
+        plan.fragment_path(claim["key"]).unlink(missing_ok=True)
+        for path in claim["files"]:
+            if path not in keep:
+                (root / path).unlink(missing_ok=True)
+
+
+def require_sound(scene: Scene) -> None:
+    """Refuse a scene whose rows would be wrong.
+
+    Raises:
+        InputError: If it has no keyframes, times do not increase, or poses and sizes are not finite and positive.
+    """
+    if not len(scene.keyframes):
+        raise InputError(f"{scene.name} has no keyframes, there is nothing to write; leave it out")
+    if not (np.diff(scene.timestamps_us) > 0).all() or not (np.diff(scene.keyframes) > 0).all():
+        raise InputError(f"{scene.name}: the frame times do not increase; repair the recording or leave it out")
+    known = scene.annotations.valid
+    checked = {
+        "ego positions": scene.ego.position,
+        "ego rotations": scene.ego.rotation,
+        "annotated positions": scene.annotations.position[known],
+        "annotated rotations": scene.annotations.rotation[known],
+        "annotated sizes": scene.annotations.size[known],
+    }
+    for what, values in checked.items():
+        if not np.isfinite(values).all():
+            raise InputError(f"{scene.name}: the {what} hold NaN or infinity; repair the recording or leave it out")
+    if (checked["annotated sizes"] <= 0).any():
+        raise InputError(f"{scene.name}: an annotated size is not positive; repair the recording or leave it out")
+
+
+def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
+    """Keep a road map for `finish_data_set`; scenes with the same map share the file."""
+    packed = pack_road_map(road_map)
+    key = content_key(packed)
+    if not plan.map_path(key).exists():
+        write_json(plan.map_path(key), packed, indent=None)
+    return key
+
+
+def _claim(plan: DataSetPlan, key: str, labels: dict[str, Any], files: list[str]) -> None:
+    """Say which files are about to be written, after removing what the same name stood for before."""
+    path = plan.claim_path(labels["variant"], labels["name"])
+    claim = {"key": key, "variant": labels["variant"], "name": labels["name"], "files": sorted(files)}
+    if path.is_file():
+        earlier = read_json(path)
+        if earlier == claim:
+            return
+        release_claim(plan, earlier, frozenset(files))
+    write_json(path, claim, indent=None)
+
+
+def _write_sensor_files(
+    plan: DataSetPlan,
+    root: Path,
+    names: SceneNames,
+    scene: Scene,
+    channels: Sequence[Channel],
+    frames: Sequence[int],
+) -> None:
+    keyframes = set(scene.keyframes.tolist())
+
+    def path_of(channel: Channel, frame: int) -> Path:
+        timestamp = int(scene.timestamps_us[frame])
+        return root / names.file(channel.name, timestamp, is_keyframe=frame in keyframes, extension=channel.extension)
+
+    lidar = next(channel for channel in channels if channel.name == LIDAR_NAME)
+    for frame in frames:
+        write_bytes(path_of(lidar, frame), b"", durable=False)
+    cameras = [channel for channel in channels if channel.camera is not None]
+    if plan.renderer is None or not cameras:
+        return
+    for frame, images in zip(frames, plan.renderer.render(scene, list(frames)), strict=True):
+        for channel in cameras:
+            write_bytes(path_of(channel, frame), _encoded(plan, channel, images), durable=False)
+
+
+def _encoded(plan: DataSetPlan, channel: Channel, images: Images) -> bytes:
+    camera = channel.camera
+    assert camera is not None
+    image: NDArray[np.uint8] = images[channel.name]
+    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+        raise ValueError(f"the renderer gave {image.dtype} {image.shape} for {camera.width} x {camera.height} pixels")
+    options = [] if plan.lossless else [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality]
+    done, data = cv2.imencode(f".{channel.extension}", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
+    assert done, "OpenCV refused to encode an image that it accepts by type"
+    return bytes(data.tobytes())
+
+
+def _renderer_row(plan: DataSetPlan, cameras: Sequence[Camera]) -> dict[str, Any] | None:
+    if plan.renderer is None:
+        return None
+    width, height = (cameras[0].width, cameras[0].height) if cameras else (0, 0)
+    return {"name": plan.renderer.name, "version": plan.renderer.version, "width": width, "height": height}

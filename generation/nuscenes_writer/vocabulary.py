@@ -1,0 +1,160 @@
+"""Categories, attributes, visibility levels, logs and sensors: the rows that scenes share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.constants import CAMERA_NAMES, CATEGORIES, LIDAR_NAME
+from benchmark.datasets.tables import version_folders
+from benchmark.errors import InputError
+from benchmark.scene import Scene
+from benchmark.storage import read_json, token
+from generation.nuscenes_writer.plan import SourceInfo
+
+Row = dict[str, Any]
+
+_CATEGORY_WORDS: Final = {
+    "animal": "Any animal, for example a cat, dog or bird.",
+    "human.pedestrian.adult": "A grown-up on foot.",
+    "human.pedestrian.child": "A child on foot.",
+    "human.pedestrian.construction_worker": "A person who works on the road.",
+    "human.pedestrian.personal_mobility": "A person on a small vehicle such as a skateboard or scooter.",
+    "human.pedestrian.police_officer": "A police officer on foot.",
+    "human.pedestrian.stroller": "A pram or pushchair.",
+    "human.pedestrian.wheelchair": "A wheelchair and whoever sits in it.",
+    "movable_object.barrier": "A temporary barrier.",
+    "movable_object.debris": "An object left on the road that is too large to drive over.",
+    "movable_object.pushable_pullable": "Something that a person pushes or pulls, for example a bin or a trolley.",
+    "movable_object.trafficcone": "A traffic cone.",
+    "static_object.bicycle_rack": "A place to park bicycles, with the bicycles in it.",
+    "vehicle.bicycle": "A bicycle.",
+    "vehicle.bus.bendy": "One section of an articulated bus.",
+    "vehicle.bus.rigid": "A bus in one piece.",
+    "vehicle.car": "A passenger car, van or pick-up.",
+    "vehicle.construction": "A vehicle made for construction work.",
+    "vehicle.emergency.ambulance": "An ambulance.",
+    "vehicle.emergency.police": "A police vehicle.",
+    "vehicle.motorcycle": "A motorcycle or motor scooter.",
+    "vehicle.trailer": "A trailer of any kind, without what pulls it.",
+    "vehicle.truck": "A vehicle made to carry goods.",
+}
+_ATTRIBUTE_WORDS: Final = {
+    "cycle.with_rider": "Somebody rides the cycle.",
+    "cycle.without_rider": "Nobody is on the cycle.",
+    "pedestrian.moving": "The person walks or runs.",
+    "pedestrian.sitting_lying_down": "The person sits or lies.",
+    "pedestrian.standing": "The person stands.",
+    "vehicle.moving": "The vehicle moves.",
+    "vehicle.parked": "The vehicle is parked.",
+    "vehicle.stopped": "The vehicle stands but means to go on.",
+}
+_VISIBILITY_LEVELS: Final = ("v0-40", "v40-60", "v60-80", "v80-100")
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """Label rows of a data set: the source's own where it has them.
+
+    Attributes:
+        category: Rows by name.
+        attribute: Rows by name.
+        visibility: Rows in order of their level.
+        log: The source's log rows.
+        map: The source's map rows.
+    """
+
+    category: dict[str, Row]
+    attribute: dict[str, Row]
+    visibility: tuple[Row, ...]
+    log: tuple[Row, ...]
+    map: tuple[Row, ...]
+
+    @classmethod
+    def of(cls, source: SourceInfo | None) -> "Vocabulary":
+        """Labels of a data set that derives from ``source``.
+
+        Raises:
+            InputError: If the source's tables cannot be read.
+        """
+        folder = _table_folder(source)
+        tables = {name: _read(folder, name) for name in ("category", "attribute", "visibility", "log", "map")}
+        return cls(
+            category={row["name"]: row for row in tables["category"] or _rows("category", _CATEGORY_WORDS)},
+            attribute={row["name"]: row for row in tables["attribute"] or _rows("attribute", _ATTRIBUTE_WORDS)},
+            visibility=tuple(tables["visibility"] or _visibility_rows()),
+            log=tuple(tables["log"]),
+            map=tuple(tables["map"]),
+        )
+
+    def category_row(self, name: str) -> Row:
+        """Row of a category; one that the table lacks is made up."""
+        return self.category.get(name) or _rows("category", {name: ""})[0]
+
+    def attribute_row(self, name: str) -> Row:
+        """Row of an attribute; one that the table lacks is made up."""
+        return self.attribute.get(name) or _rows("attribute", {name: ""})[0]
+
+    def visibility_token(self, level: int) -> str:
+        """Token of a level 1..4; 0 (nothing known) counts as fully visible, because official code parses it."""
+        wanted = _VISIBILITY_LEVELS[(level or 4) - 1]
+        named = (row["token"] for row in self.visibility if row.get("level") == wanted)
+        return str(next(named, str(level or 4)))
+
+    def log_row(self, scene: Scene) -> Row:
+        """Row of the scene's log: the source's, if it has that log."""
+        own = {
+            "logfile": scene.log,
+            "vehicle": scene.vehicle,
+            "date_captured": scene.date,
+            "location": scene.road_map.location,
+        }
+        for row in self.log:
+            if scene.log and (row.get("logfile"), row.get("location")) == (scene.log, scene.road_map.location):
+                return row
+        return {"token": token("log", own), **own}
+
+
+def sensor_row(channel: str) -> Row:
+    """Row of a sensor; the same in every data set."""
+    modality = "lidar" if channel == LIDAR_NAME else "camera"
+    return {"token": token("sensor", channel), "channel": channel, "modality": modality}
+
+
+def sensor_rows() -> list[Row]:
+    """Rows of the six cameras and the lidar."""
+    return [sensor_row(channel) for channel in (*CAMERA_NAMES, LIDAR_NAME)]
+
+
+def _rows(table: str, words: Mapping[str, str]) -> list[Row]:
+    return [{"token": token(table, name), "name": name, "description": text} for name, text in words.items()]
+
+
+def _visibility_rows() -> list[Row]:
+    bounds = (level.removeprefix("v").split("-") for level in _VISIBILITY_LEVELS)
+    return [
+        {"token": str(number), "level": level, "description": f"{low} to {high} % of the object can be seen"}
+        for number, (level, (low, high)) in enumerate(zip(_VISIBILITY_LEVELS, bounds), start=1)
+    ]
+
+
+def _table_folder(source: SourceInfo | None) -> Path | None:
+    if source is None or source.root is None:
+        return None
+    if source.version is not None:
+        return source.root / source.version
+    found = version_folders(source.root)
+    if len(found) > 1:
+        raise InputError(f"{source.root} has several versions ({', '.join(found)}); say which one is the source")
+    return source.root / found[0] if found else None
+
+
+def _read(folder: Path | None, table: str) -> list[Row]:
+    if folder is None or not (folder / f"{table}.json").is_file():
+        return []
+    rows: list[Row] = read_json(folder / f"{table}.json")
+    return rows
+
+
+if set(_CATEGORY_WORDS) != set(CATEGORIES):
+    raise AssertionError("the category descriptions and benchmark.constants.CATEGORIES name different categories")
