@@ -1,0 +1,296 @@
+"""One unit of work: one vehicle of one scene becomes an adversary (Algorithm 1).
+
+Pure: the same scene, vehicle, seed, settings and prior give the same track, whoever computes it and when.
+"""
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import shapely
+
+from benchmark.constants import FRAMES_PER_KEYFRAME
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
+from benchmark.road_map import DrivableRaster
+from benchmark.scene import Scene
+from benchmark.storage import content_key, content_seed
+from generation.candidates import initial_state, launch_frame
+from generation.hyperparameters import HyperParameters
+from generation.labels import ClosestApproach, closest_approach, times_to_collision
+from generation.physics import DriverLimits, MotionModel, VehicleState, rear_axle, simulate
+from generation.ranking import challenge_score
+from generation.refine import Diversify, Evaluated, Prior, Refinement, refine
+from generation.scoring import score_terms, surroundings
+from generation.solvable import log_replay_contacts
+from generation.verify import Discard, touches_others, verify
+
+ALGORITHM_VERSION = "1"
+"""Part of every content key; changes when the same inputs would give other tracks."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningFrame:
+    """Trace of one planning frame.
+
+    Attributes:
+        frame: Frame index.
+        chosen_round: Round of the executed candidate.
+        score: Its final score over all rounds, ``None`` if no candidate was finite.
+        best_scores: Best final score of each round, normalised within the round.
+        collision_free: Candidates without contact in each round.
+    """
+
+    frame: int
+    chosen_round: int
+    score: float | None
+    best_scores: tuple[float | None, ...]
+    collision_free: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """What came of one (scene, vehicle, seed).
+
+    Attributes:
+        scene_name: Recorded scene.
+        agent_id: Instance that was tried.
+        seed: User's seed.
+        discard: Why the result is not kept, or ``None``.
+        start: Frame of the launch, ``None`` if there was none.
+        poses: (T - start, 3) executed poses of the box centre; fewer where planning gave up, (0, 3) without launch.
+        challenge: Ranking score, see `ranking.challenge_score`; 0 where discarded.
+        closest: Closest approach, where the track is complete.
+        least_time_to_collision_s: Smallest of `labels.times_to_collision`, ``None`` if never within 5 s.
+        plans: Trace.
+        scene: The adversarial scene, if kept.
+    """
+
+    scene_name: str
+    agent_id: str
+    seed: int
+    discard: Discard | None
+    start: int | None
+    poses: Floats
+    challenge: float
+    closest: ClosestApproach | None
+    least_time_to_collision_s: float | None
+    plans: tuple[PlanningFrame, ...]
+    scene: Scene | None
+
+    @property
+    def kept(self) -> bool:
+        """Whether the scene survived verification."""
+        return self.discard is None
+
+    def report(self) -> dict[str, Any]:
+        """Everything but the track and the scene, as JSON values."""
+        closest = self.closest
+        return {
+            "scene": self.scene_name,
+            "agent": self.agent_id,
+            "seed": self.seed,
+            "kept": self.kept,
+            "discard": None if self.discard is None else self.discard.value,
+            "launch_frame": self.start,
+            "challenge": self.challenge,
+            "closest_approach": None
+            if closest is None
+            else {"gap_m": closest.gap_m, "time_s": closest.time_s, "side": closest.side.value},
+            "least_time_to_collision_s": self.least_time_to_collision_s,
+            "plans": [
+                {
+                    "frame": plan.frame,
+                    "round": plan.chosen_round,
+                    "score": plan.score,
+                    "best_scores": list(plan.best_scores),
+                    "collision_free": list(plan.collision_free),
+                }
+                for plan in self.plans
+            ],
+        }
+
+
+def attempt(
+    scene: Scene,
+    agent_index: int,
+    seed: int,
+    hyper: HyperParameters,
+    prior: Prior,
+    *,
+    diversify: Diversify | None = None,
+    model: MotionModel | None = None,
+) -> Attempt:
+    """Let one vehicle challenge the ego from its launch to the end of the scene.
+
+    Args:
+        scene: The recorded scene; earlier adversaries in it are surroundings like any other vehicle.
+        agent_index: Index of the vehicle.
+        seed: User's seed; part of a seed made of content.
+        hyper: Settings.
+        prior: Diffusion model.
+        diversify: Spread of the initial batch; the package's own by default.
+        model: Physics; `MotionModel.si` by default.
+
+    Returns:
+        The kept scene, or the reason why there is none.
+
+    Raises:
+        InputError: If there is no such vehicle or the model has no limits.
+    """
+    if not 0 <= agent_index < len(scene.agents):
+        raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent_index}")
+    model = model or MotionModel.si()
+    if model.limits is None:
+        raise InputError("executing a plan needs a motion model with limits, use MotionModel.si()")
+    blank = Attempt(
+        scene.name, scene.agents.ids[agent_index], seed, None, None, np.zeros((0, 3)), 0.0, None, None, (), None
+    )
+    start = launch_frame(scene, agent_index, hyper)
+    if start is None:
+        return replace(blank, discard=Discard.NEVER_LAUNCHED)
+    if ego_already_collides(scene):
+        return replace(blank, start=start, discard=Discard.ORIGINAL_COLLIDES)
+    rng = np.random.default_rng(
+        content_seed(
+            scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior.fingerprint, ALGORITHM_VERSION
+        )
+    )
+    hunt = _Hunt(scene, agent_index, start, hyper, prior, diversify or _packaged_diversify(), model, rng)
+    poses, plans, safe = hunt.run()
+    driven = replace(blank, start=start, poses=poses, plans=plans)
+    if not safe:
+        return replace(driven, discard=Discard.NO_SAFE_CANDIDATE)
+    changed = scene.with_adversary(agent_index, slice(start, start + len(poses)), poses)
+    return _judged(driven, changed, agent_index, start, hyper, model.limits)
+
+
+def _judged(
+    driven: Attempt, changed: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits
+) -> Attempt:
+    """The attempt with its verdict and its numbers."""
+    discard = verify(changed, agent, start, hyper, limits)
+    soonest = float(times_to_collision(changed, agent, start).min())
+    return replace(
+        driven,
+        discard=discard,
+        challenge=challenge_score(changed, agent, start) if discard is None else 0.0,
+        closest=closest_approach(changed, agent, start),
+        least_time_to_collision_s=None if np.isinf(soonest) else soonest,
+        scene=changed if discard is None else None,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Hunt:
+    """Planning frames of one adversary, one after the other."""
+
+    scene: Scene
+    agent: int
+    start: int
+    hyper: HyperParameters
+    prior: Prior
+    diversify: Diversify
+    model: MotionModel
+    rng: np.random.Generator
+
+    def run(self) -> tuple[Floats, tuple[PlanningFrame, ...], bool]:
+        """Executed poses (F, 3), trace, and whether a candidate without contact was found throughout."""
+        assert self.model.limits is not None
+        state = initial_state(self.scene, self.agent, self.start, self.model.limits)
+        track = [self._recorded_pose(self.start)[None]]
+        plans: list[PlanningFrame] = []
+        for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.horizon):
+            found = self._plan(frame, state, np.concatenate(track))
+            steps = min(self.hyper.horizon, len(self.scene.timestamps_us) - 1 - frame)
+            executed = found.motion.center[found.chosen, 1 : steps + 1]
+            plans.append(_trace(frame, found))
+            if not np.isfinite(executed).all() or (self.hyper.scored and self._touches(frame, executed)):
+                return np.concatenate(track), tuple(plans), False
+            track.append(executed)
+            state = found.motion.state(found.chosen, steps)
+        return np.concatenate(track), tuple(plans), True
+
+    def _plan(self, frame: int, state: VehicleState, track: Floats) -> Refinement:
+        offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))
+        raster = _raster(self.scene, frame, self.hyper.half_extent_m)
+        around = surroundings(self.scene, self.agent, tuple(frame + offset for offset in offsets), raster)
+        size = self.scene.agents.size[self.agent, :2]
+
+        def evaluate(waypoints: Floats) -> Evaluated:
+            motion = simulate(waypoints, state, float(size[0]), steps=offsets[-1], model=self.model)
+            return Evaluated(
+                motion,
+                score_terms(motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3]),
+            )
+
+        previous = self._previous(frame, state, track)
+        return refine(self.prior, self.diversify, evaluate, previous, self.hyper, self.rng)
+
+    def _previous(self, frame: int, state: VehicleState, track: Floats) -> Floats:
+        """Own rear-axle pose (3,) half a second ago in the local frame: recorded before the launch, executed after."""
+        past = frame - FRAMES_PER_KEYFRAME
+        center = track[past - self.start] if past >= self.start else self._recorded_pose(max(past, 0))
+        axle = rear_axle(center, float(self.scene.agents.size[self.agent, 0]))
+        turn = wrap_angle(axle[2:] - state.pose[2])
+        return np.concatenate([to_local(axle[:2], state.pose), turn])
+
+    def _recorded_pose(self, frame: int) -> Floats:
+        agents = self.scene.agents
+        return np.array([*agents.position[self.agent, frame, :2], agents.yaw[self.agent, frame]])
+
+    def _touches(self, frame: int, executed: Floats) -> bool:
+        frames = frame + 1 + np.arange(len(executed))
+        size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
+        boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])
+        if boxes_overlap(boxes, self.scene.ego.boxes[frames]).any():
+            return True
+        return bool(touches_others(boxes, self.scene, self.agent, frames).any())
+
+
+def ego_already_collides(scene: Scene) -> bool:
+    """Whether the recorded ego touches anything before an adversary is added."""
+    at_frames = scene.agents.valid & boxes_overlap(scene.agents.boxes, scene.ego.boxes[None])
+    return bool(at_frames.any()) or bool(log_replay_contacts(scene).any())
+
+
+def scene_identity(scene: Scene) -> str:
+    """Content key of all that generation reads of a scene: motion, sizes, categories, drivable area."""
+    digest = hashlib.sha256()
+    agents, notes = scene.agents, scene.annotations
+    for array in (
+        scene.timestamps_us, scene.keyframes, scene.ego.position, scene.ego.rotation, agents.position, agents.yaw,
+        agents.size, agents.valid, notes.position, notes.rotation, notes.size, notes.valid, scene.lidar.translation,
+    ):  # fmt: skip
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(shapely.to_wkb(scene.road_map.drivable_area))
+    return content_key(scene.name, agents.ids, agents.categories, scene.adversaries, digest.hexdigest())
+
+
+def _raster(scene: Scene, frame: int, half_extent_m: float) -> DrivableRaster:
+    """Drivable area around the ego's lidar at a planning frame."""
+    pose = scene.ego.pose[frame]
+    pose[:2] += scene.lidar.translation[0] * np.array([np.cos(pose[2]), np.sin(pose[2])])
+    return DrivableRaster.around(scene.road_map, pose, half_extent_m=half_extent_m)
+
+
+def _packaged_diversify() -> Diversify:
+    # Imported late: it brings torch, which nothing else in this module needs.
+    from generation.diffusion.prior import diversify
+
+    return diversify
+
+
+def _trace(frame: int, found: Refinement) -> PlanningFrame:
+    def finite(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    return PlanningFrame(
+        frame,
+        found.round,
+        finite(found.score),
+        tuple(finite(float(entry.scores.min())) for entry in found.rounds),
+        tuple(entry.collision_free for entry in found.rounds),
+    )

@@ -1,0 +1,122 @@
+"""What an adversary does to the ego, in numbers: closest approach, side, time to collision."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from benchmark.geometry import Floats, box_gap, boxes_overlap, to_local
+from benchmark.scene import Scene
+
+TIME_TO_COLLISION_LIMIT_S = 5.0
+TIME_TO_COLLISION_STEP_S = 0.1
+
+
+class Side(StrEnum):
+    """Where the other vehicle is, seen from the ego."""
+
+    FRONT = "front"
+    REAR = "rear"
+    LEFT = "left"
+    RIGHT = "right"
+
+
+@dataclass(frozen=True, slots=True)
+class ClosestApproach:
+    """The moment at which two bodies are closest.
+
+    Attributes:
+        gap_m: Distance between the bodies.
+        frame: Frame index.
+        time_s: Seconds since the first frame.
+        side: Side of the ego.
+    """
+
+    gap_m: float
+    frame: int
+    time_s: float
+    side: Side
+
+
+def closest_approach(scene: Scene, agent: int, start: int) -> ClosestApproach:
+    """Closest approach of an agent to the ego's body from a frame on.
+
+    Args:
+        scene: The scene.
+        agent: Index of the agent.
+        start: First frame that counts.
+
+    Returns:
+        The first closest moment.
+    """
+    gaps = body_gaps(scene, agent, start)
+    frame = start + int(np.argmin(gaps))
+    return ClosestApproach(
+        float(gaps.min()),
+        frame,
+        float(scene.seconds[frame]),
+        side_of(scene.ego.boxes[frame], agent_boxes(scene, agent)[frame]),
+    )
+
+
+def agent_boxes(scene: Scene, agent: int) -> Floats:
+    """(T, 5) boxes of one agent."""
+    agents = scene.agents
+    size = np.broadcast_to(agents.size[agent, :2], (agents.yaw.shape[1], 2))
+    return np.concatenate([agents.position[agent, :, :2], size, agents.yaw[agent, :, None]], axis=-1)
+
+
+def body_gaps(scene: Scene, agent: int, start: int) -> Floats:
+    """(T - start,) distances between the bodies of an agent and of the ego, metres."""
+    return box_gap(agent_boxes(scene, agent)[start:], scene.ego.boxes[start:])
+
+
+def ego_speed(scene: Scene) -> Floats:
+    """(T,) speed of the recorded ego, m/s."""
+    velocity = np.gradient(scene.ego.position[:, :2], scene.seconds, axis=0)
+    return np.asarray(np.hypot(velocity[:, 0], velocity[:, 1]))
+
+
+def side_of(ego: Floats, other: Floats) -> Side:
+    """Side of the ego on which another box lies: the diagonals of the ego's body divide the sides.
+
+    Args:
+        ego: (5,) box.
+        other: (5,) box.
+
+    Returns:
+        The side of the other box's centre.
+    """
+    local = to_local(other[:2], ego[[0, 1, 4]])
+    along, across = local[0] / ego[2], local[1] / ego[3]
+    if abs(along) >= abs(across):
+        return Side.FRONT if along >= 0 else Side.REAR
+    return Side.LEFT if across > 0 else Side.RIGHT
+
+
+def times_to_collision(scene: Scene, agent: int, start: int) -> Floats:
+    """Time until contact if, at a frame, both went on with their velocity and heading.
+
+    Args:
+        scene: The scene.
+        agent: Index of the agent.
+        start: First frame that counts.
+
+    Returns:
+        (T - start,) seconds in steps of 0.1 s; infinity where there is no contact within 5 s.
+    """
+    own, ego = agent_boxes(scene, agent)[start:], scene.ego.boxes[start:]
+    seconds = scene.seconds[start:]
+    if len(own) < 2:
+        return np.full(len(own), np.inf)
+    ahead = np.arange(round(TIME_TO_COLLISION_LIMIT_S / TIME_TO_COLLISION_STEP_S) + 1) * TIME_TO_COLLISION_STEP_S
+    contact = boxes_overlap(_extrapolated(own, seconds, ahead), _extrapolated(ego, seconds, ahead))
+    return np.where(contact.any(axis=1), ahead[np.argmax(contact, axis=1)], np.inf)
+
+
+def _extrapolated(boxes: Floats, seconds: Floats, ahead: Floats) -> Floats:
+    """(T, A, 5) boxes moved on with their velocity."""
+    velocity = np.gradient(boxes[:, :2], seconds, axis=0)
+    moved = np.repeat(boxes[:, None], len(ahead), axis=1)
+    moved[..., :2] += velocity[:, None] * ahead[:, None]
+    return moved

@@ -1,0 +1,89 @@
+"""Whether the recorded ego gets through: its own trajectory, judged as the metrics judge a plan.
+
+Data sets are stored at 2 Hz and metrics interpolate them; a scene is solvable only if the recorded ego is clear of
+everything in those interpolated boxes too, with its real heading and with the heading that a metric derives.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, to_global, to_local, yaw_of_quaternion
+from benchmark.planning import chord_headings
+from benchmark.scene import Scene
+
+CHECKS_PER_STEP = 5
+"""Instants between two keyframes: every 0.1 s, the later keyframe included (``spec/protocols.md`` section 8)."""
+
+
+def log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
+    """Which agents the recorded ego touches when a metric replays the scene from its 2 Hz annotations.
+
+    Args:
+        scene: The scene, recorded or adversarial.
+        agents: Indices of the agents to test, all by default.
+
+    Returns:
+        (N,) verdicts, False for agents that were not tested.
+    """
+    chosen = np.arange(len(scene.agents)) if agents is None else agents
+    contacts = np.zeros(len(scene.agents), dtype=np.bool_)
+    if len(scene.keyframes) < 2 or not len(chosen):
+        return contacts
+    boxes, present = _interpolated_annotations(scene, chosen)
+    for ego, interval in _ego_footprints(scene):
+        contacts[chosen] |= _touching(ego, boxes[:, interval], present[:, interval])
+    return contacts
+
+
+def _interpolated_annotations(scene: Scene, chosen: NDArray[np.int64]) -> tuple[Floats, Bools]:
+    """Boxes (N, K - 1, 5, 5) and presence (N, K - 1, 5) every 0.1 s after each keyframe but the last."""
+    notes = scene.annotations
+    pose = np.concatenate(
+        [notes.position[chosen, :, :2], yaw_of_quaternion(notes.rotation[chosen])[..., None]], axis=-1
+    )
+    fraction = np.arange(1, CHECKS_PER_STEP + 1) / CHECKS_PER_STEP
+    between = poses_between(pose[:, :-1, None], pose[:, 1:, None], fraction)
+    size = np.broadcast_to(notes.size[chosen, 1:, None, :2], (*between.shape[:-1], 2))
+    valid = notes.valid[chosen]
+    present = np.repeat((valid[:, :-1] & valid[:, 1:])[..., None], CHECKS_PER_STEP, axis=-1)
+    present[..., -1] = valid[:, 1:]
+    return np.concatenate([between[..., :2], size, between[..., 2:]], axis=-1), present
+
+
+def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
+    """Metric footprints (I, 5, 5) of the recorded ego with the keyframe intervals they belong to.
+
+    The first has the real heading over the whole scene; the others are what a protocol makes of the recorded future
+    of each sample, whose headings are chords between waypoints.
+    """
+    ahead = float(scene.lidar.translation[0])
+    pose = scene.ego.pose[scene.keyframes]
+    pose[:, :2] += ahead * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+    footprints = [(_footprint(pose), slice(0, len(pose) - 1))]
+    for index in range(len(pose) - PLAN_STEPS):
+        waypoints = to_local(pose[index + 1 : index + 1 + PLAN_STEPS, :2], pose[index])
+        headings = chord_headings(waypoints, start_heading_rad=0.0) + pose[index, 2]
+        plan = np.vstack([pose[index], np.column_stack([to_global(waypoints, pose[index]), headings])])
+        footprints.append((_footprint(plan), slice(index, index + PLAN_STEPS)))
+    return footprints
+
+
+def _footprint(lidar_pose: Floats) -> Floats:
+    """(I, 5, 5) boxes between (I + 1, 3) poses of the lidar."""
+    fraction = np.arange(1, CHECKS_PER_STEP + 1) / CHECKS_PER_STEP
+    pose = poses_between(lidar_pose[:-1, None], lidar_pose[1:, None], fraction)
+    forward = np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
+    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], (*pose.shape[:-1], 2))
+    return np.concatenate([pose[..., :2] + EGO_BOX_FROM_LIDAR_M * forward, size, pose[..., 2:]], axis=-1)
+
+
+def _touching(ego: Floats, boxes: Floats, present: Bools) -> Bools:
+    """(N,) whether an agent touches the ego at any instant; circumscribed circles first."""
+    reach = 0.5 * (np.hypot(ego[..., 2], ego[..., 3]) + np.hypot(boxes[..., 2], boxes[..., 3]))
+    near = present & (np.hypot(boxes[..., 0] - ego[..., 0], boxes[..., 1] - ego[..., 1]) <= reach)
+    agent, interval, instant = np.nonzero(near)
+    hit = boxes_overlap(ego[interval, instant], boxes[agent, interval, instant])
+    verdict = np.zeros(len(boxes), dtype=np.bool_)
+    verdict[agent[hit]] = True
+    return verdict

@@ -1,0 +1,37 @@
+"""Running the installed command as a user does: another process, its output, its exit code."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a command left."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+def challenger_bench(*arguments: str | Path, cache: Path | None = None, timeout: float = 600) -> Run:
+    """Run ``challenger-bench`` with arguments."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+    if cache is not None:
+        environment["CHALLENGER_BENCH_CACHE"] = str(cache)
+    command = [sys.executable, "-m", "benchmark", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=timeout, check=False)
+    return Run(done.returncode, done.stdout, done.stderr)
+
+
+def bytes_below(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, by relative path."""
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

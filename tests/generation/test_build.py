@@ -1,0 +1,178 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
+from benchmark.protocols.exact import Exact
+from benchmark.scene import Scene
+from benchmark.truth import SampleTruth
+from generation.attempts import SourceReference, candidates_of
+from generation.build import BuildSettings, build_split
+from generation.hyperparameters import HyperParameters
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.solvable import log_replay_contacts
+from tests.hand_made import Car, scene_on_straight_road
+
+HYPER = HyperParameters(candidates=24, rounds=2)
+
+
+def recorded(name: str, ahead_m: float) -> Scene:
+    cars = (Car(52.0 + ahead_m, 194.75, 9.0), Car(95.0, 198.25, 8.0), Car(45.0, 201.75, 8.0))
+    return replace(scene_on_straight_road(cars, seconds=8.0, name=name), cameras=())
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    root = tmp_path_factory.mktemp("recorded")
+    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
+    scenes = [recorded("scene-9901", 10.0), recorded("scene-9902", 2.0)]
+    keys = [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={}) for scene in scenes]
+    finish_data_set(plan, keys)
+    return open_data(root)
+
+
+def build(source: DataSet, out: Path, **changes: object) -> BuildSettings:
+    settings = replace(BuildSettings(out=out, hyper=HYPER, version="v1.0-mini"), **changes)  # type: ignore[arg-type]
+    build_split(source, "adv", settings)
+    return settings
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def built(source: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(source, tmp_path_factory.mktemp("adv") / "out").out
+
+
+def test_the_new_data_set_opens_and_has_an_adversary_in_each_scene(source: DataSet, built: Path) -> None:
+    data = open_data(built)
+    names = data.scene_names("adv")
+    report = json.loads((built / "report.json").read_text())
+    rows = [json.loads(line) for line in (built / "attempts.jsonl").read_text().splitlines()]
+    assert sorted(report["written"]) == sorted(names)
+    assert report["survived"] == len(names) == sum(row["kept"] for row in rows)
+    assert report["tried"] == len(rows) == report["survived"] + sum(report["discarded"].values())
+    for name in names:
+        scene = data.scene(name)
+        assert len(scene.adversaries) == 1
+        assert name.startswith("scene-990")
+
+
+def test_the_recorded_ego_never_collides_under_the_exact_protocol(built: Path) -> None:
+    data = open_data(built)
+    for name in data.scene_names("adv"):
+        truths = data.truth(name)
+        plans = np.stack([truth.ego_future[:, :2] for truth in truths])
+        outcomes = Exact().evaluate(truths, plans)
+        assert outcomes.counted.sum() >= 8
+        assert not outcomes.collision[outcomes.counted].any()
+
+
+@pytest.mark.slow
+def test_two_workers_write_the_same_bytes(source: DataSet, built: Path, tmp_path: Path) -> None:
+    build(source, tmp_path / "out", workers=2)
+    assert contents(tmp_path / "out") == contents(built)
+
+
+def test_a_half_finished_build_goes_on_to_the_same_bytes(source: DataSet, built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    build(source, out)
+    finished = sorted((out / ".challenger" / "attempts").iterdir())
+    finished[0].unlink()
+    (out / "report.json").unlink()
+    left = finished[1].stat().st_mtime_ns
+    build(source, out)
+    assert contents(out) == contents(built)
+    assert finished[1].stat().st_mtime_ns == left
+
+
+def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:
+    report = build_split(source, "adv", BuildSettings(out=tmp_path / "out", hyper=HYPER, dry_run=True))
+    assert report.tried > 0
+    assert report.finished_before == 0
+    assert not (tmp_path / "out").exists()
+    before = contents(built)
+    again = build_split(source, "adv", BuildSettings(out=built, hyper=HYPER, version="v1.0-mini", dry_run=True))
+    assert again.finished_before == again.tried
+    assert contents(built) == before
+
+
+def test_originals_are_written_for_val_r(source: DataSet, tmp_path: Path) -> None:
+    report = build_split(source, "val-r", BuildSettings(out=tmp_path / "out", version="v1.0-mini"))
+    assert report.written == ("scene-9901", "scene-9902")
+    data = open_data(tmp_path / "out")
+    assert data.scene("scene-9901").adversaries == ()
+
+
+def test_ranking_limits_hold_and_best_comes_first(source: DataSet, tmp_path: Path) -> None:
+    settings = build(source, tmp_path / "out", per_scene=1, total=1)
+    rows = [json.loads(line) for line in (settings.out / "attempts.jsonl").read_text().splitlines()]
+    best = max((row for row in rows if row["kept"]), key=lambda row: row["challenge"])
+    written = json.loads((settings.out / "report.json").read_text())["written"]
+    assert len(written) == 1
+    assert written[0].startswith(best["scene"])
+
+
+def test_nothing_kept_is_a_sentence_with_the_reasons(source: DataSet, tmp_path: Path) -> None:
+    hyper = replace(HYPER, close_gap_m=0.0)
+    with pytest.raises(InputError, match=r"never-gets-close|leaves|collision"):
+        build(source, tmp_path / "out", hyper=hyper)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"scenes": ("scene-0000",)}, "scene-0000"), ({"limit": 0}, "limit"), ({"source_split": "test"}, "test")],
+)
+def test_bad_settings_are_sentences(source: DataSet, tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        build(source, tmp_path / "out", **changes)
+
+
+def test_a_spoilt_attempt_file_is_named(source: DataSet, tmp_path: Path) -> None:
+    out = build(source, tmp_path / "out").out
+    spoilt = next((out / ".challenger" / "attempts").iterdir())
+    for text in ("{", '{"kept": 3}'):
+        spoilt.write_text(text)
+        with pytest.raises(InputError, match=spoilt.name):
+            build(source, out)
+
+
+def test_solvability_is_judged_as_the_exact_protocol_judges(source: DataSet, tmp_path: Path) -> None:
+    """A car that crosses the recorded ego's path: the same agents touch it in memory and in the data set on disk."""
+    cars = (Car(52.0, 198.25, 8.0), Car(75.0, 190.0, 4.0, np.pi / 2), Car(75.0, 185.0, 4.0, np.pi / 2))
+    scene = replace(scene_on_straight_road(cars, seconds=8.0, name="scene-9903"), cameras=())
+    plan = DataSetPlan(root=tmp_path / "crossing", split="val", version="v1.0-mini")
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    truths = open_data(tmp_path / "crossing").truth("scene-9903")
+    expected = []
+    for agent in range(3):
+        alone = [only(truth, scene.agents.ids[agent]) for truth in truths]
+        outcomes = Exact().evaluate(alone, np.stack([truth.ego_future[:, :2] for truth in truths]))
+        expected.append(bool(outcomes.collision[outcomes.counted].any()))
+    assert log_replay_contacts(scene).tolist() == expected
+    assert expected[0]
+
+
+def only(truth: SampleTruth, instance: str) -> SampleTruth:
+    """The truth with one object left."""
+    rows = [row for row, name in enumerate(truth.instances) if name == instance]
+    return replace(
+        truth,
+        instances=tuple(truth.instances[row] for row in rows),
+        categories=tuple(truth.categories[row] for row in rows),
+        boxes=truth.boxes[rows],
+        annotated=truth.annotated[rows],
+        has_points=truth.has_points[rows],
+        has_lidar_points=truth.has_lidar_points[rows],
+    )
+
+
+def test_units_are_in_scene_order(source: DataSet) -> None:
+    units = candidates_of(SourceReference.of(source), ["scene-9902", "scene-9901"], HYPER, 0, workers=1)
+    assert [unit.scene_name for unit in units] == sorted((unit.scene_name for unit in units), reverse=True)

@@ -1,0 +1,120 @@
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from generation.hyperparameters import HyperParameters
+from generation.physics import SimulatedMotion
+from generation.refine import Evaluated, Refinement, refine, resample
+from generation.scoring import Terms
+from tests.generation.driving_prior import DrivingPrior, unchanged
+
+HYPER = HyperParameters(candidates=32)
+PREVIOUS = np.array([-3.0, 0.0, 0.0])
+
+
+def at_distance(waypoints: Floats, distance: Floats, finite: bool = True) -> Evaluated:
+    """A batch without faults whose challenge is a given distance."""
+    count = len(waypoints)
+    none = np.zeros((count, HYPER.horizon), dtype=np.bool_)
+    terms = Terms(
+        center_off_road=none,
+        corner_off_road=none,
+        collision=none,
+        distance=np.repeat(distance[:, None], HYPER.horizon, axis=1),
+        dac=np.zeros(count),
+        cr=np.zeros(count),
+        challenge=distance,
+        finite=np.full(count, finite),
+    )
+    states = np.zeros((count, 13, 6))
+    motion = SimulatedMotion(states[..., :3], states, np.zeros((count, 12, 2)), terms.finite)
+    return Evaluated(motion, terms)
+
+
+def to_a_target(waypoints: Floats) -> Evaluated:
+    return at_distance(waypoints, np.hypot(waypoints[:, 3, 0] - 14.0, waypoints[:, 3, 1] - 2.0))
+
+
+def search(hyper: HyperParameters, seed: int = 0) -> Refinement:
+    return refine(DrivingPrior(), unchanged, to_a_target, PREVIOUS, hyper, np.random.default_rng(seed))
+
+
+def test_refinement_comes_closer_than_one_batch_and_never_falls_behind() -> None:
+    one_batch = HyperParameters(candidates=32, multi_round=False)
+
+    def missed(hyper: HyperParameters) -> list[float]:
+        return [float(np.hypot(*(search(hyper, seed).waypoints[3, :2] - [14.0, 2.0]))) for seed in range(10)]
+
+    several, single = missed(HyperParameters(candidates=32, temperature=5.0)), missed(one_batch)
+    assert all(after <= before + 1e-12 for after, before in zip(several, single, strict=True))
+    assert np.mean(several) < 0.9 * np.mean(single)
+
+
+def test_trace_has_one_entry_a_round_and_ablations_have_what_they_say() -> None:
+    assert len(search(HYPER).rounds) == 6
+    assert len(search(HyperParameters(candidates=8, multi_round=False)).rounds) == 1
+    assert HYPER.noise_levels() == (5, 4, 3, 2, 1)
+    unscored = [search(HyperParameters(candidates=32, scored=False), seed) for seed in range(8)]
+    assert {found.round for found in unscored} == {5}
+    assert len({found.chosen for found in unscored}) > 3
+
+
+def test_the_best_of_all_rounds_is_kept() -> None:
+    calls = iter([np.array([5.0, 9.0]), np.array([1.0, 6.0]), np.array([4.0, 30.0])])
+    hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0)
+    found = refine(
+        DrivingPrior(), unchanged, lambda waypoints: at_distance(waypoints, next(calls)), PREVIOUS, hyper,
+        np.random.default_rng(0),
+    )  # fmt: skip
+    assert (found.round, found.chosen) == (1, 0)
+    assert found.score == 0.0
+
+
+def test_same_seed_same_result() -> None:
+    first, second = search(HYPER, 3), search(HYPER, 3)
+    np.testing.assert_array_equal(first.waypoints, second.waypoints)
+    assert first.score == second.score
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(0.0, 1e4), min_size=2, max_size=40), st.integers(0, 1000))
+def test_resampling_is_stable_for_huge_scores(scores: list[float], seed: int) -> None:
+    drawn = resample(np.array(scores) + 1e5, HYPER, np.random.default_rng(seed))
+    assert len(drawn) == len(scores)
+    hopeless = np.array(scores) > min(scores) + 800.0
+    assert not hopeless[drawn].any()
+
+
+def test_resampling_follows_the_softmax() -> None:
+    scores = np.repeat([0.0, 1.0, np.inf], 4000)
+    drawn = resample(scores, HYPER, np.random.default_rng(1)) // 4000
+    share = np.bincount(drawn, minlength=3) / len(scores)
+    np.testing.assert_allclose(share, [1 / (1 + np.exp(-1)), 1 / (1 + np.exp(1)), 0.0], atol=0.02)
+
+
+def test_higher_temperature_is_peakier() -> None:
+    scores = np.linspace(0.0, 2.0, 200)
+    mean = [
+        scores[resample(scores, HyperParameters(temperature=temperature), np.random.default_rng(0))].mean()
+        for temperature in (0.1, 1.0, 10.0)
+    ]
+    assert mean[0] > mean[1] > mean[2]
+
+
+def test_no_finite_candidate_counts_as_a_collision() -> None:
+    found = refine(
+        DrivingPrior(), unchanged, lambda w: at_distance(w, np.ones(len(w)), finite=False), PREVIOUS, HYPER,
+        np.random.default_rng(0),
+    )  # fmt: skip
+    assert found.collides
+
+
+@pytest.mark.parametrize("setting", [{"candidates": 0}, {"horizon": 0}, {"clearance_m": -1.0}, {"rounds": -1}])
+def test_impossible_settings_are_refused(setting: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(setting))):
+        HyperParameters(**setting)
