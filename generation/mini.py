@@ -68,9 +68,7 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     )
     work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
     work += [("train", index) for index in range(settings.train_scenes)]
-    keys = list(
-        map_ordered(partial(_write_one, plan, settings.seed), work, workers=workers, label="building the town")
-    )
+    keys = list(map_ordered(partial(_write_one, plan, settings.seed), work, workers=workers, label="building the town"))
     train = list(town_scene_names("train", settings.train_scenes)) if settings.train_scenes else []
     finish_data_set(plan, keys, extra_splits={"train": train} if train else None)
     return root

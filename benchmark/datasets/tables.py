@@ -64,7 +64,8 @@ _LINKS: Final = (
     ("sample_annotation", "sample_token", "sample"),
     ("sample_annotation", "instance_token", "instance"),
 )
-_LIST_LINKS: Final = (("map", "log_tokens", "log"), ("sample_annotation", "attribute_tokens", "attribute"))
+_LIST_LINKS: Final = (("sample_annotation", "attribute_tokens", "attribute"),)
+"""Not the logs of a map: official v1.0-mini names logs there that only trainval has."""
 _VECTORS: Final = (
     ("ego_pose", "translation", 3),
     ("ego_pose", "rotation", 4),

@@ -1,0 +1,557 @@
+"""The command line: the one place that knows all packages, and imports them only inside the command that needs them."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+import typer
+
+from benchmark import __version__
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+    from benchmark.plan_rows import PlannerFactory
+    from benchmark.records import RunRecord
+    from benchmark.workspace import Workspace
+    from generation.build import BuildReport, BuildSettings
+
+app = typer.Typer(
+    name="challenger-bench",
+    help="Adversarial driving scenes from nuScenes-format data, and driving models measured on them.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+data_app = typer.Typer(help="Look at, check, import and build data sets.", no_args_is_help=True)
+train_app = typer.Typer(help="Train the small models that this package carries.", no_args_is_help=True)
+app.add_typer(data_app, name="data")
+app.add_typer(train_app, name="train")
+
+
+class Frames(StrEnum):
+    """Which frames get images."""
+
+    ALL = "all"
+    KEYFRAMES = "keyframes"
+
+
+class Layout(StrEnum):
+    """How several variants of one scene lie on disk."""
+
+    SUFFIXED = "suffixed"
+    PER_VARIANT = "per-variant"
+
+
+class RendererName(StrEnum):
+    """Who draws the images."""
+
+    SCHEMATIC = "schematic"
+    NONE = "none"
+
+
+DataOption = Annotated[str, typer.Option("--data", help="mini (embedded) or the root of a nuScenes-format data set.")]
+TablesOption = Annotated[
+    str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
+]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
+SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
+ScenesOption = Annotated[str | None, typer.Option("--scenes", help="Only these scenes, separated by commas.")]
+LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
+WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
+SizeOption = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
+FramesOption = Annotated[Frames, typer.Option("--frames", help="Images at all 12 Hz frames or at 2 Hz keyframes.")]
+
+OUT = Path("challenger-out")
+
+
+def main() -> None:
+    """Run the command line; errors of the user are one sentence and exit code 2."""
+    debug = "--debug" in sys.argv
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    try:
+        app(args=arguments)
+    except InputError as error:
+        if debug:
+            raise
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        typer.echo("interrupted; finished work is kept, the same command goes on", err=True)
+        sys.exit(130)
+
+
+@app.callback(invoke_without_command=True)
+def _top(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.command("generate")
+def generate_command(
+    split: SplitOption = "adv",
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    vehicles: Annotated[int, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = 10,
+    per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
+    top: Annotated[int | None, typer.Option(min=1, help="Keep only the so many most challenging scenes.")] = None,
+    candidates: Annotated[int, typer.Option(min=4, help="Candidate trajectories per planning step.")] = 256,
+    rounds: Annotated[int, typer.Option(min=0, help="Refinement rounds per planning step.")] = 5,
+    parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
+    denoiser: Annotated[Path | None, typer.Option(help="Weights of another trajectory model.")] = None,
+    layout: Annotated[Layout, typer.Option(help="One root with suffixed names, or one root per variant.")] = (
+        Layout.SUFFIXED
+    ),
+    renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
+    size: SizeOption = "448x256",
+    frames: FramesOption = Frames.ALL,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
+    from generation.build import BuildSettings
+    from generation.hyperparameters import HyperParameters
+
+    source = _open_source(data, tables, workers)
+    settings = BuildSettings(
+        out=_workspace(out).split_root(source.name, split),
+        hyper=HyperParameters(candidates=candidates, rounds=rounds, candidate_limit=vehicles, parked=parked),
+        source_split=source_split,
+        scenes=_names(scenes),
+        limit=limit,
+        per_scene=per_scene,
+        total=top,
+        weights=denoiser,
+        layout=layout.value,
+        renderer=_renderer(renderer, size),
+        frames=frames.value,
+        seed=seed,
+        workers=_workers(workers),
+        dry_run=dry_run,
+    )
+    report = _generate(source, split, settings)
+    if json_output:
+        _print_json(report.as_json())
+    else:
+        typer.echo(report.summary())
+
+
+@app.command("eval")
+def eval_command(
+    model: Annotated[
+        list[str], typer.Option("--model", help="Planner name or package.module:Class; may be repeated.")
+    ] = [],  # noqa: B006 - typer reads the default, nothing changes it
+    split: SplitOption = "val",
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    allow_partial: Annotated[
+        bool, typer.Option("--allow-partial", help="Print rates even where the planner failed on samples.")
+    ] = False,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Run planners on a split, write run records, and print the table."""
+    from adapters.registry import planner_factory
+    from benchmark.evaluate import EvalSettings, evaluate
+
+    if not model and plans is None:
+        raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
+    source = _open_source(data, tables, workers)
+    dataset = _open_split(source, split, out, workers)
+    settings = EvalSettings(scenes=_names(scenes), limit=limit, seed=seed, workers=_workers(workers))
+    factories: list[PlannerFactory] = [planner_factory(name, checkpoint=checkpoint, seed=seed) for name in model]
+    if plans is not None:
+        from adapters.plan_file import plan_file_factory
+
+        factories.append(plan_file_factory(plans, dataset, split, scenes=settings.chosen(dataset, split)))
+    if dry_run:
+        count = len(settings.chosen(dataset, split))
+        typer.echo(f"would run {', '.join(factory.facts.name for factory in factories)} on {count} scenes of {split}")
+        return
+    run_root = _workspace(out).run_root()
+    records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
+    _show_runs(source.name, records, allow_partial=allow_partial, json_output=json_output)
+
+
+@app.command("transfer")
+def transfer_command(
+    split: SplitOption = "adv",
+    out: OutOption = OUT,
+    records: Annotated[Path | None, typer.Option(help="Folder of run records, if not <out>/runs.")] = None,
+    protocol: Annotated[str, typer.Option(help="Whose verdicts count.")] = "exact",
+    data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
+    from benchmark.transfer import transfer
+    from leaderboard.collision import in_table_order
+    from leaderboard.transfer import transfer_table
+
+    found = [record for record in _records(out, records) if record.run.split == split and record.covers_split]
+    names = sorted({record.run.data.name for record in found})
+    wanted = [data] if data is not None else names
+    matrices = {
+        name: transfer(in_table_order([r for r in found if r.run.data.name == name]), protocol=protocol)
+        for name in wanted
+        if name in names
+    }
+    if not matrices:
+        raise InputError(
+            f"no complete run records of split {split!r} below {records or out / 'runs'}"
+            f"{'' if data is None else f' for data set {data!r}'}; run challenger-bench eval --split {split} first"
+        )
+    if json_output:
+        _print_json({name: asdict(matrix) for name, matrix in matrices.items()})
+        return
+    for name, matrix in matrices.items():
+        typer.echo(transfer_table(name, matrix).plain())
+
+
+@app.command("leaderboard")
+def leaderboard_command(
+    out: OutOption = OUT,
+    records: Annotated[Path | None, typer.Option(help="Folder of run records, if not <out>/runs.")] = None,
+    to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Only say whether the written tables are current.")] = False,
+    json_output: JsonOption = False,
+) -> None:
+    """Write the tables (Markdown, LaTeX, CSV) from run records."""
+    from leaderboard.build import stale_files, write_leaderboard
+
+    found, folder = _records(out, records), to or out / "leaderboard"
+    if check:
+        stale = stale_files(found, folder)
+        if json_output:
+            _print_json({"stale": stale})
+        else:
+            typer.echo("\n".join(stale) or f"{folder} is current")
+        raise typer.Exit(1 if stale else 0)
+    written = write_leaderboard(found, folder)
+    if json_output:
+        _print_json({"files": [str(path) for path in written]})
+    else:
+        typer.echo(f"{len(written)} files in {folder}; start with {folder / 'README.md'}")
+
+
+@app.command("demo")
+def demo_command(
+    out: OutOption = OUT,
+    town_scenes: Annotated[int, typer.Option(min=1, help="Scenes of the embedded town.")] = 4,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """The whole story on the embedded data: generate, evaluate, transfer, tables."""
+    from adapters.registry import planner_factory
+    from benchmark.evaluate import EvalSettings, evaluate
+    from benchmark.transfer import transfer
+    from generation.build import BuildSettings
+    from generation.hyperparameters import HyperParameters
+    from generation.mini import TownSettings, build_town
+    from leaderboard.build import write_leaderboard
+    from leaderboard.collision import collision_table, in_table_order
+    from leaderboard.transfer import transfer_table
+
+    space, processes = _workspace(out), _workers(workers)
+
+    def tell(text: str) -> None:
+        typer.echo(text, err=json_output)
+
+    tell(f"1/4 building {town_scenes} scenes of the embedded town")
+    town = TownSettings(val_scenes=town_scenes)
+    source = _open_data(build_town(space.out / "data" / "demo" / "val", town, workers=processes), None, "demo")
+    settings = BuildSettings(
+        out=space.split_root("demo", "adv"),
+        hyper=HyperParameters(candidates=64, candidate_limit=3),
+        per_scene=1,
+        renderer=_renderer(RendererName.SCHEMATIC, "448x256"),
+        frames="keyframes",
+        workers=processes,
+    )
+    tell("2/4 generating adversarial scenes")
+    report = _generate(source, "adv", settings)
+    tell(report.summary())
+    tell("3/4 evaluating planners on val and adv")
+    records = []
+    for split in ("val", "adv"):
+        dataset = _open_split(source, split, out, workers)
+        for name in ("constant-velocity", "ego-status", "idm", "log-replay"):
+            factory = planner_factory(name)
+            records.append(evaluate(dataset, split, factory, space.run_root(), EvalSettings(workers=processes)))
+    tell("4/4 writing the leaderboard")
+    write_leaderboard(records, out / "leaderboard")
+    if json_output:
+        _print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
+        return
+    tell("")
+    tell(collision_table("demo", "exact", records).plain())
+    adversarial = in_table_order([record for record in records if record.run.split == "adv"])
+    tell(transfer_table("demo", transfer(adversarial)).plain())
+    tell(f"tables: {out / 'leaderboard' / 'README.md'}   scenes: {space.split_root('demo', 'adv')}")
+
+
+@app.command("doctor")
+def doctor_command(out: OutOption = OUT, json_output: JsonOption = False) -> None:
+    """Whether this machine computes correctly and has what is needed."""
+    from benchmark.environment import checks
+
+    found = checks(out)
+    if json_output:
+        _print_json([{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found])
+    else:
+        for check in found:
+            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
+    raise typer.Exit(0 if all(check.ok for check in found) else 1)
+
+
+@data_app.command("info")
+def data_info_command(
+    root: Annotated[str, typer.Argument(help="mini or the root of a data set.")] = "mini",
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """What a data set holds: splits, scenes, samples, annotations, fingerprint."""
+    from benchmark.datasets.contents import contents
+
+    found = contents(_open_source(root, tables, workers))
+    if json_output:
+        _print_json(found)
+        return
+    for name, value in found.items():
+        typer.echo(f"{name}: {value}")
+
+
+@data_app.command("check")
+def data_check_command(
+    root: Annotated[Path, typer.Argument(help="Root of a data set.")],
+    tables: TablesOption = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Look for faults in the tables and files of a data set."""
+    from benchmark.datasets.integrity import check_tables
+    from benchmark.datasets.roots import variant_folders
+
+    folders = [root / folder for folder in variant_folders(root)] or [root]
+    faults = [(folder, fault) for folder in folders for fault in check_tables(folder, version=tables)]
+    errors = sum(fault.severity == "error" for _, fault in faults)
+    if json_output:
+        rows = [
+            {"root": str(folder), "severity": f.severity, "table": f.table, "token": f.token, "says": f.sentence}
+            for folder, f in faults
+        ]
+        _print_json({"errors": errors, "faults": rows})
+    else:
+        for _, fault in faults:
+            typer.echo(f"{fault.severity}: {fault.table}: {fault.sentence}")
+        typer.echo(f"{errors} errors, {len(faults) - errors} warnings in {root}")
+    raise typer.Exit(1 if errors else 0)
+
+
+@data_app.command("import")
+def data_import_command(
+    form: Annotated[str, typer.Argument(help="Form of the recordings: scenarionet.")],
+    source: Annotated[Path, typer.Argument(help="A file or a folder of recordings.")],
+    out: Annotated[Path, typer.Option("--out", help="Root of the data set to write.")],
+    renderer: Annotated[RendererName, typer.Option(help="Who draws the images (these recordings have none).")] = (
+        RendererName.SCHEMATIC
+    ),
+    size: SizeOption = "448x256",
+    frames: FramesOption = Frames.ALL,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Bring recordings of another form into nuScenes format."""
+    from generation.importing import ImportSettings, import_scenarionet
+
+    if form != "scenarionet":
+        raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
+    width, height = _size(size)
+    settings = ImportSettings(width, height, frames.value, images=renderer is not RendererName.NONE)
+    names = import_scenarionet(source, out, settings, workers=_workers(workers))
+    if json_output:
+        _print_json({"root": str(out), "scenes": names})
+    else:
+        typer.echo(f"{len(names)} scenes in {out}: {', '.join(names)}")
+
+
+@data_app.command("build")
+def data_build_command(
+    root: Annotated[Path | None, typer.Option(help="Where to; the user's cache if not given.")] = None,
+    town_scenes: Annotated[int, typer.Option(help="Evaluation scenes.")] = 10,
+    train_scenes: Annotated[int, typer.Option(help="Training scenes.")] = 0,
+    size: SizeOption = "448x256",
+    frames: FramesOption = Frames.ALL,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+) -> None:
+    """Build the embedded town, with any number of scenes; the same command resumes."""
+    from benchmark.workspace import EMBEDDED, cache_root
+    from generation.mini import TownSettings, build_town
+
+    width, height = _size(size)
+    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value)
+    target = root or cache_root() / settings.folder_name(EMBEDDED)
+    typer.echo(str(build_town(target, settings, workers=_workers(workers))))
+
+
+@train_app.command("denoiser")
+def train_denoiser_command(
+    tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
+    out: Annotated[Path, typer.Option(help="Weights file to write; log and progress lie beside it.")],
+    steps: Annotated[int | None, typer.Option(min=1, help="Optimisation steps.")] = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Train the trajectory model and describe it; the same command resumes."""
+    from generation.diffusion.bank import write_bank
+    from generation.diffusion.card import write_model_card
+    from generation.diffusion.training import TrainingConfig, train_denoiser
+
+    default = TrainingConfig(tracks=tracks, out=out, seed=seed)
+    weights = train_denoiser(replace(default, steps=steps or default.steps))
+    write_bank(weights)
+    typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
+
+
+@train_app.command("ego-status")
+def train_ego_status_command(
+    tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
+    out: Annotated[Path, typer.Option(help="Weights file to write (safetensors).")],
+    seed: SeedOption = 0,
+) -> None:
+    """Train the planner that sees its own motion and the command only."""
+    from adapters.ego_status_training import train_ego_status
+
+    _print_json(train_ego_status(tracks, out, seed=seed))
+
+
+def _open_data(root: Path, tables: str | None, name: str | None) -> "DataSet":
+    from benchmark.datasets.roots import open_data
+
+    return open_data(root, version=tables, name=name)
+
+
+def _open_source(data: str, tables: str | None, workers: int) -> "DataSet":
+    """The data set that ``--data`` names; the embedded one is built into the cache the first time."""
+    from benchmark.workspace import EMBEDDED, cache_root, is_finished
+
+    if data != EMBEDDED:
+        return _open_data(Path(data), tables, None)
+    from generation.mini import TownSettings, build_town
+
+    settings = TownSettings()
+    root = cache_root() / settings.folder_name(EMBEDDED)
+    if not is_finished(root):
+        typer.echo(f"building the embedded data set in {root} (once, about two minutes)", err=True)
+    return _open_data(build_town(root, settings, workers=_workers(workers)), None, EMBEDDED)
+
+
+def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "DataSet":
+    """The data set that holds a split; missing splits of the embedded data are generated on the spot."""
+    from benchmark.workspace import EMBEDDED
+
+    def build() -> None:
+        from generation.build import BuildSettings
+
+        typer.echo(f"generating split {split} of the embedded data set (once, some minutes)", err=True)
+        renderer = _renderer(RendererName.SCHEMATIC, "448x256")
+        target = _workspace(out).split_root(source.name, split)
+        _generate(source, split, BuildSettings(out=target, renderer=renderer, workers=_workers(workers)))
+
+    return _workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
+
+
+def _generate(source: "DataSet", split: str, settings: "BuildSettings") -> "BuildReport":
+    from generation.build import build_split
+
+    if split not in ("adv", "val-r"):
+        raise InputError(f"cannot generate split {split!r}; the splits that can be generated are val-r and adv")
+    return build_split(source, cast(Literal["adv", "val-r"], split), settings)
+
+
+def _show_runs(data_name: str, records: "Sequence[RunRecord]", *, allow_partial: bool, json_output: bool) -> None:
+    """Print the table of runs; a run that failed on samples is an error unless allowed, and then said."""
+    from leaderboard.collision import collision_table
+
+    partial = [record for record in records if not record.complete]
+    if json_output:
+        rows = [
+            {"directory": str(r.directory), "status": r.run.status, **r.summary.model_dump(mode="json")}
+            for r in records
+        ]
+        _print_json(rows)
+    shown = records if allow_partial else [record for record in records if record.complete]
+    if not json_output and shown:
+        for protocol in sorted({name for record in shown for name in record.summary.protocols}):
+            typer.echo(collision_table(data_name, protocol, shown).plain())
+    for record in partial:
+        typer.echo(
+            f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples "
+            f"(tracebacks in {record.directory}); "
+            + ("rates leave them out" if allow_partial else "--allow-partial prints the rates of the others"),
+            err=True,
+        )
+    if partial and not allow_partial:
+        raise typer.Exit(1)
+
+
+def _records(out: Path, folder: Path | None) -> "list[RunRecord]":
+    from benchmark.records import find_records
+
+    return find_records(folder or _workspace(out).run_root())
+
+
+def _workspace(out: Path) -> "Workspace":
+    from benchmark.workspace import Workspace
+
+    return Workspace(out)
+
+
+def _renderer(name: RendererName, size: str) -> Any:
+    from generation.schematic import SchematicRenderer
+
+    return SchematicRenderer(*_size(size)) if name is RendererName.SCHEMATIC else None
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()) or not (32 <= int(width) <= 8192 and 32 <= int(height) <= 8192):
+        raise InputError(f"--size {text!r} is not WIDTHxHEIGHT in pixels, for example 448x256 (32 to 8192 each)")
+    return int(width), int(height)
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _workers(count: int) -> int:
+    from benchmark.workers import default_workers
+
+    if count < 0:
+        raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
+    return count or default_workers()
+
+
+def _print_json(value: Any) -> None:
+    typer.echo(json.dumps(value, indent=1, sort_keys=True, allow_nan=False))

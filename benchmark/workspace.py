@@ -1,0 +1,90 @@
+"""Where a command finds its data set and puts what it makes (docs/decisions/0002)."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
+
+GENERATED_SPLITS = ("val-r", "adv")
+"""Splits that `generate` builds, beside the source's own."""
+EMBEDDED = "mini"
+
+
+def cache_root() -> Path:
+    """Folder for what is built once per user: the embedded data set."""
+    explicit = os.environ.get("CHALLENGER_BENCH_CACHE")
+    if explicit:
+        return Path(explicit).expanduser()
+    general = os.environ.get("XDG_CACHE_HOME")
+    return (Path(general) if general else Path.home() / ".cache") / "challenger-bench"
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """One ``--out`` folder.
+
+    Attributes:
+        out: The folder.
+    """
+
+    out: Path
+
+    def split_root(self, data_name: str, split: str) -> Path:
+        """Root of a generated split."""
+        return self.out / "data" / data_name / split
+
+    def run_root(self) -> Path:
+        """Folder of all run records."""
+        return self.out / "runs"
+
+    def run_dir(self, data_name: str, split: str, model: str) -> Path:
+        """Folder of one run record."""
+        return self.run_root() / data_name / split / model
+
+    def open_split(self, source: DataSet, split: str, *, build: Callable[[], None] | None = None) -> DataSet:
+        """The data set that holds a split of a source.
+
+        Args:
+            source: The data set that ``--data`` names.
+            split: ``val``, ``val-r``, ``adv`` or any split the source itself has.
+            build: Called when a generated split is missing and may be made on the spot (the embedded data set).
+
+        Returns:
+            The source itself, or the generated root that was made from it.
+
+        Raises:
+            InputError: If the split has not been generated, or was made from another version of the source.
+        """
+        root = self.split_root(source.name, split)
+        if split not in GENERATED_SPLITS or (not root.exists() and _has_split(source, split)):
+            return source
+        if not is_finished(root) and build is not None:
+            build()
+        if not is_finished(root):
+            raise InputError(
+                f"split {split!r} of {source.name} is not at {root}; make it with: "
+                f"challenger-bench generate --data {source.root} --split {split}"
+            )
+        generated = open_data(root, name=source.name)
+        made_from = (generated.provenance() or {}).get("source") or {}
+        if made_from.get("fingerprint") != source.fingerprint():
+            raise InputError(
+                f"{root} was generated from another version of {source.name} (its fingerprint differs); "
+                f"run challenger-bench generate --data {source.root} --split {split} again or choose another --out"
+            )
+        return generated
+
+
+def is_finished(root: Path) -> bool:
+    """Whether a root made by the writer is complete: its provenance file is written last."""
+    return any(root.glob("*/challenger.json")) or any(root.glob("v*/*/challenger.json"))
+
+
+def _has_split(source: DataSet, split: str) -> bool:
+    try:
+        return bool(source.scene_names(split))
+    except InputError:
+        return False
