@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from adapters.ego_status import PAST_STEPS, EgoMotion
 from benchmark.constants import COMMAND_LATERAL_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
+from benchmark.datasets.tracks import RecordedTracks, read_recorded_tracks
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
 from benchmark.planning import Command
@@ -68,31 +69,30 @@ def _read(path: Path) -> Samples:
         raise InputError(
             f"there is no track file {path}; name the folder that holds the SOURCE.npz files with --tracks"
         )
-    try:
-        with np.load(path, allow_pickle=False) as tracks:
-            windows = [samples for poses in _vehicle_paths(dict(tracks)) for samples in _windows(poses)]
-    except (KeyError, ValueError, OSError) as error:
-        raise InputError(f"{path} is not a track file in the neutral format ({error})") from error
+    windows = [samples for poses in _vehicle_paths(read_recorded_tracks(path), path) for samples in _windows(poses)]
     if not windows:
         raise InputError(f"{path} holds no vehicle that moves for at least five seconds")
     return _joined(windows)
 
 
-def _vehicle_paths(tracks: dict[str, NDArray[np.generic]]) -> Iterator[Floats]:
+def _vehicle_paths(tracks: RecordedTracks, path: Path) -> Iterator[Floats]:
     """(F, 3) rear-axle paths at 10 Hz of every vehicle that moves more than 5 m, smoothed."""
-    pointers, stride = tracks["ptr"].astype(int), round(float(tracks["hz"]) / HZ)
-    for track, (start, stop) in enumerate(itertools.pairwise(pointers)):
-        if str(tracks["cls"][track]) not in _VEHICLES:
+    stride = round(tracks.hz / HZ)
+    if stride < 1 or abs(tracks.hz - stride * HZ) > 1e-6:
+        raise InputError(f"{path} has {tracks.hz:g} samples per second; ego-status learns from multiples of {HZ}")
+    for track, (start, stop) in enumerate(itertools.pairwise(tracks.pointers)):
+        if tracks.kinds[track] not in _VEHICLES:
             continue
-        columns = [np.asarray(tracks[name][start:stop:stride], np.float64) for name in ("x", "y", "heading")]
-        if len(columns[0]) < _PAST + _FUTURE + 1 or not np.isfinite(columns).all():
+        recorded = (tracks.x, tracks.y, tracks.heading)
+        columns = [np.asarray(values[start:stop:stride], np.float64) for values in recorded]
+        if len(columns[0]) < _PAST + _FUTURE + 1:
             continue
         x, y, yaw = (_smooth(column) for column in (columns[0], columns[1], np.unwrap(columns[2])))
         if np.hypot(x[-1] - x[0], y[-1] - y[0]) < 5.0:
             continue
         behind = 0.0
-        if not bool(tracks["is_ego"][track]) and np.isfinite(tracks["length"][track].astype(float)):
-            behind = _REAR_AXLE_BEHIND_CENTER * float(tracks["length"][track].astype(float))
+        if not tracks.is_ego[track] and np.isfinite(tracks.length[track]):
+            behind = _REAR_AXLE_BEHIND_CENTER * float(tracks.length[track])
         yield np.column_stack([x - behind * np.cos(yaw), y - behind * np.sin(yaw), yaw])
 
 

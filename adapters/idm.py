@@ -1,7 +1,10 @@
 """``idm``: follows its lane and keeps distance by the intelligent-driver model.
 
 Privileged: sees the map and all boxes, but not the future. The model is that of Treiber, Hennecke and Helbing (2000),
-equations 1-3. Others are expected to keep the velocity they have now. Traffic lights and right of way are not seen.
+equations 1-3, with two of its authors' own corrections: a car that is faster than it wants to be brakes comfortably
+(Treiber and Kesting, "Traffic Flow Dynamics", 2013, improved model), and a gap that is small but does not close is no
+emergency (Kesting, Treiber and Helbing 2010, enhanced model, with leaders that keep their speed). Without
+them it brakes so hard behind a close leader that the car behind hits it. Traffic lights and right of way are not seen.
 """
 
 from dataclasses import asdict, dataclass
@@ -9,20 +12,23 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from adapters.lane_path import Path, lane_path, straight_path
+from adapters.obstacles import Obstacles, obstacles_along
 from benchmark.constants import (
     EGO_CENTER_FROM_REAR_AXLE_M,
     EGO_LENGTH_M,
-    EGO_WIDTH_M,
     PLAN_STEP_S,
     PLAN_STEPS,
 )
-from benchmark.geometry import Floats, box_corners, to_local
+from benchmark.geometry import Floats, to_local
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.scene import Scene
 
 _SUBSTEPS = 5
 _DT = PLAN_STEP_S / _SUBSTEPS
+_SECONDS = _DT * np.arange(PLAN_STEPS * _SUBSTEPS)
 _HORIZON_S = PLAN_STEP_S * PLAN_STEPS
+_EXPONENT = 4
+"""How acceleration falls off towards the wanted speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +42,20 @@ class DriverSettings:
         acceleration: Largest acceleration, m/s^2.
         comfortable_braking: m/s^2.
         hardest_braking: m/s^2.
+        coolness: Trust in the leader, 0 (the original model) to 1.
         lateral_acceleration: In bends, m/s^2.
-        foresight_s: For how long others are expected to keep moving sideways.
+        foresight_s: For how long others of the same direction are expected to keep moving sideways.
         side_margin_m: Room beside the car that counts as its corridor.
         sight_m: Others further away are not looked at.
     """
 
     speed_limit: float = 13.9
-    time_gap_s: float = 1.5
+    time_gap_s: float = 1.0
     standstill_gap_m: float = 2.0
-    acceleration: float = 1.5
-    comfortable_braking: float = 2.5
+    acceleration: float = 1.0
+    comfortable_braking: float = 1.5
     hardest_braking: float = 7.0
+    coolness: float = 0.99
     lateral_acceleration: float = 2.5
     foresight_s: float = 1.5
     side_margin_m: float = 0.3
@@ -87,59 +95,22 @@ class IntelligentDriver:
         if self._scene is None:
             raise RuntimeError("idm plans only after reveal(scene)")
         pose, speed = observation.ego.pose, max(float(observation.ego.velocity[0]), 0.0)
-        length_m = max(speed, self._driver.speed_limit) * (_HORIZON_S + self._driver.time_gap_s) + 30.0
+        fastest = max(speed, min(speed + self._driver.acceleration * _HORIZON_S, self._driver.speed_limit))
+        length_m = fastest * (_HORIZON_S + self._driver.time_gap_s) + 20.0
         path = lane_path(self._scene.road_map, pose, observation.command, speed, length_m)
         if path is None:
             path = straight_path(pose, length_m)
         boxes, velocity = _others_now(self._scene, observation, self._driver.sight_m)
-        travelled = drive(path, speed, obstacles_along(path, boxes, velocity, self._driver), self._driver)
+        obstacles = obstacles_along(
+            path,
+            boxes,
+            velocity,
+            _SECONDS,
+            side_margin_m=self._driver.side_margin_m,
+            foresight_s=self._driver.foresight_s,
+        )
+        travelled = drive(path, speed, obstacles, self._driver)
         return Plan(to_local(path.at(travelled), pose), PlanFrame.EGO)
-
-
-@dataclass(frozen=True, slots=True)
-class Obstacles:
-    """Others as seen along a path at each of K substeps.
-
-    Attributes:
-        rear: (A, K) arc length where each begins, metres; infinite where it is not in the corridor.
-        front: (A, K) arc length where it ends.
-        speed: (A,) speed along the path, m/s, negative when oncoming.
-    """
-
-    rear: Floats
-    front: Floats
-    speed: Floats
-
-
-def obstacles_along(path: Path, boxes: Floats, velocity: Floats, driver: DriverSettings) -> Obstacles:
-    """Which others will be in the corridor, if they keep their velocity.
-
-    Args:
-        path: The ego's path.
-        boxes: (A, 5) present boxes, global.
-        velocity: (A, 2) m/s, global.
-        driver: Width of the corridor.
-
-    Returns:
-        The obstacles at each substep of three seconds.
-    """
-    along, left = path.project(np.concatenate([box_corners(boxes), boxes[:, None, :2]], axis=-2))
-    nearest = np.clip((along[:, -1] / path.arc_length[1]).astype(np.int64), 0, len(path.heading) - 1)
-    cos, sin = np.cos(path.heading[nearest]), np.sin(path.heading[nearest])
-    forward, sideways = velocity[:, 0] * cos + velocity[:, 1] * sin, velocity[:, 1] * cos - velocity[:, 0] * sin
-    # Moving in the path's own coordinates keeps the cars of the next lane there in a bend.
-    seconds = _DT * np.arange(PLAN_STEPS * _SUBSTEPS)
-    moved_along = forward[:, None] * seconds
-    moved_left = sideways[:, None] * np.minimum(seconds, driver.foresight_s)
-    half_width = 0.5 * EGO_WIDTH_M + driver.side_margin_m
-    rear, front = along.min(axis=1)[:, None] + moved_along, along.max(axis=1)[:, None] + moved_along
-    beside = (left.min(axis=1)[:, None] + moved_left < half_width) & (
-        left.max(axis=1)[:, None] + moved_left > -half_width
-    )
-    # What now lies before the start or beyond the end of the path has no place beside it.
-    placed = (along[:, -1] > 0.0) & (along[:, -1] < path.arc_length[-1])
-    inside = beside & placed[:, None]
-    return Obstacles(np.where(inside, rear, np.inf), np.where(inside, front, np.inf), forward)
 
 
 def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings) -> Floats:
@@ -177,24 +148,36 @@ def _speed_for_bends(path: Path, allowed: Floats, travelled: float, driver: Driv
 
 
 def _leader(obstacles: Obstacles, step: int, travelled: float) -> tuple[float, float]:
-    """Gap to the nearest other whose end is ahead of the ego's middle, and its speed."""
+    """Gap to the nearest other whose middle is ahead of the ego's front, and its speed; what is beside cannot lead."""
     if len(obstacles.speed) == 0:
         return np.inf, 0.0
-    centre = travelled + EGO_CENTER_FROM_REAR_AXLE_M
-    gaps = np.where(obstacles.front[:, step] > centre, obstacles.rear[:, step], np.inf) - centre - EGO_LENGTH_M / 2
+    rear, bumper = obstacles.rear[:, step], travelled + EGO_CENTER_FROM_REAR_AXLE_M + EGO_LENGTH_M / 2
+    gaps = np.where(rear + obstacles.front[:, step] > 2 * bumper, rear, np.inf) - bumper
     nearest = int(gaps.argmin())
-    return float(gaps[nearest]), float(obstacles.speed[nearest])
+    return float(gaps[nearest]), float(obstacles.speed[nearest, step])
 
 
 def _acceleration(speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverSettings) -> float:
-    """Equations 1-3 of the intelligent-driver model; braking is limited by the tyres."""
-    free = 1.0 - (speed / max(free_speed, 0.1)) ** 4
-    interaction = 0.0
-    if np.isfinite(gap):
-        closing = speed * (speed - leader_speed) / (2 * np.sqrt(driver.acceleration * driver.comfortable_braking))
-        wanted_gap = driver.standstill_gap_m + max(speed * driver.time_gap_s + closing, 0.0)
-        interaction = (wanted_gap / max(gap, 0.1)) ** 2
-    return max(driver.acceleration * (free - interaction), -driver.hardest_braking)
+    """The intelligent-driver model with the corrections that the module names; braking is limited by the tyres."""
+    ratio = speed / max(free_speed, 0.1)
+    if ratio <= 1.0:
+        free = driver.acceleration * (1.0 - ratio**_EXPONENT)
+    else:
+        sharpness = driver.acceleration * _EXPONENT / driver.comfortable_braking
+        free = -driver.comfortable_braking * (1.0 - ratio**-sharpness)
+    if not np.isfinite(gap):
+        return free
+    gap = max(gap, 0.1)
+    closing = speed - leader_speed
+    braking_distance = speed * closing / (2 * np.sqrt(driver.acceleration * driver.comfortable_braking))
+    wanted_gap = driver.standstill_gap_m + max(speed * driver.time_gap_s + braking_distance, 0.0)
+    following = free - driver.acceleration * (wanted_gap / gap) ** 2
+    # What would do if the leader went on as it does now: a driver who trusts it lets the gap grow gently.
+    trusting = -(max(closing, 0.0) ** 2) / (2 * gap)
+    if following < trusting:
+        beyond = trusting + driver.comfortable_braking * np.tanh((following - trusting) / driver.comfortable_braking)
+        following = (1.0 - driver.coolness) * following + driver.coolness * beyond
+    return max(float(following), -driver.hardest_braking)
 
 
 def _others_now(scene: Scene, observation: Observation, sight_m: float) -> tuple[Floats, Floats]:

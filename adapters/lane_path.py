@@ -69,6 +69,18 @@ class Path:
         """
         return np.stack([np.interp(arc_length, self.arc_length, self.points[:, axis]) for axis in range(2)], axis=-1)
 
+    def heading_at(self, arc_length: Floats) -> Floats:
+        """Heading at the nearest path point.
+
+        Args:
+            arc_length: (...) metres from the start.
+
+        Returns:
+            (...) radians.
+        """
+        nearest = np.clip(np.rint(arc_length / SPACING_M), 0, len(self.heading) - 1).astype(np.int64)
+        return np.asarray(self.heading[nearest])
+
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Where points lie beside the path.
 

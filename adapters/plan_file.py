@@ -11,6 +11,7 @@ JSON is a list of objects with these keys. Columns that are not named here are a
 noticed. Every sample of the split needs exactly one row.
 """
 
+from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,8 +192,7 @@ def read_plan_file(path: Path) -> PlanFile:
     if len(table) == 0:
         raise InputError(f"{path} has no rows")
     keys = tuple(_row_key(path, key_columns, values) for values in zip(*(table[column] for column in key_columns)))
-    seen: set[tuple[Hashable, ...]] = set()
-    repeated = [key for key in keys if key in seen or seen.add(key)]  # type: ignore[func-returns-value]
+    repeated = [key for key, count in Counter(keys).items() if count > 1]
     if repeated:
         raise InputError(f"{path} has more than one row for {_listed(repeated)}")
     waypoints = _numbers(path, table, keys)

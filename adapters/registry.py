@@ -1,11 +1,13 @@
 """Planners by name: the built-in ones, those of installed packages, and ``package.module:Class``."""
 
+import contextlib
 import importlib
 import inspect
+import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from benchmark.errors import InputError
 from benchmark.plan_rows import facts_of
@@ -21,6 +23,9 @@ BUILT_IN = {
 }
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _CONTRACT = ("reset", "plan")
+_LONGEST_NAME = 100
+_STRANGERS_ERRORS = (Exception, SystemExit)
+"""What foreign code may raise; `sys.exit` in it must not end the command as if it had succeeded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +110,19 @@ def installed_planners() -> dict[str, EntryPoint]:
 def _import(reference: str, name: str) -> Any:
     module_name, _, attribute = reference.partition(":")
     try:
-        module = importlib.import_module(module_name)
+        with _stdout_kept():
+            module = importlib.import_module(module_name)
     except ImportError as error:
         raise InputError(
             f"model {name!r}: cannot import {module_name} ({error}); install it in this environment or put its "
             "folder on PYTHONPATH"
         ) from error
-    except ValueError as error:
-        raise InputError(f"model {name!r} is not of the form package.module:Class") from error
+    except (ValueError, TypeError) as error:
+        if not module_name or module_name.startswith("."):
+            raise InputError(f"model {name!r} is not of the form package.module:Class") from error
+        raise _raised(name, f"importing {module_name}", error) from error
+    except _STRANGERS_ERRORS as error:
+        raise _raised(name, f"importing {module_name}", error) from error
     made: Any = module
     for part in attribute.split("."):
         if not hasattr(made, part):
@@ -123,8 +133,9 @@ def _import(reference: str, name: str) -> Any:
 
 def _load(point: EntryPoint) -> Any:
     try:
-        return point.load()
-    except (ImportError, AttributeError) as error:
+        with _stdout_kept():
+            return point.load()
+    except _STRANGERS_ERRORS as error:
         raise InputError(
             f"model {point.name!r} is installed as {point.value} but cannot be imported: {error}"
         ) from error
@@ -134,7 +145,10 @@ def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
     """Call a class or function with those of our arguments that it takes."""
     if not callable(made):
         raise InputError(f"model {name!r} is a {type(made).__name__}, not a class or a function that makes a planner")
-    parameters = inspect.signature(made).parameters.values()
+    try:
+        parameters = inspect.signature(made).parameters.values()
+    except ValueError as error:
+        raise InputError(f"model {name!r} is {made!r}, not a class or a function that makes a planner") from error
     takes_any = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
     taken = {parameter.name for parameter in parameters}
     if offered["checkpoint"] is not None and not takes_any and "checkpoint" not in taken:
@@ -148,7 +162,26 @@ def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
     ]
     if missing:
         raise InputError(f"model {name!r} cannot be built without {', '.join(missing)}")
-    return made(**{key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None})
+    given = {key: value for key, value in offered.items() if (takes_any or key in taken) and value is not None}
+    try:
+        with _stdout_kept():
+            return made(**given)
+    except InputError:
+        raise
+    except _STRANGERS_ERRORS as error:
+        raise _raised(name, "building it", error) from error
+
+
+def _stdout_kept() -> contextlib.redirect_stdout[TextIO]:
+    """Stdout belongs to the command (``--json``); what a stranger's code prints goes to stderr."""
+    return contextlib.redirect_stdout(sys.stderr)
+
+
+def _raised(name: str, doing: str, error: BaseException) -> InputError:
+    reason = (str(error).splitlines() or [""])[0]
+    return InputError(
+        f"model {name!r}: {doing} raised {type(error).__name__}{': ' if reason else ''}{reason}; --debug shows where"
+    )
 
 
 def _checked(built: Any, name: str) -> Planner:
@@ -161,5 +194,9 @@ def _checked(built: Any, name: str) -> Planner:
         )
     if not isinstance(getattr(built, "name", None), str) or not built.name:
         raise InputError(f"model {name!r} has no name; set the attribute name, a string that tables show")
+    if not built.name.isprintable() or len(built.name) > _LONGEST_NAME:
+        raise InputError(
+            f"model {name!r} has the name {built.name[:40]!r}; a name is at most {_LONGEST_NAME} printable characters"
+        )
     typed: Planner = built
     return typed

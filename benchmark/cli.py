@@ -1,16 +1,35 @@
 """The command line: the one place that knows all packages, and imports them only inside the command that needs them."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
 from benchmark import __version__
+from benchmark.cli_options import (
+    DataOption,
+    DryRunOption,
+    Frames,
+    FramesOption,
+    JsonOption,
+    Layout,
+    LimitOption,
+    OutOption,
+    RendererName,
+    ScenesOption,
+    SeedOption,
+    SizeOption,
+    SplitOption,
+    TablesOption,
+    WorkersOption,
+    image_size,
+    name_list,
+    print_json,
+    worker_count,
+)
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,42 +52,6 @@ train_app = typer.Typer(help="Train the small models that this package carries."
 app.add_typer(data_app, name="data")
 app.add_typer(train_app, name="train")
 
-
-class Frames(StrEnum):
-    """Which frames get images."""
-
-    ALL = "all"
-    KEYFRAMES = "keyframes"
-
-
-class Layout(StrEnum):
-    """How several variants of one scene lie on disk."""
-
-    SUFFIXED = "suffixed"
-    PER_VARIANT = "per-variant"
-
-
-class RendererName(StrEnum):
-    """Who draws the images."""
-
-    SCHEMATIC = "schematic"
-    NONE = "none"
-
-
-DataOption = Annotated[str, typer.Option("--data", help="mini (embedded) or the root of a nuScenes-format data set.")]
-TablesOption = Annotated[
-    str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
-]
-OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
-SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
-ScenesOption = Annotated[str | None, typer.Option("--scenes", help="Only these scenes, separated by commas.")]
-LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
-WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
-DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
-SizeOption = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
-FramesOption = Annotated[Frames, typer.Option("--frames", help="Images at all 12 Hz frames or at 2 Hz keyframes.")]
 
 OUT = Path("challenger-out")
 
@@ -132,7 +115,7 @@ def generate_command(
         out=_workspace(out).split_root(source.name, split),
         hyper=HyperParameters(candidates=candidates, rounds=rounds, candidate_limit=vehicles, parked=parked),
         source_split=source_split,
-        scenes=_names(scenes),
+        scenes=name_list(scenes),
         limit=limit,
         per_scene=per_scene,
         total=top,
@@ -141,12 +124,12 @@ def generate_command(
         renderer=_renderer(renderer, size),
         frames=frames.value,
         seed=seed,
-        workers=_workers(workers),
+        workers=worker_count(workers),
         dry_run=dry_run,
     )
     report = _generate(source, split, settings)
     if json_output:
-        _print_json(report.as_json())
+        print_json(report.as_json())
     else:
         typer.echo(report.summary())
 
@@ -180,7 +163,7 @@ def eval_command(
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
     source = _open_source(data, tables, workers)
     dataset = _open_split(source, split, out, workers)
-    settings = EvalSettings(scenes=_names(scenes), limit=limit, seed=seed, workers=_workers(workers))
+    settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=worker_count(workers))
     factories: list[PlannerFactory] = [planner_factory(name, checkpoint=checkpoint, seed=seed) for name in model]
     if plans is not None:
         from adapters.plan_file import plan_file_factory
@@ -223,7 +206,7 @@ def transfer_command(
             f"{'' if data is None else f' for data set {data!r}'}; run challenger-bench eval --split {split} first"
         )
     if json_output:
-        _print_json({name: asdict(matrix) for name, matrix in matrices.items()})
+        print_json({name: asdict(matrix) for name, matrix in matrices.items()})
         return
     for name, matrix in matrices.items():
         typer.echo(transfer_table(name, matrix).plain())
@@ -244,13 +227,13 @@ def leaderboard_command(
     if check:
         stale = stale_files(found, folder)
         if json_output:
-            _print_json({"stale": stale})
+            print_json({"stale": stale})
         else:
             typer.echo("\n".join(stale) or f"{folder} is current")
         raise typer.Exit(1 if stale else 0)
     written = write_leaderboard(found, folder)
     if json_output:
-        _print_json({"files": [str(path) for path in written]})
+        print_json({"files": [str(path) for path in written]})
     else:
         typer.echo(f"{len(written)} files in {folder}; start with {folder / 'README.md'}")
 
@@ -273,7 +256,7 @@ def demo_command(
     from leaderboard.collision import collision_table, in_table_order
     from leaderboard.transfer import transfer_table
 
-    space, processes = _workspace(out), _workers(workers)
+    space, processes = _workspace(out), worker_count(workers)
 
     def tell(text: str) -> None:
         typer.echo(text, err=json_output)
@@ -283,7 +266,7 @@ def demo_command(
     source = _open_data(build_town(space.out / "data" / "demo" / "val", town, workers=processes), None, "demo")
     settings = BuildSettings(
         out=space.split_root("demo", "adv"),
-        hyper=HyperParameters(candidates=64, candidate_limit=3),
+        hyper=HyperParameters(candidates=64, candidate_limit=5),
         per_scene=1,
         renderer=_renderer(RendererName.SCHEMATIC, "448x256"),
         frames="keyframes",
@@ -302,7 +285,7 @@ def demo_command(
     tell("4/4 writing the leaderboard")
     write_leaderboard(records, out / "leaderboard")
     if json_output:
-        _print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
+        print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
         return
     tell("")
     tell(collision_table("demo", "exact", records).plain())
@@ -318,7 +301,7 @@ def doctor_command(out: OutOption = OUT, json_output: JsonOption = False) -> Non
 
     found = checks(out)
     if json_output:
-        _print_json([{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found])
+        print_json([{"check": check.name, "ok": check.ok, "says": check.sentence} for check in found])
     else:
         for check in found:
             typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
@@ -337,10 +320,29 @@ def data_info_command(
 
     found = contents(_open_source(root, tables, workers))
     if json_output:
-        _print_json(found)
+        print_json(found)
         return
     for name, value in found.items():
         typer.echo(f"{name}: {value}")
+
+
+@data_app.command("show")
+def data_show_command(
+    root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")],
+    to: Annotated[Path, typer.Option(help="Folder for the pictures.")],
+    tables: TablesOption = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    workers: WorkersOption = 0,
+) -> None:
+    """Draw each scene: from above over time, and the camera that sees the adversary best."""
+    from generation.pictures import write_pictures
+    from generation.schematic import SchematicRenderer
+
+    dataset = _open_source(root, tables, workers)
+    names = (name_list(scenes) or dataset.scene_names(None))[:limit]
+    written = write_pictures(dataset, names, to, SchematicRenderer())
+    typer.echo(f"{len(written)} pictures in {to}")
 
 
 @data_app.command("check")
@@ -351,19 +353,14 @@ def data_check_command(
 ) -> None:
     """Look for faults in the tables and files of a data set."""
     from benchmark.datasets.integrity import check_tables
-    from benchmark.datasets.roots import variant_folders
 
-    folders = [root / folder for folder in variant_folders(root)] or [root]
-    faults = [(folder, fault) for folder in folders for fault in check_tables(folder, version=tables)]
-    errors = sum(fault.severity == "error" for _, fault in faults)
+    faults = check_tables(root, version=tables)
+    errors = sum(fault.severity == "error" for fault in faults)
     if json_output:
-        rows = [
-            {"root": str(folder), "severity": f.severity, "table": f.table, "token": f.token, "says": f.sentence}
-            for folder, f in faults
-        ]
-        _print_json({"errors": errors, "faults": rows})
+        rows = [{"severity": f.severity, "table": f.table, "token": f.token, "says": f.sentence} for f in faults]
+        print_json({"errors": errors, "faults": rows})
     else:
-        for _, fault in faults:
+        for fault in faults:
             typer.echo(f"{fault.severity}: {fault.table}: {fault.sentence}")
         typer.echo(f"{errors} errors, {len(faults) - errors} warnings in {root}")
     raise typer.Exit(1 if errors else 0)
@@ -387,11 +384,11 @@ def data_import_command(
 
     if form != "scenarionet":
         raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
-    width, height = _size(size)
+    width, height = image_size(size)
     settings = ImportSettings(width, height, frames.value, images=renderer is not RendererName.NONE)
-    names = import_scenarionet(source, out, settings, workers=_workers(workers))
+    names = import_scenarionet(source, out, settings, workers=worker_count(workers))
     if json_output:
-        _print_json({"root": str(out), "scenes": names})
+        print_json({"root": str(out), "scenes": names})
     else:
         typer.echo(f"{len(names)} scenes in {out}: {', '.join(names)}")
 
@@ -410,10 +407,10 @@ def data_build_command(
     from benchmark.workspace import EMBEDDED, cache_root
     from generation.mini import TownSettings, build_town
 
-    width, height = _size(size)
+    width, height = image_size(size)
     settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value)
     target = root or cache_root() / settings.folder_name(EMBEDDED)
-    typer.echo(str(build_town(target, settings, workers=_workers(workers))))
+    typer.echo(str(build_town(target, settings, workers=worker_count(workers))))
 
 
 @train_app.command("denoiser")
@@ -443,7 +440,7 @@ def train_ego_status_command(
     """Train the planner that sees its own motion and the command only."""
     from adapters.ego_status_training import train_ego_status
 
-    _print_json(train_ego_status(tracks, out, seed=seed))
+    print_json(train_ego_status(tracks, out, seed=seed))
 
 
 def _open_data(root: Path, tables: str | None, name: str | None) -> "DataSet":
@@ -464,7 +461,7 @@ def _open_source(data: str, tables: str | None, workers: int) -> "DataSet":
     root = cache_root() / settings.folder_name(EMBEDDED)
     if not is_finished(root):
         typer.echo(f"building the embedded data set in {root} (once, about two minutes)", err=True)
-    return _open_data(build_town(root, settings, workers=_workers(workers)), None, EMBEDDED)
+    return _open_data(build_town(root, settings, workers=worker_count(workers)), None, EMBEDDED)
 
 
 def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "DataSet":
@@ -477,7 +474,7 @@ def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "Data
         typer.echo(f"generating split {split} of the embedded data set (once, some minutes)", err=True)
         renderer = _renderer(RendererName.SCHEMATIC, "448x256")
         target = _workspace(out).split_root(source.name, split)
-        _generate(source, split, BuildSettings(out=target, renderer=renderer, workers=_workers(workers)))
+        _generate(source, split, BuildSettings(out=target, renderer=renderer, workers=worker_count(workers)))
 
     return _workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
 
@@ -500,7 +497,7 @@ def _show_runs(data_name: str, records: "Sequence[RunRecord]", *, allow_partial:
             {"directory": str(r.directory), "status": r.run.status, **r.summary.model_dump(mode="json")}
             for r in records
         ]
-        _print_json(rows)
+        print_json(rows)
     shown = records if allow_partial else [record for record in records if record.complete]
     if not json_output and shown:
         for protocol in sorted({name for record in shown for name in record.summary.protocols}):
@@ -531,27 +528,4 @@ def _workspace(out: Path) -> "Workspace":
 def _renderer(name: RendererName, size: str) -> Any:
     from generation.schematic import SchematicRenderer
 
-    return SchematicRenderer(*_size(size)) if name is RendererName.SCHEMATIC else None
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()) or not (32 <= int(width) <= 8192 and 32 <= int(height) <= 8192):
-        raise InputError(f"--size {text!r} is not WIDTHxHEIGHT in pixels, for example 448x256 (32 to 8192 each)")
-    return int(width), int(height)
-
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _workers(count: int) -> int:
-    from benchmark.workers import default_workers
-
-    if count < 0:
-        raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
-    return count or default_workers()
-
-
-def _print_json(value: Any) -> None:
-    typer.echo(json.dumps(value, indent=1, sort_keys=True, allow_nan=False))
+    return SchematicRenderer(*image_size(size)) if name is RendererName.SCHEMATIC else None

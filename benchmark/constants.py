@@ -68,6 +68,25 @@ OFFICIAL_LOCATIONS: Final = (
 )
 """The only names ``NuScenesMap`` of the devkit accepts."""
 
+MAP_LAYERS: Final = (
+    "polygon",
+    "line",
+    "node",
+    "drivable_area",
+    "road_segment",
+    "road_block",
+    "lane",
+    "ped_crossing",
+    "walkway",
+    "stop_line",
+    "carpark_area",
+    "road_divider",
+    "lane_divider",
+    "traffic_light",
+    "lane_connector",
+)
+"""Layers of a map-expansion file that are lists of records, in the order of the official files."""
+
 VEHICLE_CATEGORIES: Final = (
     "vehicle.car",
     "vehicle.truck",

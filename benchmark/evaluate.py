@@ -21,6 +21,7 @@ from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records import RunRecord, write_record
 from benchmark.run_directory import run_directory, tidy
 from benchmark.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
+from benchmark.storage import only_writer
 from benchmark.workers import map_ordered
 
 if TYPE_CHECKING:
@@ -102,7 +103,8 @@ def evaluate(
         on any sample.
 
     Raises:
-        InputError: If the split, a scene or a protocol is unknown, or the data is broken.
+        InputError: If the split, a scene or a protocol is unknown, the data is broken, or another command is writing
+            the same record.
     """
     settings = settings or EvalSettings()
     if settings.workers < 1:
@@ -118,7 +120,6 @@ def evaluate(
     if factory is not None and settings.workers > 1:
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
         elsewhere = partial(work_in_worker, run, opener, factory)
-    results = list(_results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, facts.name))
     described = {
         "planner": facts,
         "data": {"name": data.name, "version": data.version, "fingerprint": run.fingerprint},
@@ -128,9 +129,11 @@ def evaluate(
         "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }
-    rows = [row for result in results for row in result.rows]
-    record = write_record(directory, described, rows, versions, seed=settings.seed)
-    tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
+    with only_writer(directory):
+        results = list(_results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, facts.name))
+        rows = [row for result in results for row in result.rows]
+        record = write_record(directory, described, rows, versions, seed=settings.seed)
+        tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
     return record
 
 

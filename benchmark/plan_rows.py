@@ -1,5 +1,6 @@
 """Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept."""
 
+import contextlib
 import inspect
 import random
 import re
@@ -11,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,14 @@ from benchmark.geometry import Floats
 from benchmark.planning import Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.records import PlannerFacts
 from benchmark.scene import Scene
-from benchmark.storage import content_key, content_seed, read_json_lines, write_json_lines
+from benchmark.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
 
-ROW_FORMAT = 1
+ROW_FORMAT = 2
 """Raised whenever the rows of an unchanged planner would change."""
+
+
+_FAILURES = (Exception, SystemExit)
+"""What a planner may raise: one that calls `sys.exit` must not end the run as if it had succeeded."""
 
 
 class PlannerFactory(Protocol):
@@ -77,13 +81,23 @@ def facts_of(planner: Planner) -> PlannerFacts:
 
     Returns:
         Its identity, with the hash of its class's source files.
+
+    Raises:
+        InputError: If its settings are not plain values.
     """
+    settings = dict(getattr(planner, "settings", {}))
+    try:
+        content_key(settings)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"the settings of planner {planner.name!r} must be plain JSON values ({error}); leave the others out"
+        ) from error
     return PlannerFacts(
         name=planner.name,
         privileged=isinstance(planner, PrivilegedPlanner),
         weights_sha256=getattr(planner, "weights_sha256", None),
         code_sha256=code_sha256(type(planner)),
-        settings=dict(getattr(planner, "settings", {})),
+        settings=settings,
         seed=int(getattr(planner, "seed", 0)),
     )
 
@@ -96,7 +110,7 @@ def code_sha256(planner_class: type) -> str | None:
         planner_class: The class.
 
     Returns:
-        Hash of its module, and of the rest of its package if it is in one; ``None`` if it has no source file.
+        Hash of its name and module, and of the rest of its package if it is in one; ``None`` if it has no source file.
     """
     try:
         source = inspect.getsourcefile(planner_class)
@@ -108,7 +122,9 @@ def code_sha256(planner_class: type) -> str | None:
     package = file.parent if (file.parent / "__init__.py").is_file() else None
     files = sorted(package.rglob("*.py")) if package else [file]
     base = file.parent
-    return content_key([(path.relative_to(base).as_posix(), path.read_text()) for path in files])
+    return content_key(
+        planner_class.__qualname__, [(path.relative_to(base).as_posix(), path.read_text()) for path in files]
+    )
 
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
@@ -128,7 +144,7 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
 
 def rows_path(directory: Path, scene: str) -> Path:
     """File of one scene's plan rows; scene names may hold slashes."""
-    return directory / "rows" / f"{quote(scene, safe='')}.jsonl"
+    return directory / "rows" / f"{file_name(scene)}.jsonl"
 
 
 def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key: str, *, fresh: bool) -> PlannedScene:
@@ -153,9 +169,12 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
         return PlannedScene(kept, None)
     _seed_everything(content_seed(key))
     started = time.perf_counter()
-    rows = _rows(planner, source.scene(name), list(source.observations(name)))
+    scene, observations = source.scene(name), list(source.observations(name))
+    # Stdout belongs to the command (--json); what a planner prints goes to stderr.
+    with contextlib.redirect_stdout(sys.stderr):
+        rows = _rows(planner, scene, observations)
     seconds = time.perf_counter() - started
-    write_json_lines(path, [{"key": key, "rows": len(rows)}, *rows])
+    write_json_lines(path, [_header(key, rows), *rows])
     return PlannedScene(rows, seconds)
 
 
@@ -167,7 +186,12 @@ def _kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
     except (InputError, ValueError):
         # A damaged file is unfinished work: it is made again.
         return None
-    return rows if header == {"key": key, "rows": len(rows)} else None
+    return rows if header == _header(key, rows) else None
+
+
+def _header(key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """First line of a file of rows: what they are of, and a hash that tells whether they are still those."""
+    return {"key": key, "rows": len(rows), "content": content_key(rows)}
 
 
 def _seed_everything(seed: int) -> None:
@@ -183,7 +207,7 @@ def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         if isinstance(planner, PrivilegedPlanner):
             planner.reveal(scene)
-    except Exception:
+    except _FAILURES:
         error = _traceback()
         return [_row(observation, None, error) for observation in observations]
     return [_planned_row(planner, observation) for observation in observations]
@@ -198,7 +222,7 @@ def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
         return _row(observation, _plan_json(plan), None)
     except BrokenImageError:
         raise
-    except Exception:
+    except _FAILURES:
         return _row(observation, None, _traceback())
 
 

@@ -169,7 +169,7 @@ class Plan:
 def chord_headings(waypoints: Floats, *, start_heading_rad: float, hold_below_m: float = 0.3) -> Floats:
     """Heading at each waypoint: direction of the chord between its neighbours, held where the car hardly moves.
 
-    Section 8 of the protocol specification: chord from waypoint k-1 to k+1 (the start is the origin; the last step
+    The rule of the ``exact`` protocol: chord from waypoint k-1 to k+1 (the start is the origin; the last step
     uses the last segment) if it is at least ``hold_below_m`` long, else the previous heading.
 
     Args:

@@ -203,9 +203,11 @@ def load_record(directory: Path) -> RunRecord:
             f"{directory} has record schema {facts['schema']}, this version reads up to {SCHEMA}; upgrade "
             "challenger-bench"
         )
+    if facts["schema"] not in {SCHEMA, *UPGRADES}:
+        raise InputError(f"{directory} has record schema {facts['schema']}, which never existed; run eval again")
     raw_rows, raw_summary = read_json_lines(directory / ROWS_FILE), read_json(directory / SUMMARY_FILE)
-    for name, expected in facts["files"].items():
-        if name not in (ROWS_FILE, SUMMARY_FILE) or file_sha256(directory / name) != expected:
+    for name in (ROWS_FILE, SUMMARY_FILE):
+        if file_sha256(directory / name) != facts["files"].get(name):
             raise InputError(
                 f"{directory / name} does not belong to the {RUN_FILE} beside it (an interrupted or edited run); run "
                 "the same eval command again"

@@ -154,8 +154,8 @@ def as_multipolygon(shape: shapely.Geometry) -> MultiPolygon:
 class DrivableRaster:
     """The drivable area around a pose as a grid of booleans.
 
-    A point looks up the cell ``rint((local + half_extent) / resolution)``, half to even, as the reference does
-    (scoring golden set); outside the grid is not drivable.
+    A point looks up the cell ``rint((local + half_extent) / resolution)``, half to even, as the reference
+    code does; outside the grid is not drivable.
 
     Attributes:
         cells: (n, n) first index along the pose's right, second along its heading.
@@ -188,7 +188,8 @@ class DrivableRaster:
         nodes = to_global(np.stack([forward, -right], axis=-1), np.asarray(pose, np.float64))
         reach = half_extent_m * np.sqrt(2.0) + resolution_m
         x, y = float(pose[0]), float(pose[1])
-        local = road_map.near((x - reach, y - reach, x + reach, y + reach))
+        window = shapely.box(x - reach, y - reach, x + reach, y + reach)
+        local = RoadMap(road_map.location, as_multipolygon(road_map.drivable_area.intersection(window)))
         shapely.prepare(local.drivable_area)
         return cls(local.is_drivable(nodes), np.asarray(pose, np.float64), resolution_m)
 

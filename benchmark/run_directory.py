@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 from benchmark.errors import InputError
 from benchmark.record_schema import PlannerFacts
-from benchmark.storage import content_key, read_json, write_json
+from benchmark.storage import content_key, file_name, read_json, write_json, writing_to
 
 TIMING_FILE = "timing.json"
 
@@ -33,7 +33,7 @@ def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, 
         "part": list(part),
     }
     suffix = f"-{content_key(special)[:8]}" if any(special.values()) else ""
-    return out / quote(data_name, safe="") / quote(split, safe="") / (quote(planner.name, safe="") + suffix)
+    return out / file_name(data_name) / file_name(split) / (file_name(planner.name) + suffix)
 
 
 def tidy(directory: Path, planned: Mapping[Path, float | None]) -> None:
@@ -44,9 +44,10 @@ def tidy(directory: Path, planned: Mapping[Path, float | None]) -> None:
         planned: Row files of this run, with the planning time where they were planned now; known times of the others
             stay.
     """
-    for path in (*directory.glob(".*.part"), *(directory / "rows").iterdir()):
-        if path not in planned:
-            path.unlink()
+    with writing_to(directory):
+        for path in (*directory.glob(".*.part"), *(directory / "rows").iterdir()):
+            if path not in planned:
+                path.unlink()
     known: dict[str, float] = {}
     timing = directory / TIMING_FILE
     if timing.exists():

@@ -4,12 +4,14 @@ Everything the project writes goes through here: a temporary file beside the tar
 """
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from benchmark.errors import InputError
 
@@ -46,6 +48,19 @@ def content_seed(*parts: Any) -> int:
     return int(content_key(*parts)[:16], 16) >> 1
 
 
+def file_name(name: str) -> str:
+    """A name from a stranger's data as the name of one file or folder: no separators, never ``.`` or ``..``.
+
+    Args:
+        name: Any text.
+
+    Returns:
+        The text, percent-encoded where needed; ordinary names stay as they are.
+    """
+    quoted = quote(name, safe="", errors="backslashreplace")
+    return f"%2E{quoted[1:]}" if quoted.startswith(".") else quoted
+
+
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, 64 hexadecimal digits."""
     with path.open("rb") as stream:
@@ -70,6 +85,35 @@ def writing_to(path: Path) -> Iterator[None]:
             f"cannot write {path}: {reason}; free some space or choose another place with --out, then run the same "
             "command again (finished work is kept)"
         ) from error
+
+
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Keep two commands from writing to one folder at the same time; a killed command keeps nobody out.
+
+    Args:
+        folder: The folder; it is made.
+
+    Raises:
+        InputError: If another command is writing to it, or it cannot be made.
+    """
+    with writing_to(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise InputError(
+                f"another command is writing to {folder}; wait until it has ended, then run this one again, or choose "
+                "another place with --out"
+            ) from error
+        except OSError:
+            # Some network file systems have no locks; every file is still written whole.
+            pass
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
@@ -129,6 +173,21 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path} is not valid JSON ({error}); it may be truncated, fetch or make it again") from error
 
 
+def read_kept_json(path: Path) -> Any | None:
+    """Read a JSON file that work resumes from; ``None`` if it is absent or damaged, so that it is made again.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The value, or ``None``.
+    """
+    try:
+        return read_json(path)
+    except InputError:
+        return None
+
+
 def read_json_lines(path: Path) -> list[Any]:
     """Read one JSON value a line.
 
@@ -142,9 +201,11 @@ def read_json_lines(path: Path) -> list[Any]:
         InputError: If it is absent, unreadable or a line is not JSON.
     """
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not text ({error}); fetch or make it again") from error
     rows = []
     for number, line in enumerate(text.splitlines(), start=1):
         try:

@@ -23,6 +23,7 @@ class TransferMatrix:
         protocol: Who judged the collisions.
         split: Name of the split.
         planners: Names of P planners, in the order given.
+        privileged: P flags: whether the planner saw what no car sees.
         cells: P x P, first index surrogate, second victim. ``denominator`` counts the scenes that the surrogate fails
             and both were judged on, ``numerator`` those that the victim fails too; ``value`` is ``None`` (a dash)
             where the surrogate fails none. The diagonal is 1 by construction.
@@ -33,6 +34,7 @@ class TransferMatrix:
     protocol: str
     split: str
     planners: tuple[str, ...]
+    privileged: tuple[bool, ...]
     cells: tuple[tuple[Rate, ...], ...]
     base_rates: tuple[Rate, ...]
     undecided: tuple[tuple[str, ...], ...]
@@ -60,6 +62,7 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
         protocol=protocol,
         split=records[0].run.split,
         planners=tuple(record.planner for record in records),
+        privileged=tuple(record.run.planner.privileged for record in records),
         cells=tuple(tuple(_cell(surrogate, victim, seed) for victim in verdicts) for surrogate in verdicts),
         base_rates=tuple(_cell(dict.fromkeys(verdict, True), verdict, seed) for verdict in verdicts),
         undecided=tuple(tuple(scene for scene in every_scene if verdict.get(scene) is None) for verdict in verdicts),

@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from benchmark.errors import InputError
@@ -46,7 +47,7 @@ def map_ordered(
         One result per item.
 
     Raises:
-        InputError: If ``workers`` is not positive.
+        InputError: If ``workers`` is not positive, or a worker process is killed.
     """
     if workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}")
@@ -61,6 +62,11 @@ def map_ordered(
         futures: list[Future[Result]] = [pool.submit(function, item) for item in items]
         try:
             yield from progress((future.result() for future in futures), total=len(items), label=label)
+        except BrokenProcessPool as error:
+            raise InputError(
+                f"a worker process ended abruptly ({label}), as happens where memory runs out; run the same command "
+                "again with fewer --workers (finished work is kept)"
+            ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

@@ -40,10 +40,6 @@ class Workspace:
         """Folder of all run records."""
         return self.out / "runs"
 
-    def run_dir(self, data_name: str, split: str, model: str) -> Path:
-        """Folder of one run record."""
-        return self.run_root() / data_name / split / model
-
     def open_split(self, source: DataSet, split: str, *, build: Callable[[], None] | None = None) -> DataSet:
         """The data set that holds a split of a source.
 

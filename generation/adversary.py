@@ -16,7 +16,7 @@ from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from benchmark.storage import content_key, content_seed
-from generation.candidates import initial_state, launch_frame
+from generation.candidates import in_canvas, initial_state, launch_frame
 from generation.hyperparameters import HyperParameters
 from generation.labels import ClosestApproach, closest_approach, times_to_collision
 from generation.physics import DriverLimits, MotionModel, VehicleState, rear_axle, simulate
@@ -26,7 +26,7 @@ from generation.scoring import score_terms, surroundings
 from generation.solvable import log_replay_contacts
 from generation.verify import Discard, touches_others, verify
 
-ALGORITHM_VERSION = "1"
+ALGORITHM_VERSION = "2"
 """Part of every content key; changes when the same inputs would give other tracks."""
 
 
@@ -65,6 +65,7 @@ class Attempt:
         least_time_to_collision_s: Smallest of `labels.times_to_collision`, ``None`` if never within 5 s.
         plans: Trace.
         scene: The adversarial scene, if kept.
+        tries: Searches that were made; everything else is about the last one.
     """
 
     scene_name: str
@@ -78,6 +79,7 @@ class Attempt:
     least_time_to_collision_s: float | None
     plans: tuple[PlanningFrame, ...]
     scene: Scene | None
+    tries: int = 0
 
     @property
     def kept(self) -> bool:
@@ -94,6 +96,7 @@ class Attempt:
             "kept": self.kept,
             "discard": None if self.discard is None else self.discard.value,
             "launch_frame": self.start,
+            "tries": self.tries,
             "challenge": self.challenge,
             "closest_approach": None
             if closest is None
@@ -122,7 +125,7 @@ def attempt(
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
 ) -> Attempt:
-    """Let one vehicle challenge the ego from its launch to the end of the scene.
+    """Let one vehicle challenge the ego from its launch to the end of the scene, with ``hyper.tries`` chances.
 
     Args:
         scene: The recorded scene; earlier adversaries in it are surroundings like any other vehicle.
@@ -152,18 +155,27 @@ def attempt(
         return replace(blank, discard=Discard.NEVER_LAUNCHED)
     if ego_already_collides(scene):
         return replace(blank, start=start, discard=Discard.ORIGINAL_COLLIDES)
-    rng = np.random.default_rng(
-        content_seed(
-            scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior.fingerprint, ALGORITHM_VERSION
-        )
-    )
-    hunt = _Hunt(scene, agent_index, start, hyper, prior, diversify or _packaged_diversify(), model, rng)
-    poses, plans, safe = hunt.run()
-    driven = replace(blank, start=start, poses=poses, plans=plans)
-    if not safe:
-        return replace(driven, discard=Discard.NO_SAFE_CANDIDATE)
-    changed = scene.with_adversary(agent_index, slice(start, start + len(poses)), poses)
-    return _judged(driven, changed, agent_index, start, hyper, model.limits)
+    content = (scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior.fingerprint, ALGORITHM_VERSION)
+    diversify = diversify or _packaged_diversify()
+    result = blank
+    for number in range(hyper.tries):
+        rng = np.random.default_rng(content_seed(*content, number))
+        hunt = _Hunt(scene, agent_index, start, hyper, prior, diversify, model, rng)
+        result = _result(hunt, replace(blank, start=start, tries=number + 1), model.limits)
+        # A vehicle that the area loses drives the other way; it would be lost again.
+        if result.kept or result.discard is Discard.LEAVES_AREA:
+            break
+    return result
+
+
+def _result(hunt: "_Hunt", blank: Attempt, limits: DriverLimits) -> Attempt:
+    """What comes of one search."""
+    poses, plans, gave_up = hunt.run()
+    driven = replace(blank, poses=poses, plans=plans, discard=gave_up)
+    if gave_up is not None:
+        return driven
+    changed = hunt.scene.with_adversary(hunt.agent, slice(hunt.start, hunt.start + len(poses)), poses)
+    return _judged(driven, changed, hunt.agent, hunt.start, hunt.hyper, limits)
 
 
 def _judged(
@@ -195,8 +207,8 @@ class _Hunt:
     model: MotionModel
     rng: np.random.Generator
 
-    def run(self) -> tuple[Floats, tuple[PlanningFrame, ...], bool]:
-        """Executed poses (F, 3), trace, and whether a candidate without contact was found throughout."""
+    def run(self) -> tuple[Floats, tuple[PlanningFrame, ...], Discard | None]:
+        """Executed poses (F, 3), trace, and why the rest was not planned: what `verify` could only discard."""
         assert self.model.limits is not None
         state = initial_state(self.scene, self.agent, self.start, self.model.limits)
         track = [self._recorded_pose(self.start)[None]]
@@ -207,10 +219,12 @@ class _Hunt:
             executed = found.motion.center[found.chosen, 1 : steps + 1]
             plans.append(_trace(frame, found))
             if not np.isfinite(executed).all() or (self.hyper.scored and self._touches(frame, executed)):
-                return np.concatenate(track), tuple(plans), False
+                return np.concatenate(track), tuple(plans), Discard.NO_SAFE_CANDIDATE
             track.append(executed)
+            if not in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1).all():
+                return np.concatenate(track), tuple(plans), Discard.LEAVES_AREA
             state = found.motion.state(found.chosen, steps)
-        return np.concatenate(track), tuple(plans), True
+        return np.concatenate(track), tuple(plans), None
 
     def _plan(self, frame: int, state: VehicleState, track: Floats) -> Refinement:
         offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))

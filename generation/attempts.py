@@ -13,7 +13,7 @@ from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from benchmark.storage import content_key, read_json, write_json
+from benchmark.storage import content_key, read_kept_json, write_json
 from benchmark.workers import map_ordered
 from generation.adversary import ALGORITHM_VERSION, Attempt, attempt
 from generation.candidates import choose
@@ -202,18 +202,24 @@ def attempts(search: Search, units: Sequence[Unit], *, workers: int) -> Iterator
 
 def _finished_attempt(search: Search, unit: Unit) -> StoredAttempt:
     path = search.path(unit)
-    if path.exists():
-        try:
-            return StoredAttempt.model_validate(read_json(path))
-        except ValidationError as error:
-            raise InputError(
-                f"{path} is not a stored attempt of this version ({error.error_count()} faults); delete it"
-            ) from error
+    kept = _kept_attempt(path, unit)
+    if kept is not None:
+        return kept
     scene = search.source.open().scene(unit.scene_name)
     result = attempt(scene, unit.agent, search.seed, search.hyper, packaged_prior(search.weights))
     stored = StoredAttempt.of(unit, result)
     write_json(path, stored.model_dump(mode="json"), indent=None)
     return stored
+
+
+def _kept_attempt(path: Path, unit: Unit) -> StoredAttempt | None:
+    try:
+        stored = StoredAttempt.model_validate(read_kept_json(path))
+    except ValidationError:
+        # A damaged file is unfinished work: it is made again.
+        return None
+    same_unit = (stored.scene_name, stored.agent, stored.agent_id) == (unit.scene_name, unit.agent, unit.agent_id)
+    return stored if same_unit else None
 
 
 @functools.lru_cache(maxsize=2)

@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.storage import token, write_json, write_json_lines
+from benchmark.storage import only_writer, token, write_json, write_json_lines
 from benchmark.workers import map_ordered
-from generation.attempts import Search, SourceReference, StoredAttempt, attempts, candidates_of, packaged_prior
+from generation.attempts import Search, SourceReference, StoredAttempt, Unit, attempts, candidates_of, packaged_prior
 from generation.hyperparameters import HyperParameters
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set, write_scene
 from generation.ranking import ranked
@@ -113,7 +113,8 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
         What was done; the same is in ``report.json``, and each attempt in ``attempts.jsonl``, in the output root.
 
     Raises:
-        InputError: If a scene is unknown, nothing survives, or the output cannot be written.
+        InputError: If a scene is unknown, nothing survives, another command is writing there, or the output cannot be
+            written.
     """
     names = _source_scenes(source, settings)
     reference = SourceReference.of(source)
@@ -134,13 +135,20 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
     if settings.dry_run:
         finished = sum(search.path(unit).exists() for unit in units)
         return BuildReport(split, len(names), len(units), finished, 0, {}, ())
+    with only_writer(settings.out):
+        return _build_adversarial(source, search, names, units, settings)
+
+
+def _build_adversarial(
+    source: DataSet, search: Search, names: Sequence[str], units: Sequence[Unit], settings: BuildSettings
+) -> BuildReport:
     results = list(attempts(search, units, workers=settings.workers))
     survivors = [result for result in results if result.kept]
     discarded = Counter(result.discard for result in results if result.discard is not None)
     kept = ranked(survivors, per_scene=settings.per_scene, total=settings.total)
     jobs = _adversarial_jobs(kept)
     report = BuildReport(
-        split, len(names), len(units), 0, len(survivors), dict(discarded), tuple(job.name for job in jobs)
+        "adv", len(names), len(units), 0, len(survivors), dict(discarded), tuple(job.name for job in jobs)
     )
     _write_reports(settings.out, report, results)
     if not jobs:
@@ -148,7 +156,7 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
             f"no adversarial scene survived: {report.summary()}; try more scenes or another --seed "
             f"(details in {settings.out / 'attempts.jsonl'})"
         )
-    _write(source, split, reference, jobs, settings)
+    _write(source, "adv", search.source, jobs, settings)
     return report
 
 
@@ -187,8 +195,9 @@ def _build_originals(
     written = () if settings.dry_run else tuple(job.name for job in jobs)
     report = BuildReport("val-r", len(names), 0, 0, 0, {}, written)
     if not settings.dry_run:
-        _write_reports(settings.out, report, [])
-        _write(source, "val-r", reference, jobs, settings)
+        with only_writer(settings.out):
+            _write_reports(settings.out, report, [])
+            _write(source, "val-r", reference, jobs, settings)
     return report
 
 

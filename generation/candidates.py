@@ -11,6 +11,7 @@ from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.scene import Scene
 from benchmark.storage import content_seed
 from generation.hyperparameters import HyperParameters
+from generation.labels import ego_speed
 from generation.physics import WHEELBASE, DriverLimits, VehicleState, rear_axle
 
 STANDING_M_S = 0.3
@@ -35,12 +36,14 @@ def choose(scene: Scene, hyper: HyperParameters, seed: int) -> tuple[int, ...]:
     shapely.prepare(scene.road_map.drivable_area)
     eligible = [agent for agent in range(len(scene.agents)) if is_eligible(scene, agent, hyper)]
     rng = np.random.default_rng(content_seed("candidates", scene.name, scene.token, seed))
-    drawn = rng.permutation(len(eligible))[: hyper.candidate_limit]
+    # Weighted draw without replacement: who waits least, with waiting times of rate "weight".
+    weight = np.array([staying_share(scene, agent, hyper) for agent in eligible]) ** hyper.staying_preference
+    drawn = np.argsort(rng.exponential(size=len(eligible)) / weight, kind="stable")[: hyper.candidate_limit]
     return tuple(sorted(eligible[index] for index in drawn))
 
 
 def is_eligible(scene: Scene, agent: int, hyper: HyperParameters) -> bool:
-    """Whether a vehicle comes close on the road, moves by itself and can be launched.
+    """Whether a vehicle comes close on the road, moves by itself and can be launched at an ego that still drives.
 
     Args:
         scene: The recorded scene.
@@ -59,22 +62,41 @@ def is_eligible(scene: Scene, agent: int, hyper: HyperParameters) -> bool:
     path = agents.position[agent, agents.valid[agent], :2]
     if not hyper.parked and np.ptp(path, axis=0).max() < hyper.least_motion_m:
         return False
-    on_road = scene.road_map.is_drivable(agents.position[agent, canvas, :2])
-    return bool(on_road.mean() >= hyper.least_drivable_share) and launch_frame(scene, agent, hyper) is not None
+    if scene.road_map.is_drivable(agents.position[agent, canvas, :2]).mean() < hyper.least_drivable_share:
+        return False
+    launch = launch_frame(scene, agent, hyper)
+    return launch is not None and bool((ego_speed(scene)[launch:] >= hyper.moving_ego_m_s).any())
 
 
-def in_canvas(scene: Scene, points: Floats, half_extent_m: float) -> Bools:
+def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
+    """Share of the frames after its launch that an eligible vehicle's recording spends in the area around the ego.
+
+    Args:
+        scene: The recorded scene.
+        agent: Index of an eligible agent.
+        hyper: Size of the area.
+
+    Returns:
+        The share, more than 0.
+    """
+    launch = launch_frame(scene, agent, hyper)
+    inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m) & scene.agents.valid[agent]
+    return float(inside[launch:].mean())
+
+
+def in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
     """Whether points lie in the square around the ego, frame by frame.
 
     Args:
         scene: The scene.
-        points: (T, 2) metres, global.
+        points: (F, 2) metres, global, one a frame.
         half_extent_m: Half the side of the square.
+        first: Frame of the first point.
 
     Returns:
-        (T,) verdicts.
+        (F,) verdicts.
     """
-    local = to_local(points, scene.ego.pose)
+    local = to_local(points, scene.ego.pose[first : first + len(points)])
     return np.asarray((np.abs(local) <= half_extent_m).all(axis=-1))
 
 

@@ -32,6 +32,11 @@ class HyperParameters:
         multi_round: False is the ablation "- MTR": only the initial batch.
         scored: False is the ablation "- TS": uniform resampling and a random choice.
         candidate_limit: Vehicles tried in one scene ("up to 10 background vehicles").
+        staying_preference: Where more qualify, the random choice weighs each by the share of its recorded frames
+            after the launch that it spends in the area around the ego, to this power. An oncoming car behind a
+            median leaves the area whatever it does, and is discarded for that. 0 is the paper.
+        tries: Searches for one vehicle, each with randomness of its own, until a result is kept or leaves the area
+            around the ego. The paper does not say; 1 is one search for each vehicle.
         proximity_m: A candidate comes at least this close to the ego, centre to centre (reference code).
         launch_distance_m: The adversary takes over once it is this close (reference code).
         history_frames: Frames of recorded presence before the launch, which fix its state of motion.
@@ -74,6 +79,8 @@ class HyperParameters:
     scored: bool = True
 
     candidate_limit: int = 10
+    staying_preference: float = 2.0
+    tries: int = 2
     proximity_m: float = 20.0
     launch_distance_m: float = 25.0
     history_frames: int = 12
@@ -95,10 +102,13 @@ class HyperParameters:
     stopping_m_s2: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit"):
+        for name in ("candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries"):
             if getattr(self, name) < 1:
                 raise InputError(f"hyper-parameter {name} must be at least 1, got {getattr(self, name)}")
-        for name in ("rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames"):
+        for name in (
+            "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames",
+            "staying_preference",
+        ):  # fmt: skip
             if not getattr(self, name) >= 0:
                 raise InputError(f"hyper-parameter {name} must not be negative, got {getattr(self, name)}")
 

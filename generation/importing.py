@@ -8,6 +8,7 @@ from typing import Literal
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.errors import InputError
 from benchmark.scene import Scene
+from benchmark.storage import only_writer
 from benchmark.workers import map_ordered
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.rig import default_cameras
@@ -53,12 +54,13 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
     plan = DataSetPlan(
         root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames, source=None
     )
-    written = list(map_ordered(partial(_import_one, plan), files, workers=workers, label="importing scenes"))
-    names = [name for name, _ in written]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(f"{source} holds more than one file of scene {twice[0]}; keep one of them")
-    finish_data_set(plan, [key for _, key in written])
+    with only_writer(root):
+        written = list(map_ordered(partial(_import_one, plan), files, workers=workers, label="importing scenes"))
+        names = [name for name, _ in written]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InputError(f"{source} holds more than one file of scene {twice[0]}; keep one of them")
+        finish_data_set(plan, [key for _, key in written])
     return tuple(names)
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Literal
 
 from benchmark.errors import InputError
-from benchmark.storage import content_key
+from benchmark.storage import content_key, only_writer, read_kept_json, write_json
 from benchmark.workers import map_ordered
 from benchmark.workspace import is_finished
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.schematic import SchematicRenderer
 from generation.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names
 
@@ -45,7 +46,7 @@ class TownSettings:
 
 
 def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
-    """Write the town data set, or finish writing it; nothing is done when it is complete.
+    """Write the town data set, or finish writing it; nothing is done when it is there with these settings.
 
     Args:
         root: Root of the data set.
@@ -60,7 +61,8 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     """
     if settings.val_scenes < 1 or settings.train_scenes < 0:
         raise InputError("the town needs at least one evaluation scene (--town-scenes) and no negative numbers")
-    if is_finished(root):
+    note, made_of = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
+    if is_finished(root) and read_kept_json(note) == made_of:
         return root
     renderer = SchematicRenderer(settings.width, settings.height)
     plan = DataSetPlan(
@@ -68,9 +70,12 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     )
     work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
     work += [("train", index) for index in range(settings.train_scenes)]
-    keys = list(map_ordered(partial(_write_one, plan, settings.seed), work, workers=workers, label="building the town"))
+    job = partial(_write_one, plan, settings.seed)
     train = list(town_scene_names("train", settings.train_scenes)) if settings.train_scenes else []
-    finish_data_set(plan, keys, extra_splits={"train": train} if train else None)
+    with only_writer(root):
+        keys = list(map_ordered(job, work, workers=workers, label="building the town"))
+        finish_data_set(plan, keys, extra_splits={"train": train} if train else None)
+        write_json(note, made_of)
     return root
 
 

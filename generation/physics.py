@@ -140,7 +140,7 @@ def rear_axle(center: Floats, length_m: float) -> Floats:
 def simulate(
     waypoints: Floats, state: VehicleState, length_m: float, *, steps: int, model: MotionModel
 ) -> SimulatedMotion:
-    """Drive along waypoints (``spec/physics.md``: tracker, actuators and bicycle).
+    """Drive along waypoints: LQR tracker, actuators and kinematic bicycle.
 
     Args:
         waypoints: (B, 16, 2 or 3) x, y (heading is ignored) at 2 Hz in the rear-axle frame of ``state``.

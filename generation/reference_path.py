@@ -37,7 +37,7 @@ def wrapped(angle_rad: Floats) -> Floats:
 
 
 def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, smooth: bool) -> ReferencePath:
-    """Interpolate waypoints and fit speed and curvature to them (``spec/physics.md``, "Reference profiles").
+    """Interpolate waypoints and fit speed and curvature to them by regularised least squares.
 
     Args:
         waypoints: (B, 16, 2) metres in the rear-axle frame of the vehicle now; the origin is prepended.

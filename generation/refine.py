@@ -35,7 +35,7 @@ class Prior(Protocol):
 
 
 Diversify = Callable[[Floats, np.random.Generator], Floats]
-"""Spreads the speeds of an initial batch (differences.md B: it is what makes the batch diverse)."""
+"""Spreads the speeds of an initial batch, which makes it diverse; the reference code does it, the paper is silent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,10 @@ class Round:
     Attributes:
         scores: (B,) final scores, normalised within the round.
         collision_free: Candidates without contact over the horizon.
-        mean_distance_m: Mean over these of the mean distance to the ego; NaN without any.
     """
 
     scores: Floats
     collision_free: int
-    mean_distance_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,5 +166,4 @@ def _best(
 
 def _summary(scores: Floats, terms: Terms, hyper: HyperParameters) -> Round:
     free = terms.finite & ~terms.collision[:, : hyper.horizon].any(axis=1)
-    distance = float(terms.distance[free, : hyper.horizon].mean()) if free.any() else float("nan")
-    return Round(scores, int(free.sum()), distance)
+    return Round(scores, int(free.sum()))

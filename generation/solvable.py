@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
-from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, to_global, to_local, yaw_of_quaternion
-from benchmark.planning import chord_headings
+from benchmark.datasets.sample_truth import ego_future, planar_lidar_poses
+from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, to_global, yaw_of_quaternion
+from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
 from benchmark.scene import Scene
-
-CHECKS_PER_STEP = 5
-"""Instants between two keyframes: every 0.1 s, the later keyframe included (``spec/protocols.md`` section 8)."""
 
 
 def log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -> Bools:
@@ -42,11 +40,11 @@ def _interpolated_annotations(scene: Scene, chosen: NDArray[np.int64]) -> tuple[
     pose = np.concatenate(
         [notes.position[chosen, :, :2], yaw_of_quaternion(notes.rotation[chosen])[..., None]], axis=-1
     )
-    fraction = np.arange(1, CHECKS_PER_STEP + 1) / CHECKS_PER_STEP
+    fraction = np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
     between = poses_between(pose[:, :-1, None], pose[:, 1:, None], fraction)
     size = np.broadcast_to(notes.size[chosen, 1:, None, :2], (*between.shape[:-1], 2))
     valid = notes.valid[chosen]
-    present = np.repeat((valid[:, :-1] & valid[:, 1:])[..., None], CHECKS_PER_STEP, axis=-1)
+    present = np.repeat((valid[:, :-1] & valid[:, 1:])[..., None], INSTANTS_PER_STEP, axis=-1)
     present[..., -1] = valid[:, 1:]
     return np.concatenate([between[..., :2], size, between[..., 2:]], axis=-1), present
 
@@ -57,21 +55,22 @@ def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
     The first has the real heading over the whole scene; the others are what a protocol makes of the recorded future
     of each sample, whose headings are chords between waypoints.
     """
-    ahead = float(scene.lidar.translation[0])
-    pose = scene.ego.pose[scene.keyframes]
-    pose[:, :2] += ahead * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+    pose = planar_lidar_poses(scene)
     footprints = [(_footprint(pose), slice(0, len(pose) - 1))]
     for index in range(len(pose) - PLAN_STEPS):
-        waypoints = to_local(pose[index + 1 : index + 1 + PLAN_STEPS, :2], pose[index])
-        headings = chord_headings(waypoints, start_heading_rad=0.0) + pose[index, 2]
-        plan = np.vstack([pose[index], np.column_stack([to_global(waypoints, pose[index]), headings])])
-        footprints.append((_footprint(plan), slice(index, index + PLAN_STEPS)))
+        future, _ = ego_future(pose, index)
+        boxes = ego_boxes(future[:, :2]).reshape(PLAN_STEPS, INSTANTS_PER_STEP, 5)
+        # The metric's frame has x to the right.
+        frame = pose[index] - [0.0, 0.0, np.pi / 2]
+        boxes[..., :2] = to_global(boxes[..., :2], frame)
+        boxes[..., 4] += frame[2]
+        footprints.append((boxes, slice(index, index + PLAN_STEPS)))
     return footprints
 
 
 def _footprint(lidar_pose: Floats) -> Floats:
     """(I, 5, 5) boxes between (I + 1, 3) poses of the lidar."""
-    fraction = np.arange(1, CHECKS_PER_STEP + 1) / CHECKS_PER_STEP
+    fraction = np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
     pose = poses_between(lidar_pose[:-1, None], lidar_pose[1:, None], fraction)
     forward = np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
     size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], (*pose.shape[:-1], 2))

@@ -9,6 +9,7 @@ from leaderboard.tables import UNDEFINED, Table, metres, percent, percent_interv
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
+PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
 
 
 def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table:
@@ -82,9 +83,9 @@ def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
     return sorted(records, key=place)
 
 
-def display_name(record: RunRecord) -> str:
+def marked(planner: str, *, privileged: bool) -> str:
     """The planner's name; a mark tells that it saw what no car sees."""
-    return f"{record.planner} {PRIVILEGED_MARK}" if record.run.planner.privileged else record.planner
+    return f"{planner} {PRIVILEGED_MARK}" if privileged else planner
 
 
 def increase_over(baseline: float | None, rate: float | None) -> float | None:
@@ -105,7 +106,7 @@ def _row(record: RunRecord, protocol: str, baseline: float | None) -> tuple[str,
     increase = increase_over(baseline, average.value) if record.run.split == "adv" else None
     interval = None if average.low is None or average.high is None else (average.low, average.high)
     return (
-        display_name(record),
+        marked(record.planner, privileged=record.run.planner.privileged),
         record.run.split,
         *(percent(collision[horizon].value) for horizon in HORIZONS),
         percent_interval(interval),
@@ -124,7 +125,7 @@ def _notes(runs: Sequence[RunRecord]) -> tuple[str, ...]:
         "computes it."
     ]
     if any(record.run.planner.privileged for record in runs):
-        notes.append(f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row.")
+        notes.append(PRIVILEGED_NOTE)
     for record in runs:
         if not record.complete:
             notes.append(f"{record.planner} on {record.run.split}: {record.summary.failed} samples failed.")

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,11 @@ _LATEX_SPECIAL = {
     "×": r"$\times$",
     "±": r"$\pm$",
     "†": r"$\dagger$",
+    "−": "$-$",
+    "…": r"\ldots{}",
+    # After the end of a row these two would be taken for its options.
+    "[": "{[}",
+    "*": "{*}",
 }
 
 
@@ -54,7 +60,8 @@ class Table:
     def markdown(self) -> str:
         """The table as GitHub Markdown, with its title and notes."""
         rule = ["---"] * self.text_columns + ["---:"] * (len(self.columns) - self.text_columns)
-        lines = [f"### {_markdown_cell(self.title)}", "", _markdown_row(self.columns), _markdown_row(rule)]
+        lines = [f"### {_markdown_cell(self.title)}", ""]
+        lines += [_markdown_row([_markdown_cell(head) for head in self.columns]), _markdown_row(rule)]
         lines += [_markdown_row([_markdown_cell(cell) for cell in row]) for row in self.rows]
         lines += ["", *(f"- {_markdown_cell(note)}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) + "\n"
@@ -79,8 +86,9 @@ class Table:
         lines += [f"    {_latex_row(self.columns)}", r"    \midrule"]
         lines += [f"    {_latex_row(row)}" for row in self.rows]
         lines += [r"    \bottomrule", r"  \end{tabular}"]
+        label = re.sub("[^A-Za-z0-9-]", "-", self.name)
         caption = " ".join([f"{self.title}.", *self.notes])
-        lines += [rf"  \caption{{{escape_latex(caption)}}}", rf"  \label{{tab:{self.name}}}", r"\end{table}"]
+        lines += [rf"  \caption{{{escape_latex(caption)}}}", rf"  \label{{tab:{label}}}", r"\end{table}"]
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
@@ -93,8 +101,8 @@ class Table:
 
 
 def escape_latex(text: str) -> str:
-    """Text in which nothing is LaTeX code."""
-    return "".join(_LATEX_SPECIAL.get(character, character) for character in text)
+    """Text on one line in which nothing is LaTeX code."""
+    return "".join(_LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:
@@ -121,8 +129,9 @@ def _markdown_row(cells: Sequence[str]) -> str:
 def _markdown_cell(text: str) -> str:
     """Text in which nothing is Markdown or HTML: names come from strangers' records."""
     safe = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\\", "\\\\")
-    for character in "|`*[]":
-        safe = safe.replace(character, f"\\{character}") if character != "[" or "](" in text else safe
+    for character in "|`*":
+        safe = safe.replace(character, f"\\{character}")
+    safe = safe.replace("](", "\\](")
     return " ".join(safe.split())
 
 

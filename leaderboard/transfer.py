@@ -2,6 +2,7 @@
 
 from benchmark.rates import Rate
 from benchmark.transfer import TransferMatrix
+from leaderboard.collision import PRIVILEGED_NOTE, marked
 from leaderboard.tables import UNDEFINED, Table
 
 
@@ -15,9 +16,9 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     Returns:
         One row per surrogate; cells are percentages with ``victim fails / surrogate fails``.
     """
+    names = [marked(name, privileged=seen) for name, seen in zip(matrix.planners, matrix.privileged)]
     rows = []
-    for surrogate, cells in zip(matrix.planners, matrix.cells):
-        own = matrix.planners.index(surrogate)
+    for own, (surrogate, cells) in enumerate(zip(names, matrix.cells)):
         shown = [UNDEFINED if column == own else _cell(cell) for column, cell in enumerate(cells)]
         rows.append((surrogate, str(round(cells[own].numerator)), *shown))
     rows.append(("all scenes", UNDEFINED, *(_cell(rate) for rate in matrix.base_rates)))
@@ -29,7 +30,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     return Table(
         name=f"transfer-{matrix.split}-{matrix.protocol}",
         title=f"{data_name}, split {matrix.split}: transfer of failures (%), protocol {matrix.protocol}",
-        columns=("surrogate", "its failed scenes", *matrix.planners),
+        columns=("surrogate", "its failed scenes", *names),
         rows=tuple(rows),
         notes=(
             "Cell: share of the surrogate's failed scenes that the victim (column) fails too, with counts. "
@@ -37,6 +38,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
             "A scene fails a planner if any counted sample of it collides. Last row: the victim's failure rate over "
             "all scenes; transfer is what exceeds it.",
             *undecided,
+            *((PRIVILEGED_NOTE,) if any(matrix.privileged) else ()),
         ),
     )
 

@@ -1,5 +1,6 @@
 """What a data set holds, in numbers."""
 
+from collections import Counter
 from typing import Any
 
 from benchmark.datasets.roots import DataSet
@@ -20,14 +21,16 @@ def contents(data: DataSet) -> dict[str, Any]:
     known: list[str | None] = [*sorted(data.splits())]
     for split in known or [None]:
         names = data.scene_names(split)
-        scenes = [data.scene(name) for name in names]
-        splits[split or "all"] = {
-            "scenes": list(names),
-            "samples": sum(len(scene.keyframes) for scene in scenes),
-            "instances": sum(int(scene.annotations.valid.any(axis=1).sum()) for scene in scenes),
-            "annotations": sum(int(scene.annotations.valid.sum()) for scene in scenes),
-            "adversaries": sum(len(scene.adversaries) for scene in scenes),
-        }
+        counts = Counter[str]()
+        for name in names:
+            # One scene at a time: a whole data set of them does not fit into memory.
+            scene = data.scene(name)
+            counts["samples"] += len(scene.keyframes)
+            counts["instances"] += int(scene.annotations.valid.any(axis=1).sum())
+            counts["annotations"] += int(scene.annotations.valid.sum())
+            counts["adversaries"] += len(scene.adversaries)
+        totals = {kind: counts[kind] for kind in ("samples", "instances", "annotations", "adversaries")}
+        splits[split or "all"] = {"scenes": list(names), **totals}
     return {
         "name": data.name,
         "root": str(data.root),

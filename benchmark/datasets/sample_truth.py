@@ -14,7 +14,7 @@ from benchmark.truth import SampleTruth
 
 
 def truth_of_scene(scene: Scene, sample_tokens: Sequence[str]) -> tuple[SampleTruth, ...]:
-    """What really happened around each sample, for protocols (specification of the protocols, section 0).
+    """What really happened around each sample, for protocols.
 
     Args:
         scene: The scene; its annotations are used as they are, never the interpolated tracks.

@@ -34,6 +34,8 @@ _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)
 """Above all numbers of real nuScenes scenes, some of which the devkit's CAN bus reader refuses."""
 _CLOCK_START_US: Final = 1_500_000_000_000_000
 _CLOCK_APART_US: Final = 600_000_000
+_FASTEST_EGO_MPS: Final = 200.0
+"""Beyond this a position is broken; spliced recordings jump by a metre between two steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +195,12 @@ def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
         raise InputError(
             f"{recording.path}: the ego is not there at step {int(np.argmin(ego.valid))}; a recording needs its ego "
             "at every step"
+        )
+    moved = np.linalg.norm(np.diff(ego.position[:, :2], axis=0), axis=1) / np.diff(recording.seconds)
+    if moved.max() > _FASTEST_EGO_MPS:
+        raise InputError(
+            f"{recording.path}: the ego moves at {moved.max():.3g} m/s after step {int(np.argmax(moved))}; positions "
+            "must be metres and without jumps, fetch the file again"
         )
     half_second = FRAMES_PER_KEYFRAME / FRAME_HZ
     count = int(np.floor(recording.seconds[-1] / half_second + 1e-6)) + 1

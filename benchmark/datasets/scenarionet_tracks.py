@@ -31,6 +31,9 @@ _CATEGORY_OF_TYPE: Final = {
 }
 _LONGEST_CAR_M: Final = 6.5
 _LONGEST_TRUCK_M: Final = 10.0
+_FARTHEST_M: Final = 1e8
+"""More than any projected map coordinate."""
+_LARGEST_M: Final = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,12 @@ def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | N
         raise InputError(f"{path}: track {name} has a pose that is not finite at step {step}; fetch the file again")
     if not np.isfinite(size).all() or not (size > 0).all():
         raise InputError(f"{path}: track {name} has the size {size.tolist()}; sizes must be positive, fetch it again")
+    farthest_m = np.abs(position[valid]).max()
+    if farthest_m > _FARTHEST_M or size.max() > _LARGEST_M:
+        raise InputError(
+            f"{path}: track {name} has positions up to {farthest_m:g} and the size {size.tolist()}; these cannot be "
+            "metres, fetch the file again"
+        )
     return SourceTrack(_category(track, kind, size), position, heading, size, valid)
 
 

@@ -126,7 +126,7 @@ def find_version(root: Path, version: str | None) -> str:
             "contains for example v1.0-mini/"
         )
     if len(found) > 1:
-        raise InputError(f"{root} has several versions ({', '.join(found)}); pass one of them as version")
+        raise InputError(f"{root} has several versions ({', '.join(found)}); name one with --tables")
     _require_all_tables(root / found[0])
     return found[0]
 

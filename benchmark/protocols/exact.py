@@ -1,6 +1,6 @@
 """The ``exact`` protocol: oriented boxes, the ego's own heading, every object, between the waypoints too.
 
-Definition (section 8 of the protocol specification):
+Definition:
 
 * The ego is a 4.084 m x 1.85 m rectangle whose centre is 0.5 m ahead of the lidar origin, along its heading. Its
   heading at a waypoint is the direction of the chord between the neighbouring waypoints where that is at least 0.3 m

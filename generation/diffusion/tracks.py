@@ -1,17 +1,13 @@
-"""Real vehicle tracks in one neutral npz format, cut into windows that a trajectory model can learn from.
+"""Recorded vehicle tracks (`benchmark.datasets.tracks`), cut into windows that a trajectory model can learn from."""
 
-A file holds ``x, y, heading`` (M,), ``ptr`` (N + 1,) so that track i is ``ptr[i]:ptr[i + 1]``, ``length`` (N,), ``cls``
-(N,), and the scalars ``hz, source, licence``.
-"""
-
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
+from benchmark.datasets.tracks import read_recorded_tracks
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
 from generation.diffusion.kinematics import MAX_ACCELERATION, STEP_S, motion
@@ -42,7 +38,6 @@ MAX_JERK: Final = 10.0
 """m/s^3; an emergency brake takes about half a second to build up, jitter does not."""
 MAX_SLIP_RAD: Final = 0.35
 """Largest angle between heading and motion of the rear axle, above 2 m/s."""
-REQUIRED: Final = ("ptr", "x", "y", "heading", "length", "cls", "hz", "source", "licence")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,42 +104,20 @@ def read_tracks(path: Path) -> TrackFile:
     Raises:
         InputError: If the file is broken, lacks an array, or holds numbers that cannot be tracks.
     """
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            missing = [name for name in REQUIRED if name not in archive.files]
-            if missing:
-                raise InputError(f"{path} lacks the arrays {', '.join(missing)}; it is not a track file")
-            arrays: dict[str, Any] = {name: archive[name] for name in REQUIRED}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read the tracks in {path} ({error}); fetch or make the file again") from error
-    _check_arrays(path, arrays)
-    source, hz = str(arrays["source"]), float(arrays["hz"])
+    recorded = read_recorded_tracks(path)
     tracks = []
-    for index, kind in enumerate(arrays["cls"]):
-        if str(kind) not in VEHICLE_CLASSES:
+    for index, kind in enumerate(recorded.kinds):
+        if kind not in VEHICLE_CLASSES:
             continue
-        part = slice(int(arrays["ptr"][index]), int(arrays["ptr"][index + 1]))
-        heading = np.unwrap(arrays["heading"][part].astype(np.float64))
-        length = float(arrays["length"][index])
+        part = slice(recorded.pointers[index], recorded.pointers[index + 1])
+        heading = np.unwrap(recorded.heading[part].astype(np.float64))
+        length = float(recorded.length[index])
         default = REAR_AXLE_FROM_CENTER * (length if np.isfinite(length) and length > 0 else EGO_LENGTH_M)
-        ahead = REFERENCE_POINT_FROM_REAR_AXLE_M.get(source, default)
-        x = arrays["x"][part] - ahead * np.cos(heading)
-        y = arrays["y"][part] - ahead * np.sin(heading)
+        ahead = REFERENCE_POINT_FROM_REAR_AXLE_M.get(recorded.source, default)
+        x = recorded.x[part] - ahead * np.cos(heading)
+        y = recorded.y[part] - ahead * np.sin(heading)
         tracks.append(np.column_stack([x, y, heading]))
-    return TrackFile(source, str(arrays["licence"]), tuple(tracks), hz)
-
-
-def _check_arrays(path: Path, arrays: dict[str, Any]) -> None:
-    """Refuse arrays whose shapes or values contradict each other."""
-    ptr, samples, count = arrays["ptr"], len(np.atleast_1d(arrays["x"])), len(np.atleast_1d(arrays["cls"]))
-    if ptr.ndim != 1 or len(ptr) != count + 1 or ptr[0] != 0 or ptr[-1] != samples or (np.diff(ptr) < 0).any():
-        raise InputError(f"{path}: ptr must rise from 0 to the number of samples, one entry more than tracks")
-    if any(arrays[name].shape != (samples,) for name in ("x", "y", "heading")) or arrays["length"].shape != (count,):
-        raise InputError(f"{path}: x, y and heading need one value per sample and length one per track")
-    if not all(np.isfinite(arrays[name]).all() for name in ("x", "y", "heading")):
-        raise InputError(f"{path} has NaN or infinite positions or headings; leave those tracks out")
-    if not (np.isfinite(arrays["hz"]) and 2 <= float(arrays["hz"]) <= 1000):
-        raise InputError(f"{path} says {arrays['hz']} samples per second; 2 to 1000 are understood")
+    return TrackFile(recorded.source, recorded.licence, tuple(tracks), recorded.hz)
 
 
 def smooth(track: Floats, hz: float, span_s: float) -> Floats:

@@ -7,6 +7,7 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, Polygon
 
+from benchmark.constants import MAP_LAYERS
 from benchmark.geometry import Floats
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
 from benchmark.storage import token
@@ -15,23 +16,6 @@ from generation.nuscenes_writer.arclines import arcline_path
 Row = dict[str, Any]
 
 EXPANSION_VERSION: Final = "1.3"
-LAYERS: Final = (
-    "polygon",
-    "line",
-    "node",
-    "drivable_area",
-    "road_segment",
-    "road_block",
-    "lane",
-    "ped_crossing",
-    "walkway",
-    "stop_line",
-    "carpark_area",
-    "road_divider",
-    "lane_divider",
-    "traffic_light",
-    "lane_connector",
-)
 _LANE_WIDTH_M: Final = 3.5
 """Width of a lane whose source has only its centre line."""
 _SEGMENT_TYPES: Final = {
@@ -82,7 +66,7 @@ class _LayerWriter:
 
     def __init__(self, location: str) -> None:
         self.location = location
-        self.layers: dict[str, list[Row]] = {layer: [] for layer in LAYERS}
+        self.layers: dict[str, list[Row]] = {layer: [] for layer in MAP_LAYERS}
         self.arclines: dict[str, list[Row]] = {}
         self.nodes: dict[tuple[float, float], str] = {}
 

@@ -8,10 +8,10 @@ from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
-from benchmark.storage import canonical_json, read_json, write_bytes, write_json, writing_to
+from benchmark.storage import canonical_json, write_bytes, write_json, writing_to
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
-from generation.nuscenes_writer.scenes import release_claim
+from generation.nuscenes_writer.scenes import read_state, release_claim
 from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 
 PROVENANCE: Final = "challenger.json"
@@ -62,10 +62,9 @@ def finish_data_set(
 
 
 def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
-    path = plan.fragment_path(key)
-    if not path.is_file():
+    fragment = read_state(plan.fragment_path(key))
+    if fragment is None:
         raise InputError(f"scene {key[:12]} of {plan.root} is not written; run the command that builds it again")
-    fragment: Fragment = read_json(path)
     return fragment
 
 
@@ -105,7 +104,8 @@ def _all_roots(plan: DataSetPlan, roots: Mapping[int, Any]) -> list[Path]:
 
 
 def _claims(plan: DataSetPlan) -> dict[Path, dict[str, Any]]:
-    return {path: read_json(path) for path in sorted((plan.state / "claims").glob("*.json"))}
+    found = {path: read_state(path) for path in sorted((plan.state / "claims").glob("*.json"))}
+    return {path: claim for path, claim in found.items() if claim is not None}
 
 
 def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) -> None:
@@ -196,7 +196,7 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
 
 def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
     """Remove temporary files of killed processes."""
-    folders = [plan.state / name for name in ("claims", "fragments", "maps")]
+    folders = [plan.root, plan.state, *(plan.state / name for name in ("attempts", "claims", "fragments", "maps"))]
     for variant in roots:
         root = plan.data_root(variant)
         folders += [plan.drawn_path(root), root / plan.version, root / "can_bus", *sorted(root.glob("maps/**/"))]

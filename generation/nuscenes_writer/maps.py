@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmark.errors import InputError
 from benchmark.road_map import RoadMap
-from benchmark.storage import content_key, read_json, token, write_bytes, write_json
+from benchmark.storage import content_key, read_json, read_kept_json, token, write_bytes, write_json
 from generation.nuscenes_writer.expansion import map_expansion
 from generation.nuscenes_writer.masks import basemap, drivable_mask
 from generation.nuscenes_writer.plan import DataSetPlan
@@ -77,7 +77,7 @@ def _draw(
     drawn_key = content_key(pack_road_map(road_map), _DRAWING_VERSION)
     note = plan.drawn_path(root) / f"{mask.replace('/', '_')}.json"
     finished = {"key": drawn_key, "files": wanted}
-    if note.is_file() and read_json(note) == finished and all((root / path).is_file() for path in wanted):
+    if read_kept_json(note) == finished and all((root / path).is_file() for path in wanted):
         return
     note.unlink(missing_ok=True)
     if mask in wanted:

@@ -48,7 +48,7 @@ class DataSetPlan:
         split: Name of the split: ``val``, ``val-r``, ``adv``, ...
         version: Name of the folder with the tables.
         layout: ``suffixed``: one root for all scenes. ``per-variant``: complete roots ``v0``, ``v1``, ... with the
-            original scene names, which official model code accepts unpatched (``spec/differences.md`` D).
+            original scene names, which official model code accepts unpatched.
         renderer: Draws the camera images; ``None`` for a data set without cameras.
         frames: Which frames get rows and files: all 12 Hz frames or the 2 Hz keyframes.
         jpeg_quality: 1..100.

@@ -121,7 +121,7 @@ def _sensor_rows(
 ) -> tuple[list[Row], list[Row]]:
     """Rows of ``sample_data`` and ``ego_pose``, one pair a frame with equal tokens."""
     keyframes = set(scene.keyframes.tolist())
-    # A sweep belongs to the sample before it, as in the reference (spec/differences.md C); nuScenes says the one after.
+    # A sweep belongs to the sample before it, as in the reference code; nuScenes says the one after.
     owner = np.maximum(np.searchsorted(scene.keyframes, frames, side="right") - 1, 0)
     data, poses = [], []
     for frame, sample in zip(frames, owner.tolist()):

@@ -12,7 +12,7 @@ from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
-from benchmark.storage import canonical_json, content_key, read_json, write_bytes, write_json, writing_to
+from benchmark.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json, writing_to
 from generation.nuscenes_writer.can_bus import can_bus_files
 from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, require_own_root, scene_key
 from generation.nuscenes_writer.road_maps import pack_road_map
@@ -86,12 +86,18 @@ def write_scene(
 
 def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:
     """Whether a scene's fragment, claim and files are all there, the files in the size they were written."""
-    claim_path = plan.claim_path(variant, name)
-    if not plan.fragment_path(key).is_file() or not claim_path.is_file() or read_json(claim_path)["key"] != key:
+    claim, fragment = read_state(plan.claim_path(variant, name)), read_state(plan.fragment_path(key))
+    if claim is None or fragment is None or claim["key"] != key or fragment["key"] != key:
         return False
     root = plan.data_root(variant)
-    sizes = read_json(plan.fragment_path(key))["files"]
+    sizes = fragment["files"]
     return all((root / path).is_file() and (root / path).stat().st_size == size for path, size in sizes.items())
+
+
+def read_state(path: Path) -> dict[str, Any] | None:
+    """A fragment or a claim, or ``None`` where there is none or it is damaged: what it stood for is written again."""
+    value = read_kept_json(path)
+    return value if isinstance(value, dict) and {"key", "name", "variant", "files"} <= value.keys() else None
 
 
 def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]) -> None:
@@ -143,7 +149,7 @@ def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
     """Keep a road map for `finish_data_set`; scenes with the same map share the file."""
     packed = pack_road_map(road_map)
     key = content_key(packed)
-    if not plan.map_path(key).exists():
+    if read_kept_json(plan.map_path(key)) != packed:
         write_json(plan.map_path(key), packed, indent=None)
     return key
 
@@ -152,10 +158,10 @@ def _claim(plan: DataSetPlan, key: str, labels: dict[str, Any], files: list[str]
     """Say which files are about to be written, after removing what the same name stood for before."""
     path = plan.claim_path(labels["variant"], labels["name"])
     claim = {"key": key, "variant": labels["variant"], "name": labels["name"], "files": sorted(files)}
-    if path.is_file():
-        earlier = read_json(path)
-        if earlier == claim:
-            return
+    earlier = read_state(path)
+    if earlier == claim:
+        return
+    if earlier is not None:
         release_claim(plan, earlier, frozenset(files))
     write_json(path, claim, indent=None)
 

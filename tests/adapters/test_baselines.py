@@ -84,8 +84,8 @@ def test_a_past_that_is_not_there_is_not_looked_at() -> None:
     assert third.past[0, 2:, 0] == pytest.approx([-8.0, -4.0])
 
 
-def write_tracks(path: Path, path_of: Callable[[Floats], tuple[Floats, ...]], *, seconds: float = 12.0) -> None:
-    time = np.arange(round(seconds * HZ)) / HZ
+def write_tracks(path: Path, path_of: Callable[[Floats], tuple[Floats, ...]], *, hz: float = HZ) -> None:
+    time = np.arange(12 * HZ) / HZ
     x, y, heading = path_of(time)
     np.savez(
         path,
@@ -96,7 +96,9 @@ def write_tracks(path: Path, path_of: Callable[[Floats], tuple[Floats, ...]], *,
         length=np.array([4.5], np.float32),
         cls=np.array(["car"]),
         is_ego=np.array([True]),
-        hz=np.array(float(HZ)),
+        hz=np.array(hz),
+        source=np.array("made_up"),
+        licence=np.array("none"),
     )
 
 
@@ -134,11 +136,18 @@ def test_unusable_tracks_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no track file"):
         read_samples(tmp_path, ["nothing"])
     (tmp_path / "text.npz").write_bytes(b"not an archive")
-    with pytest.raises(InputError, match="not a track file"):
+    with pytest.raises(InputError, match="cannot read the tracks"):
         read_samples(tmp_path, ["text"])
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(InputError, match="not a track file"):
         read_samples(tmp_path, ["other"])
+    write_tracks(tmp_path / "twelve.npz", lambda time: (9 * time, 0 * time, 0 * time), hz=12.0)
+    with pytest.raises(InputError, match="12 samples per second"):
+        read_samples(tmp_path, ["twelve"])
+    write_tracks(tmp_path / "cut.npz", lambda time: (9 * time, 0 * time, 0 * time))
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "cut.npz").read_bytes()[:400])
+    with pytest.raises(InputError, match="fetch or make the file again"):
+        read_samples(tmp_path, ["cut"])
     write_tracks(tmp_path / "parked.npz", lambda time: (0 * time, 0 * time, 0 * time))
     with pytest.raises(InputError, match="no vehicle that moves"):
         read_samples(tmp_path, ["parked"])

@@ -263,6 +263,44 @@ def test_a_damaged_pickle_is_refused_or_read_but_never_crashes(data: st.DataObje
             assert "sd_x.pkl" in str(error)
 
 
+RECONSTRUCT = np.zeros(1).__reduce__()[0]
+
+
+class Call:
+    """Pickles as a call, as a stranger may write it."""
+
+    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
+        self._call = (function, arguments, state)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._call
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        Call(bytearray, 10**11),
+        Call(bytes, 10**11),
+        Call(np.ndarray, (10**11,), "u1"),
+        Call(RECONSTRUCT, np.ndarray, (10**11,), b"b"),
+        Call(RECONSTRUCT, np.ndarray, (0,), b"b", state=(1, (3,), np.dtype("O"), False, [])),
+    ],
+    ids=["bytearray", "bytes", "array", "empty array", "array of objects that are not there"],
+)
+def test_a_pickle_cannot_claim_memory_that_it_does_not_bring(tmp_path: Path, claim: Call) -> None:
+    (tmp_path / "sd_x.pkl").write_bytes(pickle.dumps({"id": claim}))
+    with pytest.raises(InputError, match=r"sd_x\.pkl is not a readable pickle"):
+        read_pickle(tmp_path / "sd_x.pkl")
+
+
+@pytest.mark.parametrize(("name", "x", "message"), [("0", 1e9, "the ego moves at"), ("1", 1e300, "cannot be metres")])
+def test_positions_that_cannot_be_metres_are_refused(tmp_path: Path, name: str, x: float, message: str) -> None:
+    value = recording()
+    value["tracks"][name]["state"]["position"][5, 0] = x if name == "1" else 1e7
+    with pytest.raises(InputError, match=message):
+        read_scenarionet(write(tmp_path, value))
+
+
 def test_files_are_found_and_folders_without_any_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no folder"):
         find_scenarionet(tmp_path / "none")

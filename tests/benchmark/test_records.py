@@ -115,6 +115,19 @@ def test_a_newer_schema_is_refused(directory: Path) -> None:
         load_record(directory)
 
 
+@pytest.mark.parametrize("schema", [0, -1])
+def test_a_schema_that_never_existed_is_refused(directory: Path, schema: int) -> None:
+    change(directory / "run.json", schema=schema)
+    with pytest.raises(InputError, match="never existed"):
+        load_record(directory)
+
+
+def test_rows_that_are_no_text_are_refused(directory: Path) -> None:
+    (directory / "samples.jsonl").write_bytes(b"\xd0\x00\xff")
+    with pytest.raises(InputError, match="is not text"):
+        load_record(directory)
+
+
 @pytest.mark.parametrize("name", ["samples.jsonl", "summary.json"])
 def test_files_that_do_not_belong_together_are_refused(directory: Path, name: str) -> None:
     path = directory / name
@@ -140,6 +153,12 @@ def test_a_truncated_or_foreign_run_file_is_refused(directory: Path) -> None:
 def test_a_file_outside_the_record_is_never_hashed(directory: Path) -> None:
     change(directory / "run.json", files={"../../secret": "0" * 64})
     with pytest.raises(InputError):
+        load_record(directory)
+
+
+def test_a_record_without_hashes_is_refused(directory: Path) -> None:
+    change(directory / "run.json", files={})
+    with pytest.raises(InputError, match="does not belong"):
         load_record(directory)
 
 

@@ -96,6 +96,29 @@ def test_a_scene_in_which_the_ego_already_collides_is_left_alone() -> None:
     assert run(CARS[0], Car(51.5, 198.25, 8.0)).discard is Discard.ORIGINAL_COLLIDES
 
 
+def test_planning_ends_where_the_adversary_leaves_the_area() -> None:
+    result = run(Car(88.0, 205.25, 16.0, np.pi), hyper=replace(HYPER, tries=1), seconds=14.0)
+    assert result.discard is Discard.LEAVES_AREA
+    assert result.start is not None
+    assert len(result.poses) < 14 * 12 - result.start - HYPER.horizon
+
+
+def test_each_try_has_its_own_randomness_and_a_kept_one_is_the_last(kept: Attempt) -> None:
+    assert kept.tries in (1, 2)
+    far_from_kept = replace(HYPER, candidates=8, close_gap_m=0.0)
+    once, thrice = (run(hyper=replace(far_from_kept, tries=count)) for count in (1, 3))
+    assert not once.kept
+    assert (once.tries, thrice.tries) == (1, 3)
+    assert thrice.report()["tries"] == 3
+    assert not np.array_equal(once.poses[:24], thrice.poses[:24])
+
+
+def test_a_vehicle_that_leaves_the_area_is_not_tried_again() -> None:
+    result = run(Car(88.0, 205.25, 16.0, np.pi), hyper=replace(HYPER, tries=3), seconds=14.0)
+    assert result.discard is Discard.LEAVES_AREA
+    assert result.tries == 1
+
+
 def test_boxed_in_without_a_way_out_is_discarded() -> None:
     wall = tuple(Car(68.0, y, 0.0, np.pi / 2, size=(3.4, 1.9, 1.7)) for y in (194.0, 197.4, 200.8, 204.2))
     scene = scene_on_straight_road((Car(53.0, 194.75, 9.0), *wall), ego_x=20.0, ego_speed=1.0, seconds=9.0)

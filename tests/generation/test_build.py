@@ -134,13 +134,15 @@ def test_bad_settings_are_sentences(source: DataSet, tmp_path: Path, changes: di
         build(source, tmp_path / "out", **changes)
 
 
-def test_a_spoilt_attempt_file_is_named(source: DataSet, tmp_path: Path) -> None:
+@pytest.mark.parametrize("folder", ["attempts", "claims", "fragments", "maps"])
+def test_spoilt_state_is_made_again(source: DataSet, tmp_path: Path, folder: str) -> None:
     out = build(source, tmp_path / "out").out
-    spoilt = next((out / ".challenger" / "attempts").iterdir())
-    for text in ("{", '{"kept": 3}'):
+    spoilt = next((out / ".challenger" / folder).iterdir())
+    whole = spoilt.read_bytes()
+    for text in ("{", '{"kept": 3}', "[]", "null"):
         spoilt.write_text(text)
-        with pytest.raises(InputError, match=spoilt.name):
-            build(source, out)
+        build(source, out)
+        assert spoilt.read_bytes() == whole
 
 
 def test_solvability_is_judged_as_the_exact_protocol_judges(source: DataSet, tmp_path: Path) -> None:

@@ -39,6 +39,25 @@ def test_at_most_ten_are_drawn_and_the_seed_decides_which() -> None:
     assert choose(scene, HYPER, 3) == choose(scene, HYPER, 3)
 
 
+def test_vehicles_that_stay_near_the_ego_are_preferred() -> None:
+    going_along = [Car(30.0 + 8.0 * row, 194.75, 8.0) for row in range(5)]
+    oncoming = [Car(80.0 + 8.0 * row, y, 9.0, np.pi) for row in range(8) for y in (201.75, 205.25)]
+    scene = scene_of(*going_along, *oncoming)
+    along = set(range(len(going_along)))
+
+    def met(preference: float) -> int:
+        hyper = HyperParameters(staying_preference=preference)
+        return sum(len(along & set(choose(scene, hyper, seed))) for seed in range(20))
+
+    assert met(2.0) > 1.2 * met(0.0)
+
+
+def test_nobody_is_chosen_where_the_ego_stands() -> None:
+    cars = (Car(62.0, 194.75, 2.0),)
+    assert choose(scene_on_straight_road(cars, seconds=12.0, ego_speed=2.0), HYPER, 0) == (0,)
+    assert choose(scene_on_straight_road(cars, seconds=12.0, ego_speed=0.0), HYPER, 0) == ()
+
+
 def test_launch_waits_for_history_and_for_the_distance() -> None:
     assert launch_frame(scene_of(NEAR), 0, HYPER) == HYPER.history_frames
     approaching = scene_of(Car(130.0, 201.75, 8.0, np.pi))

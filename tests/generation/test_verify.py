@@ -78,6 +78,14 @@ def test_contact_between_the_frames_a_metric_sees_is_found() -> None:
     assert not log_replay_contacts(noted, np.array([], dtype=np.int64)).any()
 
 
+def test_contact_with_another_car_that_only_a_reader_of_the_annotations_sees_is_found() -> None:
+    scene = with_track(x=52.0, y=194.75, others=(Car(52.0, 205.25, 8.0),))
+    assert verdict(scene) is None
+    cut = scene.annotations.position.copy()
+    cut[0, 6, 1] = 204.5
+    assert verdict(replace(scene, annotations=replace(scene.annotations, position=cut))) is Discard.HITS_OBJECT
+
+
 def test_metric_replay_ignores_absent_annotations() -> None:
     scene = scene_on_straight_road((Car(53.0, 198.25, 8.0),))
     assert log_replay_contacts(scene)[0]

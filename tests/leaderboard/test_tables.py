@@ -21,6 +21,11 @@ def test_names_from_strangers_stay_text_in_markdown() -> None:
     assert all(line.count("|") - line.count("\\|") == 3 for line in text.splitlines() if line.startswith("|"))
 
 
+def test_a_link_in_a_name_is_no_link_and_an_interval_stays_as_it_is() -> None:
+    text = Table("x", "x", ("a", "b"), (("[me](javascript:x)", "[0.1, 9.4]"),)).markdown()
+    assert "| [me\\](javascript:x) | [0.1, 9.4] |" in text
+
+
 def test_names_from_strangers_stay_text_in_latex() -> None:
     assert escape_latex("a_b & 50% {x} \\input") == r"a\_b \& 50\% \{x\} \textbackslash{}input"
     assert r"a\_b \& 50\% & -- \\" in TABLE.latex()

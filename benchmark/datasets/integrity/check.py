@@ -1,6 +1,5 @@
 """All checks of one data set, in the order in which a reader would trip over the faults."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +10,9 @@ from benchmark.datasets.integrity.links import check_chains, check_links
 from benchmark.datasets.integrity.provenance import check_provenance, check_splits
 from benchmark.datasets.integrity.tables import read_checked
 from benchmark.datasets.integrity.values import check_sensors, check_values
+from benchmark.datasets.roots import variant_folders
 from benchmark.datasets.tables import version_folders
 from benchmark.errors import InputError
-
-_VARIANT_ROOT = re.compile(r"v\d+")
 
 
 def check_tables(root: Path, *, version: str | None = None) -> list[Fault]:
@@ -35,15 +33,12 @@ def check_tables(root: Path, *, version: str | None = None) -> list[Fault]:
     """
     if not root.is_dir():
         raise InputError(f"there is no folder {root}; give the root of a nuScenes-format data set")
-    variants = sorted(
-        (path for path in root.iterdir() if _VARIANT_ROOT.fullmatch(path.name) and path.is_dir() and _versions(path)),
-        key=lambda path: int(path.name[1:]),
-    )
-    if variants and not _versions(root):
+    variants = variant_folders(root)
+    if variants and not version_folders(root):
         faults = [
-            replace(fault, table=f"{variant.name}/{fault.table}")
+            replace(fault, table=f"{variant}/{fault.table}")
             for variant in variants
-            for fault in check_tables(variant, version=version)
+            for fault in check_tables(root / variant, version=version)
         ]
         return sorted(faults, key=lambda fault: fault.severity)
     folder, data_root = _table_folder(root, version)
@@ -67,18 +62,14 @@ def _table_folder(root: Path, version: str | None) -> tuple[Path, Path]:
     """Folder of the tables, and folder that file names are relative to."""
     if version is not None:
         if Path(version).name != version or not (root / version).is_dir():
-            known = ", ".join(_versions(root)) or "none"
+            known = ", ".join(version_folders(root)) or "none"
             raise InputError(f"{root} has no version folder {version!r}; versions there: {known}")
         return root / version, root
     if any((root / f"{table}.json").is_file() for table in NUSCENES_TABLES):
         return root, root.parent
-    found = _versions(root)
+    found = version_folders(root)
     if not found:
         raise InputError(f"{root} holds no nuScenes tables (scene.json and 12 more); give the root of a data set")
     if len(found) > 1:
-        raise InputError(f"{root} has several versions ({', '.join(found)}); name one with --version")
+        raise InputError(f"{root} has several versions ({', '.join(found)}); name one with --tables")
     return root / found[0], root
-
-
-def _versions(root: Path) -> tuple[str, ...]:
-    return version_folders(root)

@@ -4,7 +4,7 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final
 
-from benchmark.constants import OFFICIAL_LOCATIONS
+from benchmark.constants import MAP_LAYERS, OFFICIAL_LOCATIONS
 from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
 from benchmark.errors import InputError
@@ -15,26 +15,7 @@ _PNG_END: Final = b"IEND\xaeB`\x82"
 _JPEG_SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Start-of-frame markers, which carry the image size."""
 _LIDAR_POINT_BYTES: Final = 20
-_MAP_LAYERS: Final = (
-    "polygon",
-    "line",
-    "node",
-    "drivable_area",
-    "road_segment",
-    "road_block",
-    "lane",
-    "ped_crossing",
-    "walkway",
-    "stop_line",
-    "carpark_area",
-    "road_divider",
-    "lane_divider",
-    "traffic_light",
-    "lane_connector",
-    "canvas_edge",
-    "connectivity",
-    "arcline_path_3",
-)
+_EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_path_3")
 
 
 def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
@@ -175,6 +156,6 @@ def _check_expansion(root: Path, name: str, faults: FaultList) -> None:
     except InputError as error:
         faults.add("unreadable map expansions", name, "", f"{name} cannot be read: {error}")
         return
-    missing = [layer for layer in _MAP_LAYERS if not isinstance(layers, dict) or layer not in layers]
+    missing = [layer for layer in _EXPANSION_KEYS if not isinstance(layers, dict) or layer not in layers]
     if missing:
         faults.add("incomplete map expansions", name, "", f"{name} lacks {', '.join(missing)}")

@@ -1,0 +1,99 @@
+"""Recorded vehicle tracks in one neutral npz format: what the models of this project are trained on.
+
+A file holds ``x, y, heading`` (M,), ``ptr`` (N + 1,) so that track i is ``ptr[i]:ptr[i + 1]``, ``length`` (N,), ``cls``
+(N,), optionally ``is_ego`` (N,), and the scalars ``hz, source, licence``.
+"""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+
+REQUIRED: Final = ("ptr", "x", "y", "heading", "length", "cls", "hz", "source", "licence")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTracks:
+    """One track file as it is, N tracks of M samples together.
+
+    Attributes:
+        source: Name.
+        licence: Licence in words.
+        hz: Samples per second.
+        pointers: (N + 1,) track i is samples ``pointers[i]:pointers[i + 1]``.
+        x: (M,) recorded point, metres.
+        y: (M,) metres.
+        heading: (M,) radians, as recorded (wrapped or not).
+        length: (N,) metres; not finite where unknown.
+        kinds: N class names.
+        is_ego: (N,) whether the track is that of the recording car.
+    """
+
+    source: str
+    licence: str
+    hz: float
+    pointers: NDArray[np.int64]
+    x: Floats
+    y: Floats
+    heading: Floats
+    length: Floats
+    kinds: tuple[str, ...]
+    is_ego: Bools
+
+
+def read_recorded_tracks(path: Path) -> RecordedTracks:
+    """Read one track file.
+
+    Args:
+        path: An npz file in the neutral format; nothing in it is unpickled.
+
+    Returns:
+        All tracks of it.
+
+    Raises:
+        InputError: If the file is broken, lacks an array, or holds numbers that cannot be tracks.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
+            missing = [name for name in REQUIRED if name not in archive.files]
+            if missing:
+                raise InputError(f"{path} lacks the arrays {', '.join(missing)}; it is not a track file")
+            arrays: dict[str, Any] = {name: archive[name] for name in REQUIRED}
+            arrays["is_ego"] = archive["is_ego"] if "is_ego" in archive.files else np.zeros(len(arrays["cls"]), bool)
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise InputError(f"cannot read the tracks in {path} ({error}); fetch or make the file again") from error
+    _check_arrays(path, arrays)
+    return RecordedTracks(
+        source=str(arrays["source"]),
+        licence=str(arrays["licence"]),
+        hz=float(arrays["hz"]),
+        pointers=arrays["ptr"].astype(np.int64),
+        x=arrays["x"],
+        y=arrays["y"],
+        heading=arrays["heading"],
+        length=arrays["length"],
+        kinds=tuple(str(kind) for kind in arrays["cls"]),
+        is_ego=arrays["is_ego"].astype(np.bool_),
+    )
+
+
+def _check_arrays(path: Path, arrays: dict[str, Any]) -> None:
+    """Refuse arrays whose shapes or values contradict each other."""
+    ptr, samples, count = arrays["ptr"], len(np.atleast_1d(arrays["x"])), len(np.atleast_1d(arrays["cls"]))
+    if ptr.ndim != 1 or len(ptr) != count + 1 or ptr[0] != 0 or ptr[-1] != samples or (np.diff(ptr) < 0).any():
+        raise InputError(f"{path}: ptr must rise from 0 to the number of samples, one entry more than tracks")
+    by_sample, by_track = ("x", "y", "heading"), ("length", "is_ego")
+    if any(arrays[name].shape != (samples,) for name in by_sample) or any(
+        arrays[name].shape != (count,) for name in by_track
+    ):
+        raise InputError(f"{path}: x, y and heading need one value per sample and length one per track")
+    if not all(np.isfinite(arrays[name]).all() for name in by_sample):
+        raise InputError(f"{path} has NaN or infinite positions or headings; leave those tracks out")
+    if not (np.isfinite(arrays["hz"]) and 2 <= float(arrays["hz"]) <= 1000):
+        raise InputError(f"{path} says {arrays['hz']} samples per second; 2 to 1000 are understood")

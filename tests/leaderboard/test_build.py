@@ -1,0 +1,214 @@
+"""From records to files: the same bytes whatever the order, and nothing in one table that does not belong together."""
+
+import csv
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adapters.log_replay import LogReplay
+from benchmark.errors import InputError
+from benchmark.evaluate import EvalSettings, evaluate
+from benchmark.planning import Observation, Plan, PlanFrame
+from benchmark.records import RunRecord, find_records
+from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.collision import published_table
+from leaderboard.published import TABLE_1
+from leaderboard.selection import one_run_each
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.planners import Failing, Straight
+
+FIRST_SCENE = EvalSettings(scenes=("scene-9901",))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunRecord, ...]:
+    """Two planners on val and adv; driving on at 8 m/s hits the slow leader of adv."""
+    out = tmp_path_factory.mktemp("runs")
+    for planner in (Straight(), LogReplay()):
+        evaluate(town_of_two(), "val", planner, out)
+        evaluate(town_of_two(slow_leader=True), "adv", planner, out)
+    return tuple(find_records(out))
+
+
+def rows_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def named(record: RunRecord, *, data: str | None = None, planner: str | None = None) -> RunRecord:
+    run = record.run
+    facts = run.data.model_copy(update={"name": data or run.data.name})
+    who = run.planner.model_copy(update={"name": planner or run.planner.name})
+    return replace(record, run=run.model_copy(update={"data": facts, "planner": who}))
+
+
+@settings(max_examples=10, deadline=None)
+@given(order=st.permutations(range(4)))
+def test_the_order_of_the_records_does_not_matter(runs: tuple[RunRecord, ...], order: list[int]) -> None:
+    assert leaderboard_files([runs[index] for index in order]) == leaderboard_files(runs)
+
+
+def test_one_row_for_each_planner_and_split_with_what_was_counted(runs: tuple[RunRecord, ...]) -> None:
+    rows = rows_of(leaderboard_files(runs)["tables/fake/collision-exact.csv"])
+    assert [(row["planner"], row["split"]) for row in rows] == [
+        ("straight", "val"),
+        ("straight", "adv"),
+        ("log-replay †", "val"),
+        ("log-replay †", "adv"),
+    ]
+    assert rows[0]["col. 3s"] == "0.00" and float(rows[1]["col. 3s"]) > 0.0
+    assert {(row["samples"], row["scenes"], row["coverage"]) for row in rows} == {("20", "2", "100.0")}
+    assert rows[1]["scenes failed"] == "1/2"
+
+
+def test_what_is_written_is_current_until_something_changes(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
+    written = write_leaderboard(runs, tmp_path)
+    assert all(path.is_file() for path in written)
+    assert stale_files(runs, tmp_path) == []
+    assert len(stale_files(runs[:3], tmp_path)) > 0
+    (tmp_path / "README.md").write_text("edited")
+    (tmp_path / "published" / "published.csv").unlink()
+    assert sorted(sentence.rpartition("/")[2] for sentence in stale_files(runs, tmp_path)) == [
+        "README.md differs from what the run records say",
+        "published.csv is missing",
+    ]
+    write_leaderboard(runs, tmp_path)
+    assert stale_files(runs, tmp_path) == []
+
+
+def test_a_table_that_is_no_longer_made_is_stale_and_goes_when_written_again(
+    runs: tuple[RunRecord, ...], tmp_path: Path
+) -> None:
+    write_leaderboard([*runs, *(named(record, data="gone") for record in runs)], tmp_path)
+    (tmp_path / "tables" / "fake" / "notes.txt").write_text("mine")
+    assert any("gone" in sentence and "no longer" in sentence for sentence in stale_files(runs, tmp_path))
+    write_leaderboard(runs, tmp_path)
+    assert stale_files(runs, tmp_path) == []
+    assert not list((tmp_path / "tables" / "gone").iterdir())
+    assert (tmp_path / "tables" / "fake" / "notes.txt").read_text() == "mine"
+
+
+def test_a_run_of_some_scenes_does_not_displace_or_clash_with_the_whole(
+    runs: tuple[RunRecord, ...], tmp_path: Path
+) -> None:
+    part = evaluate(town_of_two(), "val", Straight(), tmp_path, FIRST_SCENE)
+    assert not part.covers_split
+    assert leaderboard_files([*runs, part]) == leaderboard_files([part, *runs]) == leaderboard_files(runs)
+
+
+def test_where_there_is_only_a_part_the_largest_stands_and_says_so(tmp_path: Path) -> None:
+    data = town_of_two()
+    data.scenes["scene-9903"] = replace(data.scenes["scene-9902"], name="scene-9903")
+    parts = [
+        evaluate(data, "val", Straight(), tmp_path, replace(FIRST_SCENE, scenes=scenes))
+        for scenes in (("scene-9901",), ("scene-9901", "scene-9902"), ("scene-9903",))
+    ]
+    assert one_run_each(parts) == one_run_each(parts[::-1]) == [parts[1]]
+    files = leaderboard_files(parts)
+    assert "straight on val: 2 of 3 scenes of the split." in files["README.md"]
+    assert not any("transfer" in name for name in files)
+
+
+def test_a_planner_that_failed_on_samples_is_noted(tmp_path: Path) -> None:
+    record = evaluate(town_of_two(), "val", Failing(), tmp_path)
+    files = leaderboard_files([record])
+    assert "failing on val: 2 samples failed." in files["README.md"]
+    (row,) = rows_of(files["tables/fake/collision-exact.csv"])
+    assert row["coverage"] == "93.8"
+
+
+def test_two_whole_runs_of_one_planner_are_refused(runs: tuple[RunRecord, ...]) -> None:
+    again = replace(runs[0], directory=runs[0].directory.with_name("again"))
+    with pytest.raises(InputError, match="both hold log-replay on split adv"):
+        leaderboard_files([*runs, again])
+
+
+def test_records_of_different_content_under_one_name_are_refused(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
+    other = evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path)
+    with pytest.raises(InputError, match=r"different content of split val of fake .*run challenger-bench eval again"):
+        leaderboard_files([*runs, other])
+    assert leaderboard_files([*runs, named(other, data="another")])
+
+
+def test_the_increase_is_that_of_the_paper(runs: tuple[RunRecord, ...]) -> None:
+    by_key = {(record.planner, record.run.split): record for record in runs}
+    average = by_key["straight", "adv"].summary.protocols["exact"].columns["collision"]["avg"].value
+    assert average is not None
+    baseline = average / 4
+    val = by_key["straight", "val"]
+    text = val.summary.model_dump(by_alias=True)
+    text["protocols"]["exact"]["columns"]["collision"]["avg"]["value"] = baseline
+    val = replace(val, summary=type(val.summary).model_validate(text))
+    rows = rows_of(leaderboard_files([val, by_key["straight", "adv"]])["tables/fake/collision-exact.csv"])
+    assert [row["increase"] for row in rows] == ["", "3.0×"]
+    unknown = rows_of(leaderboard_files(runs)["tables/fake/collision-exact.csv"])
+    assert [row["increase"] for row in unknown] == ["", "", "", ""]
+
+
+def test_the_published_increases_follow_from_the_published_averages() -> None:
+    shown = {row[0]: float(row[-1]) for row in published_table().rows if row[1] == "Adv-nuSc"}
+    averages = {(rate.model, rate.data_set): float(rate.percent[3]) for rate in TABLE_1}
+    for model, increase in shown.items():
+        val, adv = averages[model, "nuScenes-val"], averages[model, "Adv-nuSc"]
+        assert increase == pytest.approx((adv - val) / val, abs=0.1)
+
+
+def test_published_numbers_are_in_no_table_of_ours(runs: tuple[RunRecord, ...]) -> None:
+    files = leaderboard_files([named(record, data="published") for record in runs])
+    assert "UniAD" in files["published/published.csv"] and "not ours" in files["README.md"]
+    ours = [text for name, text in files.items() if name.startswith("tables/")]
+    assert len(ours) > 2 and not any("UniAD" in text for text in ours)
+
+
+class Elsewhere(Straight):
+    """Is where nobody is."""
+
+    name = "elsewhere"
+
+    def plan(self, observation: Observation) -> Plan:
+        return Plan(1000.0 * np.arange(1, 7)[:, None] * [0.0, 1.0], PlanFrame.EGO)
+
+
+def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails(
+    runs: tuple[RunRecord, ...], tmp_path: Path
+) -> None:
+    elsewhere = evaluate(town_of_two(slow_leader=True), "adv", Elsewhere(), tmp_path)
+    rows = rows_of(leaderboard_files([*runs, elsewhere])["tables/fake/transfer-adv-exact.csv"])
+    by_surrogate = {row["surrogate"]: row for row in rows}
+    assert by_surrogate["straight"]["its failed scenes"] == "1"
+    assert [row["surrogate"] for row in rows] == ["elsewhere", "straight", "log-replay †", "all scenes"]
+    assert by_surrogate["straight"]["elsewhere"] == "0 (0/1)"
+    assert by_surrogate["elsewhere"]["its failed scenes"] == "0"
+    assert by_surrogate["elsewhere"]["straight"] == by_surrogate["elsewhere"]["elsewhere"] == ""
+    assert (by_surrogate["all scenes"]["straight"], by_surrogate["all scenes"]["elsewhere"]) == ("50 (1/2)", "0 (0/2)")
+
+
+@pytest.mark.parametrize("name", ["../../evil", "..", "a/b", ".hidden", "README.md"])
+def test_a_name_from_a_strangers_record_stays_inside_the_folder(
+    runs: tuple[RunRecord, ...], name: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "board"
+    for path in write_leaderboard([named(record, data=name) for record in runs], folder):
+        assert path.resolve().is_relative_to(folder.resolve())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["board"]
+    assert sorted(path.name for path in folder.iterdir()) == ["README.md", "published", "tables"]
+
+
+def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...]) -> None:
+    hostile = "[x]|<script>&\\end{table}%\n\n# Head"
+    files = leaderboard_files(
+        [named(record, planner=hostile) if record.planner == "straight" else record for record in runs]
+    )
+    text = files["README.md"]
+    assert "<script>" not in text and "\n# Head" not in text
+    for section in text.split("###")[1:]:
+        lines = [line.replace("\\|", "") for line in section.splitlines() if line.startswith("|")]
+        assert len({line.count("|") for line in lines}) == 1
+    for name in ("collision-exact", "transfer-adv-exact"):
+        latex = files[f"tables/fake/{name}.tex"]
+        assert latex.count(r"\end{table}") == 1 and "\n\n" not in latex
+        assert "{[}x]" in latex
