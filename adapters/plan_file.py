@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmark.constants import PLAN_STEPS
+from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.evaluate import EvalSettings
 from benchmark.geometry import Floats
@@ -258,6 +258,12 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
     bad = np.flatnonzero(~np.isfinite(waypoints).all(axis=(1, 2)))
     if len(bad):
         raise InputError(f"{path} has waypoints that are not finite numbers for {_listed([keys[row] for row in bad])}")
+    far = np.flatnonzero(np.abs(waypoints).max(axis=(1, 2), initial=0.0) > FARTHEST_WAYPOINT_M)
+    if len(far):
+        raise InputError(
+            f"{path} has waypoints farther than {FARTHEST_WAYPOINT_M:.0f} m for {_listed([keys[row] for row in far])}; "
+            "they are metres from the car, not global coordinates"
+        )
     return waypoints
 
 

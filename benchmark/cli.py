@@ -60,16 +60,31 @@ def main() -> None:
     """Run the command line; errors of the user are one sentence and exit code 2."""
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    command = typer.main.get_command(app)
     try:
-        app(args=arguments)
+        code = command.main(arguments, prog_name="challenger-bench", standalone_mode=False)
     except InputError as error:
         if debug:
             raise
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
-    except KeyboardInterrupt:
+        code = _fail(str(error))
+    except typer.TyperException as error:
+        message = str(error.format_message() if hasattr(error, "format_message") else error)
+        # The help that stands in for a missing command has many lines and is no error to explain.
+        code = _fail(message) if "\n" not in message else _help(message)
+    except (KeyboardInterrupt, typer.Abort):
         typer.echo("interrupted; finished work is kept, the same command goes on", err=True)
-        sys.exit(130)
+        code = 130
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(sentence: str) -> int:
+    typer.echo(f"error: {sentence}", err=True)
+    return 2
+
+
+def _help(text: str) -> int:
+    typer.echo(text, err=True)
+    return 2
 
 
 @app.callback(invoke_without_command=True)
@@ -91,7 +106,7 @@ def generate_command(
     vehicles: Annotated[int, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = 10,
     per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
     top: Annotated[int | None, typer.Option(min=1, help="Keep only the so many most challenging scenes.")] = None,
-    candidates: Annotated[int, typer.Option(min=4, help="Candidate trajectories per planning step.")] = 256,
+    candidates: Annotated[int, typer.Option(min=4, max=65536, help="Candidate trajectories per planning step.")] = 256,
     rounds: Annotated[int, typer.Option(min=0, help="Refinement rounds per planning step.")] = 5,
     parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
     denoiser: Annotated[Path | None, typer.Option(help="Weights of another trajectory model.")] = None,
@@ -528,4 +543,5 @@ def _workspace(out: Path) -> "Workspace":
 def _renderer(name: RendererName, size: str) -> Any:
     from generation.schematic import SchematicRenderer
 
-    return SchematicRenderer(*image_size(size)) if name is RendererName.SCHEMATIC else None
+    width, height = image_size(size)
+    return SchematicRenderer(width, height) if name is RendererName.SCHEMATIC else None

@@ -15,6 +15,8 @@ PLAN_STEPS: Final = 6
 """Waypoints of a plan."""
 PLAN_STEP_S: Final = 0.5
 """Time between waypoints; the last waypoint is 3 s ahead."""
+FARTHEST_WAYPOINT_M: Final = 1e4
+"""A waypoint farther than this is a mistake of units or frame (or of arithmetic), not a plan."""
 HORIZON_STEPS: Final = {"1s": 2, "2s": 4, "3s": 6}
 """Number of waypoints up to each reported horizon."""
 

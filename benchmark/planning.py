@@ -9,7 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
+from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.scene import Camera, Scene
@@ -132,7 +132,7 @@ class Plan:
         forecasts: Expected motion of others, or ``None``.
 
     Raises:
-        InputError: If the waypoints are not (6, 2) finite numbers.
+        InputError: If the waypoints are not (6, 2) finite numbers within 10 km.
     """
 
     waypoints: Floats
@@ -146,6 +146,11 @@ class Plan:
             raise InputError(f"a plan needs {PLAN_STEPS} waypoints of x and y, this one has {self.waypoints.shape}")
         if not np.isfinite(self.waypoints).all():
             raise InputError("a plan's waypoints must be finite numbers, this one has NaN or infinity")
+        if np.abs(self.waypoints).max() > FARTHEST_WAYPOINT_M:
+            raise InputError(
+                f"a plan's waypoints are metres from the car, this one has {np.abs(self.waypoints).max():.3g} m; "
+                "global coordinates are no plan"
+            )
 
     def waypoints_in_lidar(self, lidar_ahead_m: float = LIDAR_FROM_REAR_AXLE_M) -> Floats:
         """The waypoints as positions of the lidar origin, x right, y forward: what every protocol reads.

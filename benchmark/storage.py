@@ -4,6 +4,7 @@ Everything the project writes goes through here: a temporary file beside the tar
 """
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import json
@@ -80,10 +81,11 @@ def writing_to(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        advice = "free some space" if full else "choose a place that can be written to (--out)"
         raise InputError(
-            f"cannot write {path}: {reason}; free some space or choose another place with --out, then run the same "
-            "command again (finished work is kept)"
+            f"cannot write {path}: {error.strerror or error}; {advice}, then run the same command again (finished work "
+            "is kept)"
         ) from error
 
 

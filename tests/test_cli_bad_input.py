@@ -106,6 +106,15 @@ def test_unknown_scene(good: Path, tmp_path: Path) -> None:
     assert_one_sentence(evaluate(good, tmp_path / "out", "--scenes", "scene-1234"), "scene-1234")
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [("eval", "--limit", "0"), ("generate", "--layout", "zz"), ("generate", "--candidates", "1000000"), ("fly",)],
+    ids=["too-small", "no-such-choice", "too-large", "no-such-command"],
+)
+def test_wrong_use(arguments: tuple[str, ...]) -> None:
+    assert_one_sentence(challenger_bench(*arguments))
+
+
 def test_no_model(good: Path, tmp_path: Path) -> None:
     assert_one_sentence(challenger_bench("eval", "--data", good, "--out", tmp_path), "--model")
 
@@ -138,8 +147,9 @@ def plan_rows(root: Path) -> list[dict[str, object]]:
         (lambda rows: rows.append(dict(rows[0])), "more than one"),
         (lambda rows: rows.append({**rows[0], "sample_token": "0" * 32}), "0" * 32),
         (lambda rows: rows[1].update(x3=float("nan")), "not finite"),
+        (lambda rows: rows[1].update(x3=1e300), "farther than"),
     ],
-    ids=["missing", "duplicate", "extra", "not-finite"],
+    ids=["missing", "duplicate", "extra", "not-finite", "global-coordinates"],
 )
 def test_plan_file_faults(
     good: Path, tmp_path: Path, fault: Callable[[list[dict[str, object]]], None], word: str
