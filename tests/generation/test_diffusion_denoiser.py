@@ -15,10 +15,9 @@ from benchmark.geometry import Floats
 from generation.diffusion import schedule
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 
-GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden"
-OWN_GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "denoiser" / "small.npz"
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+OWN_GOLDEN = GOLDEN / "denoiser" / "small.npz"
 SMALL = DenoiserConfig(feature_dim=16, heads=2, layers=2, feedforward_dim=24)
-needs_golden = pytest.mark.skipif(not (GOLDEN / "denoiser").is_dir(), reason="no reference numbers here")
 
 
 @pytest.fixture(autouse=True)
@@ -203,7 +202,6 @@ def test_preconditioner_join_undoes_residual() -> None:
     assert (back - noise).abs().max() < 1e-4
 
 
-@needs_golden
 def test_reference_parity() -> None:
     """Denoise 2e-5, full and truncated processes 5e-5 (specification of the denoiser)."""
     found = importlib.util.spec_from_file_location("weights_by_name", GOLDEN / "weights_by_name.py")

@@ -18,7 +18,7 @@ from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
 
-GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "denoiser"
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "denoiser"
 CRUISING = np.array([-4.0, 0.0, 0.0])
 SMALL = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16, history_tokens=1)
 
@@ -165,7 +165,6 @@ def test_quarters_of_the_first_batch() -> None:
     assert np.allclose(ratio[30:, :, 0], ratio[30:, :, 1])
 
 
-@pytest.mark.skipif(not GOLDEN.is_dir(), reason="no reference numbers here")
 def test_quarters_equal_the_reference() -> None:
     class Played:
         """Plays the reference's uniform numbers."""

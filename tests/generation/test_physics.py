@@ -9,7 +9,7 @@ from benchmark.geometry import Floats, wrap_angle
 from generation.physics import DriverLimits, MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
 from generation.reference_path import reference_path
 
-GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "physics"
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "physics"
 SI = MotionModel.si()
 LENGTH_M = 4.6
 
@@ -23,7 +23,6 @@ def drive(waypoints: Floats, speed: float, steps: int = 48, **more: float) -> Si
     return simulate(waypoints, VehicleState(np.zeros(3), speed, **more), LENGTH_M, steps=steps, model=SI)
 
 
-@pytest.mark.skipif(not GOLDEN.is_dir(), reason="needs the golden physics numbers")
 def test_reference_model_repeats_the_golden_numbers() -> None:
     golden = np.load(GOLDEN / "physics.npz")
     for group, row in enumerate(golden["groups"]):
@@ -46,7 +45,6 @@ def test_reference_model_repeats_the_golden_numbers() -> None:
         assert np.abs(error[soon, :14]).max(initial=0.0) < 1e-6
 
 
-@pytest.mark.skipif(not GOLDEN.is_dir(), reason="needs the golden physics numbers")
 def test_reference_profiles_repeat_the_golden_numbers() -> None:
     golden = np.load(GOLDEN / "physics.npz")
     path = reference_path(golden["waypoints_local"][..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
