@@ -122,6 +122,12 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
         return _build_originals(source, reference, names, settings)
     if split != "adv":
         raise InputError(f"cannot build split {split!r}, choose adv or val-r")
+    without_map = [name for name in names if not source.has_map(name)]
+    if without_map:
+        raise InputError(
+            f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of {len(names)} scenes), and "
+            "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
+        )
     units = candidates_of(reference, names, settings.hyper, settings.seed, workers=settings.workers)
     search = Search(
         source=reference,

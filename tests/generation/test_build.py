@@ -1,4 +1,5 @@
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -173,6 +174,14 @@ def only(truth: SampleTruth, instance: str) -> SampleTruth:
         has_points=truth.has_points[rows],
         has_lidar_points=truth.has_lidar_points[rows],
     )
+
+
+def test_without_a_map_there_is_nothing_to_drive_on(source: DataSet, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(source.root, tmp_path / "recorded"))
+    for expansion in (root / "maps" / "expansion").glob("*.json"):
+        expansion.unlink()
+    with pytest.raises(InputError, match=r"no map expansion for scene-9901 \(2 of 2 scenes\)"):
+        build(open_data(root), tmp_path / "out")
 
 
 def test_units_are_in_scene_order(source: DataSet) -> None:
