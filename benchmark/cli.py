@@ -298,7 +298,7 @@ def demo_command(
             factory = planner_factory(name)
             records.append(evaluate(dataset, split, factory, space.run_root(), EvalSettings(workers=processes)))
     tell("4/4 writing the leaderboard")
-    write_leaderboard(records, out / "leaderboard")
+    write_leaderboard(_records(out, None), out / "leaderboard")
     if json_output:
         print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
         return

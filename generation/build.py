@@ -78,6 +78,7 @@ class BuildReport:
         survived: Attempts that passed verification.
         discarded: Number of attempts by reason.
         written: Names of the scenes written, best first for ``adv``.
+        dry_run: Whether the work was only counted.
     """
 
     split: str
@@ -87,6 +88,7 @@ class BuildReport:
     survived: int
     discarded: dict[str, int]
     written: tuple[str, ...]
+    dry_run: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The report as JSON values."""
@@ -94,6 +96,13 @@ class BuildReport:
 
     def summary(self) -> str:
         """One sentence for people."""
+        if self.dry_run:
+            work = (
+                "" if self.split == "val-r" else f", {self.tried} vehicles to try ({self.finished_before} of them done)"
+            )
+            return f"would build {self.split} from {self.scenes} scenes{work}; nothing was written"
+        if self.split == "val-r":
+            return f"{len(self.written)} scenes rendered again"
         reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(self.discarded.items())) or "none"
         return (
             f"{self.scenes} scenes, {self.tried} vehicles tried, {self.survived} passed verification "
@@ -140,7 +149,7 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
     )
     if settings.dry_run:
         finished = sum(search.path(unit).exists() for unit in units)
-        return BuildReport(split, len(names), len(units), finished, 0, {}, ())
+        return BuildReport(split, len(names), len(units), finished, 0, {}, (), dry_run=True)
     with only_writer(settings.out):
         return _build_adversarial(source, search, names, units, settings)
 
@@ -199,7 +208,7 @@ def _build_originals(
 ) -> BuildReport:
     jobs = [_WritingJob(name.replace("/", "-"), name, 0, None) for name in names]
     written = () if settings.dry_run else tuple(job.name for job in jobs)
-    report = BuildReport("val-r", len(names), 0, 0, 0, {}, written)
+    report = BuildReport("val-r", len(names), 0, 0, 0, {}, written, dry_run=settings.dry_run)
     if not settings.dry_run:
         with only_writer(settings.out):
             _write_reports(settings.out, report, [])

@@ -2,6 +2,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -102,6 +103,16 @@ def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_pat
     again = build_split(source, "adv", BuildSettings(out=built, hyper=HYPER, version="v1.0-mini", dry_run=True))
     assert again.finished_before == again.tried
     assert contents(built) == before
+
+
+@pytest.mark.parametrize("split", ["adv", "val-r"])
+def test_a_dry_run_claims_nothing_that_it_did_not_do(
+    source: DataSet, tmp_path: Path, split: Literal["adv", "val-r"]
+) -> None:
+    text = build_split(source, split, BuildSettings(out=tmp_path / "out", hyper=HYPER, dry_run=True)).summary()
+    assert text.startswith(f"would build {split} from 2 scenes")
+    assert "tried" not in text
+    assert not (tmp_path / "out").exists()
 
 
 def test_originals_are_written_for_val_r(source: DataSet, tmp_path: Path) -> None:
