@@ -10,12 +10,35 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 from benchmark.errors import InputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+class Executor(Protocol):
+    """Where units of work run."""
+
+    def map(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+    ) -> Iterator[Result]:
+        """Apply a function to items and give the results in the order of the items.
+
+        Args:
+            function: Importable (a module-level function or a partial of one).
+            items: Picklable arguments; they may be made lazily and are asked for a little ahead of the results.
+            total: How many items there are.
+            label: Text beside the progress bar.
+
+        Yields:
+            One result per item.
+
+        Raises:
+            InputError: If workers are lost for good.
+        """
 
 
 def single_threaded() -> None:
@@ -30,6 +53,23 @@ def single_threaded() -> None:
 def default_workers() -> int:
     """Number of processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+@dataclass(frozen=True, slots=True)
+class LocalProcesses:
+    """This machine's processes.
+
+    Attributes:
+        workers: How many; 1 computes in this process.
+    """
+
+    workers: int = 1
+
+    def map(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+    ) -> Iterator[Result]:
+        """See `Executor.map`."""
+        return map_ordered(function, list(items), workers=self.workers, label=label)
 
 
 def map_ordered(

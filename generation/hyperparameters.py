@@ -1,6 +1,8 @@
 """Every number of the generator: the paper's hyper-parameter table, and what the paper leaves open."""
 
 from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Self
 
 import numpy as np
 
@@ -9,12 +11,27 @@ from benchmark.geometry import Floats
 from benchmark.storage import content_key
 
 
+class CollisionReading(StrEnum):
+    """What the appendix's three-way collision test means; the readings differ in what they do with near misses.
+
+    ``GEOMETRY``: boxes that intersect, which is what the three steps compute when their bounds are valid ones.
+    ``LITERAL``: the words: centres nearer than the sum of the short edges collide, farther than the sum of the long
+    edges do not, boxes decide in between. A car 3.5 m to the side then "collides".
+    ``HALF``: half edges in both places, as the reference code computes; corner contacts beyond half the long edges
+    are missed.
+    """
+
+    GEOMETRY = "geometry"
+    LITERAL = "literal"
+    HALF = "half"
+
+
 @dataclass(frozen=True, slots=True)
 class HyperParameters:
     """Settings of the search for one adversary; defaults are the paper's wherever it names a value.
 
-    Frames are 1/12 s. The first block is the paper's appendix ("Hyperparameters"); everything after it is open in
-    the paper and says why it is there.
+    `paper` gives the paper alone. Frames are 1/12 s. The first block is the paper's appendix ("Hyperparameters");
+    everything after it is open in the paper and says why it is there.
 
     Attributes:
         candidates: Batch size of each round.
@@ -61,6 +78,10 @@ class HyperParameters:
         most_off_road_share: Share of driven frames with the centre off the drivable area that is tolerated.
         most_corner_off_road_share: The same for any corner.
         stopping_m_s2: Braking that must save the ego if the scene went on after its last frame.
+        collision_reading: What counts as a collision while planning; verification always means contact.
+        best_of_all_rounds: Execute the best candidate of all rounds; the reference forgets all but the last round.
+        stable_softmax: Subtract the smallest score before the exponential. The reference does not, in single
+            precision: where every score is beyond about 103 it can draw nothing and stops.
     """
 
     candidates: int = 256
@@ -100,6 +121,22 @@ class HyperParameters:
     most_off_road_share: float = 0.02
     most_corner_off_road_share: float = 0.15
     stopping_m_s2: float = 5.0
+
+    collision_reading: CollisionReading = CollisionReading.GEOMETRY
+    best_of_all_rounds: bool = True
+    stable_softmax: bool = True
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The paper alone: nothing that it does not name looks ahead, keeps air or prefers a vehicle."""
+        return cls(
+            staying_preference=0.0,
+            tries=1,
+            lookahead_frames=0,
+            lookahead_challenge_weight=0.0,
+            clearance_m=0.0,
+            headway_s=0.0,
+        )
 
     def __post_init__(self) -> None:
         for name in ("candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries"):
