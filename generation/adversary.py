@@ -4,7 +4,9 @@ Pure: the same scene, vehicle, seed, settings and prior give the same track, who
 """
 
 import hashlib
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,14 +21,15 @@ from benchmark.storage import content_key, content_seed
 from generation.candidates import in_canvas, initial_state, launch_frame
 from generation.hyperparameters import HyperParameters
 from generation.labels import ClosestApproach, closest_approach, times_to_collision
-from generation.physics import DriverLimits, MotionModel, VehicleState, rear_axle, simulate
+from generation.physics import MotionModel, VehicleState, rear_axle, simulate
+from generation.proposals import Diversify, Prior, Search, run_together
 from generation.ranking import challenge_score
-from generation.refine import Diversify, Evaluated, Prior, Refinement, refine
+from generation.refine import Evaluated, NothingToDraw, Refinement, refine
 from generation.scoring import score_terms, surroundings
 from generation.solvable import log_replay_contacts
-from generation.verify import Discard, touches_others, verify
+from generation.verify import EGO, Discard, Finding, contacts, verify
 
-ALGORITHM_VERSION = "2"
+ALGORITHM_VERSION = "3"
 """Part of every content key; changes when the same inputs would give other tracks."""
 
 
@@ -57,7 +60,7 @@ class Attempt:
         scene_name: Recorded scene.
         agent_id: Instance that was tried.
         seed: User's seed.
-        discard: Why the result is not kept, or ``None``.
+        finding: Why the result is not kept and what shows it, or ``None``.
         start: Frame of the launch, ``None`` if there was none.
         poses: (T - start, 3) executed poses of the box centre; fewer where planning gave up, (0, 3) without launch.
         challenge: Ranking score, see `ranking.challenge_score`; 0 where discarded.
@@ -66,12 +69,13 @@ class Attempt:
         plans: Trace.
         scene: The adversarial scene, if kept.
         tries: Searches that were made; everything else is about the last one.
+        stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other. Not in the report.
     """
 
     scene_name: str
     agent_id: str
     seed: int
-    discard: Discard | None
+    finding: Finding | None
     start: int | None
     poses: Floats
     challenge: float
@@ -80,11 +84,17 @@ class Attempt:
     plans: tuple[PlanningFrame, ...]
     scene: Scene | None
     tries: int = 0
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def discard(self) -> Discard | None:
+        """Why the result is not kept, or ``None``."""
+        return None if self.finding is None else self.finding.reason
 
     @property
     def kept(self) -> bool:
         """Whether the scene survived verification."""
-        return self.discard is None
+        return self.finding is None
 
     def report(self) -> dict[str, Any]:
         """Everything but the track and the scene, as JSON values."""
@@ -95,6 +105,7 @@ class Attempt:
             "seed": self.seed,
             "kept": self.kept,
             "discard": None if self.discard is None else self.discard.value,
+            "because": None if self.finding is None else self.finding.as_json(),
             "launch_frame": self.start,
             "tries": self.tries,
             "challenge": self.challenge,
@@ -142,105 +153,165 @@ def attempt(
     Raises:
         InputError: If there is no such vehicle or the model has no limits.
     """
-    if not 0 <= agent_index < len(scene.agents):
-        raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent_index}")
+    return attempts_together([(scene, agent_index)], seed, hyper, prior, diversify=diversify, model=model)[0]
+
+
+def attempts_together(
+    vehicles: Sequence[tuple[Scene, int]],
+    seed: int,
+    hyper: HyperParameters,
+    prior: Prior,
+    *,
+    diversify: Diversify | None = None,
+    model: MotionModel | None = None,
+) -> list[Attempt]:
+    """Attempts side by side, so that the diffusion model answers all of them in one call; each is as if alone.
+
+    Args:
+        vehicles: Scenes and indices of vehicles in them.
+        seed: As in `attempt`.
+        hyper: As in `attempt`.
+        prior: As in `attempt`.
+        diversify: As in `attempt`.
+        model: As in `attempt`.
+
+    Returns:
+        One attempt for each vehicle.
+
+    Raises:
+        InputError: If there is no such vehicle or the model has no limits.
+    """
     model = model or MotionModel.si()
     if model.limits is None:
         raise InputError("executing a plan needs a motion model with limits, use MotionModel.si()")
-    blank = Attempt(
-        scene.name, scene.agents.ids[agent_index], seed, None, None, np.zeros((0, 3)), 0.0, None, None, (), None
-    )
-    start = launch_frame(scene, agent_index, hyper)
-    if start is None:
-        return replace(blank, discard=Discard.NEVER_LAUNCHED)
-    if ego_already_collides(scene):
-        return replace(blank, start=start, discard=Discard.ORIGINAL_COLLIDES)
-    content = (scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior.fingerprint, ALGORITHM_VERSION)
+    for scene, agent in vehicles:
+        if not 0 <= agent < len(scene.agents):
+            raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or _packaged_diversify()
+    searches = [_chances(scene, agent, seed, hyper, prior.fingerprint, diversify, model) for scene, agent in vehicles]
+    found, sampling = run_together(searches, prior)
+    return [
+        replace(result, stage_seconds={"sampling": seconds, **result.stage_seconds})
+        for result, seconds in zip(found, sampling, strict=True)
+    ]
+
+
+def _chances(
+    scene: Scene,
+    agent: int,
+    seed: int,
+    hyper: HyperParameters,
+    prior_fingerprint: str,
+    diversify: Diversify,
+    model: MotionModel,
+) -> Search[Attempt]:
+    """Searches for one vehicle until one is kept or there is no use in another."""
+    begun = time.process_time()
+    blank = Attempt(scene.name, scene.agents.ids[agent], seed, None, None, np.zeros((0, 3)), 0.0, None, None, (), None)
+    start = launch_frame(scene, agent, hyper)
+    if start is None:
+        return replace(blank, finding=Finding(Discard.NEVER_LAUNCHED))
+    if ego_already_collides(scene):
+        return replace(blank, start=start, finding=Finding(Discard.ORIGINAL_COLLIDES))
+    content = (scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior_fingerprint, ALGORITHM_VERSION)
+    stages = {"physics": 0.0, "scoring": 0.0, "other": time.process_time() - begun}
     result = blank
     for number in range(hyper.tries):
         rng = np.random.default_rng(content_seed(*content, number))
-        hunt = _Hunt(scene, agent_index, start, hyper, prior, diversify, model, rng)
-        result = _result(hunt, replace(blank, start=start, tries=number + 1), model.limits)
+        hunt = _Hunt(scene, agent, start, hyper, diversify, model, rng, stages)
+        poses, plans, gave_up = yield from hunt.run()
+        begun = time.process_time()
+        driven = replace(blank, start=start, tries=number + 1, poses=poses, plans=plans, finding=gave_up)
+        result = _judged(driven, hunt) if gave_up is None else driven
+        stages["other"] += time.process_time() - begun
         # A vehicle that the area loses drives the other way; it would be lost again.
         if result.kept or result.discard is Discard.LEAVES_AREA:
             break
-    return result
+    return replace(result, stage_seconds=stages)
 
 
-def _result(hunt: "_Hunt", blank: Attempt, limits: DriverLimits) -> Attempt:
-    """What comes of one search."""
-    poses, plans, gave_up = hunt.run()
-    driven = replace(blank, poses=poses, plans=plans, discard=gave_up)
-    if gave_up is not None:
-        return driven
-    changed = hunt.scene.with_adversary(hunt.agent, slice(hunt.start, hunt.start + len(poses)), poses)
-    return _judged(driven, changed, hunt.agent, hunt.start, hunt.hyper, limits)
-
-
-def _judged(
-    driven: Attempt, changed: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits
-) -> Attempt:
+def _judged(driven: Attempt, hunt: "_Hunt") -> Attempt:
     """The attempt with its verdict and its numbers."""
-    discard = verify(changed, agent, start, hyper, limits)
+    agent, start, limits = hunt.agent, hunt.start, hunt.model.limits
+    assert limits is not None
+    changed = hunt.scene.with_adversary(agent, slice(start, start + len(driven.poses)), driven.poses)
+    finding = verify(changed, agent, start, hunt.hyper, limits)
     soonest = float(times_to_collision(changed, agent, start).min())
     return replace(
         driven,
-        discard=discard,
-        challenge=challenge_score(changed, agent, start) if discard is None else 0.0,
+        finding=finding,
+        challenge=challenge_score(changed, agent, start) if finding is None else 0.0,
         closest=closest_approach(changed, agent, start),
         least_time_to_collision_s=None if np.isinf(soonest) else soonest,
-        scene=changed if discard is None else None,
+        scene=changed if finding is None else None,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _Hunt:
-    """Planning frames of one adversary, one after the other."""
+    """Planning frames of one adversary, one after the other; ``stages`` adds up processor seconds."""
 
     scene: Scene
     agent: int
     start: int
     hyper: HyperParameters
-    prior: Prior
     diversify: Diversify
     model: MotionModel
     rng: np.random.Generator
+    stages: dict[str, float]
 
-    def run(self) -> tuple[Floats, tuple[PlanningFrame, ...], Discard | None]:
+    def run(self) -> Search[tuple[Floats, tuple[PlanningFrame, ...], Finding | None]]:
         """Executed poses (F, 3), trace, and why the rest was not planned: what `verify` could only discard."""
         assert self.model.limits is not None
         state = initial_state(self.scene, self.agent, self.start, self.model.limits)
         track = [self._recorded_pose(self.start)[None]]
         plans: list[PlanningFrame] = []
         for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.horizon):
-            found = self._plan(frame, state, np.concatenate(track))
+            try:
+                found = yield from self._plan(frame, state, np.concatenate(track))
+            except NothingToDraw:
+                return np.concatenate(track), tuple(plans), Finding(Discard.NOTHING_TO_DRAW, frame)
             steps = min(self.hyper.horizon, len(self.scene.timestamps_us) - 1 - frame)
             executed = found.motion.center[found.chosen, 1 : steps + 1]
             plans.append(_trace(frame, found))
-            if not np.isfinite(executed).all() or (self.hyper.scored and self._touches(frame, executed)):
-                return np.concatenate(track), tuple(plans), Discard.NO_SAFE_CANDIDATE
+            finding = self._fault(frame, executed)
+            if finding is not None and finding.reason is not Discard.LEAVES_AREA:
+                return np.concatenate(track), tuple(plans), finding
             track.append(executed)
-            if not in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1).all():
-                return np.concatenate(track), tuple(plans), Discard.LEAVES_AREA
+            if finding is not None:
+                return np.concatenate(track), tuple(plans), finding
             state = found.motion.state(found.chosen, steps)
         return np.concatenate(track), tuple(plans), None
 
-    def _plan(self, frame: int, state: VehicleState, track: Floats) -> Refinement:
+    def _fault(self, frame: int, executed: Floats) -> Finding | None:
+        """Why there is no use in going on after executing (F, 3) poses from the frame after ``frame`` on."""
+        if not np.isfinite(executed).all():
+            return Finding(Discard.NO_SAFE_CANDIDATE, frame)
+        touched = self._touched(frame, executed) if self.hyper.scored else None
+        if touched is not None:
+            return Finding(Discard.NO_SAFE_CANDIDATE, frame, touched)
+        inside = in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
+        return None if inside.all() else Finding(Discard.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
+
+    def _plan(self, frame: int, state: VehicleState, track: Floats) -> Search[Refinement]:
+        begun = time.process_time()
         offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))
         raster = _raster(self.scene, frame, self.hyper.half_extent_m)
         around = surroundings(self.scene, self.agent, tuple(frame + offset for offset in offsets), raster)
         size = self.scene.agents.size[self.agent, :2]
+        previous = self._previous(frame, state, track)
+        self.stages["other"] += time.process_time() - begun
 
         def evaluate(waypoints: Floats) -> Evaluated:
+            begun = time.process_time()
             motion = simulate(waypoints, state, float(size[0]), steps=offsets[-1], model=self.model)
-            return Evaluated(
-                motion,
-                score_terms(motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3]),
-            )
+            simulated = time.process_time()
+            terms = score_terms(motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3])
+            self.stages["physics"] += simulated - begun
+            self.stages["scoring"] += time.process_time() - simulated
+            return Evaluated(motion, terms)
 
-        previous = self._previous(frame, state, track)
-        return refine(self.prior, self.diversify, evaluate, previous, self.hyper, self.rng)
+        return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
 
     def _previous(self, frame: int, state: VehicleState, track: Floats) -> Floats:
         """Own rear-axle pose (3,) half a second ago in the local frame: recorded before the launch, executed after."""
@@ -254,13 +325,15 @@ class _Hunt:
         agents = self.scene.agents
         return np.array([*agents.position[self.agent, frame, :2], agents.yaw[self.agent, frame]])
 
-    def _touches(self, frame: int, executed: Floats) -> bool:
+    def _touched(self, frame: int, executed: Floats) -> str | None:
+        """Who is touched first, or ``None``."""
         frames = frame + 1 + np.arange(len(executed))
         size = np.broadcast_to(self.scene.agents.size[self.agent, :2], (len(executed), 2))
         boxes = np.column_stack([executed[:, :2], size, executed[:, 2]])
         if boxes_overlap(boxes, self.scene.ego.boxes[frames]).any():
-            return True
-        return bool(touches_others(boxes, self.scene, self.agent, frames).any())
+            return EGO
+        _, other = contacts(boxes, self.scene, self.agent, frames)
+        return self.scene.agents.ids[other[0]] if len(other) else None
 
 
 def ego_already_collides(scene: Scene) -> bool:

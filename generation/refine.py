@@ -5,7 +5,6 @@ Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18 and 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,29 +12,8 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from generation.hyperparameters import HyperParameters
 from generation.physics import SimulatedMotion
+from generation.proposals import Diversify, Mutation, Sampling, Search
 from generation.scoring import Terms, final_scores, normalised
-
-
-class Prior(Protocol):
-    """Unconditional generator of driving: what refinement needs of a diffusion model.
-
-    Waypoints are (B, 16, 3) x, y, heading at 2 Hz over 8 s, metres, in the rear-axle frame of the vehicle now;
-    ``previous`` is its (3,) pose half a second ago in that frame.
-    """
-
-    @property
-    def fingerprint(self) -> str:
-        """Content key of weights and sampler settings."""
-
-    def sample(self, count: int, previous: Floats, rng: np.random.Generator) -> Floats:
-        """New trajectories by the full reverse process."""
-
-    def mutate(self, waypoints: Floats, noise_level: int, previous: Floats, rng: np.random.Generator) -> Floats:
-        """Trajectories after a truncated diffusion process of ``noise_level`` steps."""
-
-
-Diversify = Callable[[Floats, np.random.Generator], Floats]
-"""Spreads the speeds of an initial batch, which makes it diverse; the reference code does it, the paper is silent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +52,6 @@ class Refinement:
         chosen: Its index in ``motion``.
         round: Its round, 0 is the initial batch.
         score: Its final score, normalised over all rounds together.
-        collides: Whether even the chosen one touches something within the horizon.
         rounds: Trace, one entry per round.
     """
 
@@ -83,32 +60,39 @@ class Refinement:
     chosen: int
     round: int
     score: float
-    collides: bool
     rounds: tuple[Round, ...]
 
 
+class NothingToDraw(ArithmeticError):
+    """Every weight of the resampling underflowed, as can happen without `HyperParameters.stable_softmax`."""
+
+
 def refine(
-    prior: Prior,
     diversify: Diversify,
     evaluate: Callable[[Floats], Evaluated],
     previous: Floats,
     hyper: HyperParameters,
     rng: np.random.Generator,
-) -> Refinement:
+) -> Search[Refinement]:
     """Search one planning frame.
 
     Args:
-        prior: Diffusion model.
         diversify: Applied to the initial batch.
         evaluate: Simulates and scores (B, 16, 3) waypoints.
         previous: (3,) pose half a second ago in the local frame.
         hyper: Settings.
         rng: Source of every random number.
 
+    Yields:
+        Requests to the diffusion model (`generation.proposals`).
+
     Returns:
-        The best candidate of all rounds (the reference forgets all but the last round).
+        The best candidate of all rounds, or of the last one (``hyper.best_of_all_rounds``).
+
+    Raises:
+        NothingToDraw: If the resampling underflows.
     """
-    waypoints = diversify(prior.sample(hyper.candidates, previous, rng), rng)
+    waypoints = diversify((yield Sampling(hyper.candidates, previous, rng)), rng)
     batches: list[tuple[Floats, Evaluated, Floats]] = []
     rounds: list[Round] = []
     for level in (*hyper.noise_levels(), 0):
@@ -119,11 +103,10 @@ def refine(
         rounds.append(_summary(scores, batch.terms, hyper))
         if level:
             drawn = resample(scores, hyper, rng)
-            waypoints = prior.mutate(waypoints[drawn], level, previous, rng)
+            waypoints = yield Mutation(waypoints[drawn], level, previous, rng)
     number, chosen, score = _best(batches, hyper, rng)
     waypoints, batch, _ = batches[number]
-    collides = not np.isfinite(score) or bool(batch.terms.collision[chosen, : hyper.horizon].any())
-    return Refinement(waypoints[chosen], batch.motion, chosen, number, score, collides, tuple(rounds))
+    return Refinement(waypoints[chosen], batch.motion, chosen, number, score, tuple(rounds))
 
 
 def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -136,19 +119,32 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
 
     Returns:
         (B,) indices. Uniform over the finite ones without scoring, over all where none is finite.
+
+    Raises:
+        NothingToDraw: If every weight underflows, which only an unstable softmax can do.
     """
     finite = np.isfinite(scores)
     if not finite.any():
         return np.arange(len(scores))
     sharpness = hyper.temperature if hyper.scored else 0.0
-    weight = np.where(finite, np.exp(-sharpness * (np.where(finite, scores, 0.0) - scores[finite].min())), 0.0)
-    return np.asarray(rng.choice(len(scores), size=len(scores), p=weight / weight.sum()), dtype=np.int64)
+    known = np.where(finite, scores, 0.0)
+    if hyper.stable_softmax:
+        weight = np.where(finite, np.exp(-sharpness * (known - scores[finite].min())), 0.0)
+    else:
+        single = np.exp(np.float32(-sharpness) * known.astype(np.float32))
+        weight = np.where(finite, single, np.float32(0.0)).astype(np.float64)
+    total = weight.sum()
+    if total == 0.0:
+        raise NothingToDraw(f"the smallest of {int(finite.sum())} scores is {scores[finite].min():.1f}")
+    return np.asarray(rng.choice(len(scores), size=len(scores), p=weight / total), dtype=np.int64)
 
 
 def _best(
     batches: list[tuple[Floats, Evaluated, Floats]], hyper: HyperParameters, rng: np.random.Generator
 ) -> tuple[int, int, float]:
-    """Round, index and score of the best candidate, the challenge normalised over all rounds together."""
+    """Round, index and score of the best candidate, the challenge normalised over all rounds that count together."""
+    skipped = 0 if hyper.best_of_all_rounds else len(batches) - 1
+    batches = batches[skipped:]
     finite = np.stack([batch.terms.finite for _, batch, _ in batches])
     challenge = normalised(np.stack([batch.terms.challenge for _, batch, _ in batches]), finite)
     safety = np.stack(
@@ -157,11 +153,11 @@ def _best(
     score = np.where(finite, safety + hyper.ac_weight * challenge, np.inf)
     if hyper.scored:
         number, chosen = np.unravel_index(int(np.argmin(score)), score.shape)
-        return int(number), int(chosen), float(score[number, chosen])
+        return skipped + int(number), int(chosen), float(score[number, chosen])
     last = len(batches) - 1
     options = np.flatnonzero(finite[last]) if finite[last].any() else np.arange(score.shape[1])
     chosen = rng.choice(options)
-    return last, int(chosen), float(score[last, chosen])
+    return skipped + last, int(chosen), float(score[last, chosen])
 
 
 def _summary(scores: Floats, terms: Terms, hyper: HyperParameters) -> Round:

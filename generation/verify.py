@@ -3,8 +3,9 @@
 Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 import shapely
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.annotated import tracks_between
-from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, to_local, wrap_angle
+from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local, wrap_angle
 from benchmark.scene import Scene
 from generation.candidates import in_canvas
 from generation.hyperparameters import HyperParameters
@@ -27,6 +28,7 @@ class Discard(StrEnum):
     NEVER_LAUNCHED = "never-launched"
     ORIGINAL_COLLIDES = "original-scene-collides"
     NO_SAFE_CANDIDATE = "no-candidate-without-collision"
+    NOTHING_TO_DRAW = "scores-underflow"
     HITS_OBJECT = "hits-an-object"
     HITS_EGO = "hits-the-ego"
     EGO_BLOCKED = "blocks-the-ego-at-the-end"
@@ -36,13 +38,42 @@ class Discard(StrEnum):
     UNDRIVEABLE = "motion-no-driver-could-drive"
 
 
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A reason to discard a scene, and what shows it.
+
+    Attributes:
+        reason: The reason.
+        frame: First frame at which it shows, where there is one.
+        other: Instance identifier of what was touched, or ``ego``.
+        quantity: What was measured, with its unit.
+        value: How much it was.
+        limit: How much was allowed, or needed.
+    """
+
+    reason: Discard
+    frame: int | None = None
+    other: str | None = None
+    quantity: str | None = None
+    value: float | None = None
+    limit: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields that say something."""
+        fields: dict[str, Any] = {"frame": self.frame, "other": self.other, "quantity": self.quantity}
+        fields |= {"value": self.value, "limit": self.limit}
+        return {"reason": self.reason.value, **{name: value for name, value in fields.items() if value is not None}}
+
+
+EGO = "ego"
+"""Stands for the recording car where an instance identifier would stand."""
 LIMIT_TOLERANCE = 1.05
 """Finite differences at 12 Hz overshoot the simulator's own limits by less than this factor."""
 SIDEWAYS_M_S = 0.3
 """Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
 
 
-def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits) -> Discard | None:
+def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits) -> Finding | None:
     """Check one adversarial scene.
 
     Args:
@@ -56,25 +87,48 @@ def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits:
         The first reason to discard it, or ``None`` to keep it.
     """
     boxes = agent_boxes(scene, agent)[start:]
-    if not np.isfinite(boxes).all() or not is_drivable_motion(boxes, limits):
-        return Discard.UNDRIVEABLE
+    if not np.isfinite(boxes).all():
+        return Finding(Discard.UNDRIVEABLE)
+    broken = broken_limit(boxes, limits)
+    if broken is not None:
+        quantity, value, limit = broken
+        return Finding(Discard.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
+    return (
+        _contact(scene, agent, start, boxes)
+        or (Finding(Discard.EGO_BLOCKED) if _blocks_ego(scene, boxes, hyper) else None)
+        or _out_of_area(scene, agent, start, hyper)
+        or _off_road(scene, start, boxes, hyper)
+        or _never_close(scene, agent, start, hyper)
+    )
+
+
+def _contact(scene: Scene, agent: int, start: int, boxes: Floats) -> Finding | None:
+    """Contact with an object or the ego, at 12 Hz and as a reader of the data set sees it."""
     read = _as_read(scene)
     stretches = ((scene, np.arange(start, start + len(boxes))), (read, np.arange(start, read.agents.yaw.shape[1])))
-    if any(touches_others(agent_boxes(seen, agent)[at], seen, agent, at).any() for seen, at in stretches):
-        return Discard.HITS_OBJECT
-    contact = boxes_overlap(boxes, scene.ego.boxes[start:]).any()
-    if contact or log_replay_contacts(scene, np.array([agent]))[agent]:
-        return Discard.HITS_EGO
-    if _blocks_ego(scene, boxes, hyper):
-        return Discard.EGO_BLOCKED
-    if not in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:].all():
-        return Discard.LEAVES_AREA
-    if _leaves_road(scene, boxes, hyper):
-        return Discard.LEAVES_ROAD
-    moving = ego_speed(scene)[start:] >= hyper.moving_ego_m_s
-    if not (body_gaps(scene, agent, start)[moving] <= hyper.close_gap_m).any():
-        return Discard.NEVER_CLOSE
+    for seen, at in stretches:
+        step, other = contacts(agent_boxes(seen, agent)[at], seen, agent, at)
+        if len(step):
+            return Finding(Discard.HITS_OBJECT, int(at[step[0]]), seen.agents.ids[other[0]])
+    touched = np.flatnonzero(boxes_overlap(boxes, scene.ego.boxes[start:]))
+    if len(touched) or log_replay_contacts(scene, np.array([agent]))[agent]:
+        return Finding(Discard.HITS_EGO, start + int(touched[0]) if len(touched) else None, EGO)
     return None
+
+
+def _out_of_area(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> Finding | None:
+    out = np.flatnonzero(~in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:])
+    return Finding(Discard.LEAVES_AREA, start + int(out[0])) if len(out) else None
+
+
+def _never_close(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> Finding | None:
+    moving = ego_speed(scene)[start:] >= hyper.moving_ego_m_s
+    if not moving.any():
+        return Finding(Discard.NEVER_CLOSE, quantity="speed of the ego, m/s", value=0.0, limit=hyper.moving_ego_m_s)
+    gap = float(body_gaps(scene, agent, start)[moving].min())
+    if gap <= hyper.close_gap_m:
+        return None
+    return Finding(Discard.NEVER_CLOSE, quantity="smallest gap, m", value=gap, limit=hyper.close_gap_m)
 
 
 def _as_read(scene: Scene) -> Scene:
@@ -83,8 +137,10 @@ def _as_read(scene: Scene) -> Scene:
     return replace(scene, agents=tracks)
 
 
-def touches_others(boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.int64]) -> Bools:
-    """Whether a track touches any other present agent.
+def contacts(
+    boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Contacts of a track with any other present agent.
 
     Args:
         boxes: (F, 5) boxes of the track.
@@ -93,7 +149,7 @@ def touches_others(boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.i
         frames: (F,) frame indices.
 
     Returns:
-        (F,) verdicts.
+        Step of each contact, ascending, and index of the other agent.
     """
     at = frames
     present = scene.agents.valid[:, at].copy()
@@ -101,11 +157,10 @@ def touches_others(boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.i
     center = scene.agents.position[:, at, :2]
     reach = 0.5 * (np.hypot(*scene.agents.size[:, :2].T)[:, None] + np.hypot(boxes[:, 2], boxes[:, 3]))
     near = present & (np.hypot(center[..., 0] - boxes[:, 0], center[..., 1] - boxes[:, 1]) <= reach)
-    other, step = np.nonzero(near)
+    step, other = np.nonzero(near.T)
     others = np.column_stack([center[other, step], scene.agents.size[other, :2], scene.agents.yaw[other, at[step]]])
-    hit = np.zeros(len(at), dtype=np.bool_)
-    hit[step[boxes_overlap(boxes[step], others)]] = True
-    return hit
+    hit = boxes_overlap(boxes[step], others)
+    return step[hit], other[hit]
 
 
 def _blocks_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
@@ -131,15 +186,22 @@ def _blocks_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
     return bool(boxes_overlap(stopping, other).any())
 
 
-def _leaves_road(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
+def _off_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -> Finding | None:
     shapely.prepare(scene.road_map.drivable_area)
     center_off = ~scene.road_map.is_drivable(boxes[:, :2])
     corner_off = ~scene.road_map.is_drivable(box_corners(boxes)).all(axis=-1)
-    return bool(center_off.mean() > hyper.most_off_road_share or corner_off.mean() > hyper.most_corner_off_road_share)
+    for what, off, most in (
+        ("share of frames with the centre off the road", center_off, hyper.most_off_road_share),
+        ("share of frames with a corner off the road", corner_off, hyper.most_corner_off_road_share),
+    ):
+        if off.mean() > most:
+            first = start + int(np.argmax(off))
+            return Finding(Discard.LEAVES_ROAD, first, quantity=what, value=float(off.mean()), limit=most)
+    return None
 
 
 def is_drivable_motion(boxes: Floats, limits: DriverLimits) -> bool:
-    """Whether a 12 Hz track stays inside what the driver can do: finite differences of the rear axle's path.
+    """Whether a 12 Hz track stays inside what the driver can do, see `broken_limit`.
 
     Args:
         boxes: (F, 5) boxes.
@@ -148,8 +210,21 @@ def is_drivable_motion(boxes: Floats, limits: DriverLimits) -> bool:
     Returns:
         The verdict; tracks of fewer than three frames pass.
     """
+    return broken_limit(boxes, limits) is None
+
+
+def broken_limit(boxes: Floats, limits: DriverLimits) -> tuple[str, float, float] | None:
+    """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
+
+    Args:
+        boxes: (F, 5) boxes.
+        limits: Limits.
+
+    Returns:
+        Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
+    """
     if len(boxes) < 3:
-        return True
+        return None
     axle = rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
     step = np.diff(axle[:, :2], axis=0) * FRAME_HZ
     yaw = axle[:-1, 2]
@@ -157,11 +232,16 @@ def is_drivable_motion(boxes: Floats, limits: DriverLimits) -> bool:
     across = step[:, 1] * np.cos(yaw) - step[:, 0] * np.sin(yaw)
     yaw_rate = wrap_angle(np.diff(axle[:, 2])) * FRAME_HZ
     acceleration = np.diff(along) * FRAME_HZ
-    return bool(
-        np.abs(across).max() <= SIDEWAYS_M_S
-        and along.min() >= -SIDEWAYS_M_S
-        and acceleration.max() <= limits.acceleration_m_s2 * LIMIT_TOLERANCE
-        and acceleration.min() >= -limits.braking_m_s2 * LIMIT_TOLERANCE
-        and np.abs(yaw_rate).max() <= limits.yaw_rate_rad_s * LIMIT_TOLERANCE
-        and np.abs(yaw_rate * along).max() <= limits.lateral_acceleration_m_s2 * LIMIT_TOLERANCE
+    measured = (
+        ("speed sideways, m/s", np.abs(across).max(), SIDEWAYS_M_S),
+        ("speed backwards, m/s", -along.min(), SIDEWAYS_M_S),
+        ("acceleration, m/s^2", acceleration.max(), limits.acceleration_m_s2 * LIMIT_TOLERANCE),
+        ("braking, m/s^2", -acceleration.min(), limits.braking_m_s2 * LIMIT_TOLERANCE),
+        ("yaw rate, rad/s", np.abs(yaw_rate).max(), limits.yaw_rate_rad_s * LIMIT_TOLERANCE),
+        (
+            "lateral acceleration, m/s^2",
+            np.abs(yaw_rate * along).max(),
+            limits.lateral_acceleration_m_s2 * LIMIT_TOLERANCE,
+        ),
     )
+    return next(((name, float(value), limit) for name, value, limit in measured if not value <= limit), None)

@@ -163,7 +163,7 @@ class DenoiserLayer(nn.Module):
         self.norm_1 = nn.LayerNorm(width)
         self.ffn_12 = nn.Sequential(
             nn.Linear(width, config.feedforward_dim),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Dropout(config.dropout),
             nn.Linear(config.feedforward_dim, width),
             nn.Dropout(config.dropout),

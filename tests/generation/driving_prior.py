@@ -1,12 +1,23 @@
 """A stand-in for the diffusion model: smooth random driving around constant velocity."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from benchmark.geometry import Floats
+from generation.proposals import Request, Sampling
 
 
 class DrivingPrior:
     fingerprint = "random smooth driving"
+
+    def answer(self, requests: Sequence[Request]) -> list[Floats]:
+        return [
+            self.sample(asked.count, asked.previous, asked.rng)
+            if isinstance(asked, Sampling)
+            else self.mutate(asked.waypoints, asked.noise_level, asked.previous, asked.rng)
+            for asked in requests
+        ]
 
     def sample(self, count: int, previous: Floats, rng: np.random.Generator) -> Floats:
         speed = np.hypot(previous[0], previous[1]) / 0.5

@@ -6,7 +6,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.geometry import boxes_overlap
 from benchmark.storage import canonical_json
-from generation.adversary import Attempt, attempt, scene_identity
+from generation.adversary import Attempt, attempt, attempts_together, scene_identity
 from generation.hyperparameters import HyperParameters
 from generation.physics import DriverLimits, MotionModel
 from generation.solvable import log_replay_contacts
@@ -142,3 +142,14 @@ def test_bad_arguments_are_sentences() -> None:
         attempt(scene, 7, 0, HYPER, DrivingPrior(), diversify=unchanged)
     with pytest.raises(InputError, match="limits"):
         attempt(scene, 0, 0, HYPER, DrivingPrior(), diversify=unchanged, model=MotionModel.reference())
+
+
+def test_attempts_side_by_side_are_as_if_alone() -> None:
+    scene = scene_on_straight_road(CARS, seconds=9.0)
+    alone = [attempt(scene, agent, 3, HYPER, DrivingPrior(), diversify=unchanged) for agent in (0, 1, 2)]
+    vehicles = [(scene, agent) for agent in (0, 1, 2)]
+    together = attempts_together(vehicles, 3, HYPER, DrivingPrior(), diversify=unchanged)
+    for one, other in zip(alone, together, strict=True):
+        assert canonical_json(one.report()) == canonical_json(other.report())
+        np.testing.assert_array_equal(one.poses, other.poses)
+    assert set(together[0].stage_seconds) == {"sampling", "physics", "scoring", "other"}

@@ -15,8 +15,9 @@ from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, sav
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.evaluation import wasserstein
 from generation.diffusion.kinematics import motion
-from generation.diffusion.prior import TrajectoryPrior, diversify
+from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
+from generation.proposals import Mutation, Request, Sampling
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "denoiser"
 CRUISING = np.array([-4.0, 0.0, 0.0])
@@ -234,6 +235,7 @@ def test_settings_are_part_of_the_fingerprint() -> None:
         TrajectoryPrior.load(mutation_steps=None),
         TrajectoryPrior.load(drivable=False),
         TrajectoryPrior.load(bank=False),
+        TrajectoryPrior.load(dropout=True),
     ]
     assert len({kind.fingerprint for kind in kinds}) == len(kinds)
     assert kinds[0].fingerprint == TrajectoryPrior.load().fingerprint
@@ -255,6 +257,50 @@ def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
             prior.mutate(wrong, 5, CRUISING, rng())
     with pytest.raises(InputError, match="denoising step"):
         TrajectoryPrior.load(mutation_steps=0)
+    for device in ("cuda:77", "toaster"):
+        with pytest.raises(InputError, match="cannot compute on device"):
+            TrajectoryPrior.load(device=device)
+
+
+@pytest.mark.parametrize("block", [None, 96])
+@pytest.mark.parametrize("banked", [True, False])
+def test_an_answer_does_not_depend_on_who_asks_beside_it(
+    prior: TrajectoryPrior, block: int | None, banked: bool
+) -> None:
+    """Blocks are what an accelerator computes with; here they run on the processor."""
+    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS) if banked else None
+    asked = TrajectoryPrior(load_denoiser(PACKAGED_WEIGHTS), SamplerSettings(steps=4), "", bank, block=block)
+    start = prior.sample(40, CRUISING, rng())
+
+    def requests() -> list[Request]:
+        slow = np.array([-1.5, 0.0, 0.0])
+        return [
+            Mutation(start, 5, CRUISING, rng(1)),
+            Sampling(24, slow, rng(2)),
+            Mutation(start[:7], 5, slow, rng(3)),
+            Mutation(start, 1, CRUISING, rng(4)),
+            Sampling(8, CRUISING, rng(5)),
+        ]
+
+    together = asked.answer(requests())
+    for one, request in zip(together, requests(), strict=True):
+        np.testing.assert_array_equal(one, asked.answer([request])[0])
+    plain = prior.mutate(start, 5, CRUISING, rng(1))
+    np.testing.assert_allclose(together[0], plain, atol=1e-4)
+
+
+def test_dropout_changes_answers_but_not_the_seed(prior: TrajectoryPrior) -> None:
+    """The packaged network has none, so a network of the published kind stands in."""
+    network = TrajectoryDenoiser(SMALL).eval()
+    with_dropout = TrajectoryPrior(network, SamplerSettings(dropout=True, drivable=False), "")
+    start = prior.sample(6, CRUISING, rng())
+    first, again = (with_dropout.mutate(start, 5, CRUISING, rng(1)) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    without = TrajectoryPrior(network, SamplerSettings(drivable=False), "").mutate(start, 5, CRUISING, rng(1))
+    assert np.abs(first - without).max() > 1e-6
+    state = torch.random.get_rng_state()
+    TrajectoryPrior(network, SamplerSettings(dropout=True), "").mutate(start, 5, CRUISING, rng(1))
+    assert torch.equal(state, torch.random.get_rng_state())
 
 
 def test_packaged_samples_are_smooth(prior: TrajectoryPrior) -> None:

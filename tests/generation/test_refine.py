@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.hyperparameters import HyperParameters
 from generation.physics import SimulatedMotion
-from generation.refine import Evaluated, Refinement, refine, resample
+from generation.proposals import run_together
+from generation.refine import Evaluated, NothingToDraw, Refinement, refine, resample
 from generation.scoring import Terms
 from tests.generation.driving_prior import DrivingPrior, unchanged
 
@@ -40,8 +42,13 @@ def to_a_target(waypoints: Floats) -> Evaluated:
     return at_distance(waypoints, np.hypot(waypoints[:, 3, 0] - 14.0, waypoints[:, 3, 1] - 2.0))
 
 
+def refined(evaluate: Callable[[Floats], Evaluated], hyper: HyperParameters, seed: int = 0) -> Refinement:
+    search = refine(unchanged, evaluate, PREVIOUS, hyper, np.random.default_rng(seed))
+    return run_together([search], DrivingPrior())[0][0]
+
+
 def search(hyper: HyperParameters, seed: int = 0) -> Refinement:
-    return refine(DrivingPrior(), unchanged, to_a_target, PREVIOUS, hyper, np.random.default_rng(seed))
+    return refined(to_a_target, hyper, seed)
 
 
 def test_refinement_comes_closer_than_one_batch_and_never_falls_behind() -> None:
@@ -67,12 +74,36 @@ def test_trace_has_one_entry_a_round_and_ablations_have_what_they_say() -> None:
 def test_the_best_of_all_rounds_is_kept() -> None:
     calls = iter([np.array([5.0, 9.0]), np.array([1.0, 6.0]), np.array([4.0, 30.0])])
     hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0)
-    found = refine(
-        DrivingPrior(), unchanged, lambda waypoints: at_distance(waypoints, next(calls)), PREVIOUS, hyper,
-        np.random.default_rng(0),
-    )  # fmt: skip
+    found = refined(lambda waypoints: at_distance(waypoints, next(calls)), hyper)
     assert (found.round, found.chosen) == (1, 0)
     assert found.score == 0.0
+
+
+def test_the_reference_forgets_all_but_the_last_round() -> None:
+    calls = iter([np.array([5.0, 9.0]), np.array([1.0, 6.0]), np.array([30.0, 4.0])])
+    hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0, best_of_all_rounds=False)
+    found = refined(lambda waypoints: at_distance(waypoints, next(calls)), hyper)
+    assert (found.round, found.chosen) == (2, 1)
+
+
+def test_searches_side_by_side_are_as_if_alone() -> None:
+    alone = [search(HYPER, seed) for seed in range(4)]
+    searches = [refine(unchanged, to_a_target, PREVIOUS, HYPER, np.random.default_rng(seed)) for seed in range(4)]
+    together, seconds = run_together(searches, DrivingPrior())
+    assert len(seconds) == 4
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one.waypoints, other.waypoints)
+
+
+def test_an_unstable_softmax_draws_like_a_stable_one_until_it_underflows() -> None:
+    unstable = HyperParameters(stable_softmax=False)
+    scores = np.linspace(0.0, 5.0, 400)
+    drawn = [resample(scores, hyper, np.random.default_rng(0)) for hyper in (HYPER, unstable)]
+    assert (drawn[0] == drawn[1]).mean() > 0.99
+    parked = scores + 133.0
+    with pytest.raises(NothingToDraw, match=r"133\.0"):
+        resample(parked, unstable, np.random.default_rng(0))
+    np.testing.assert_array_equal(resample(parked, HYPER, np.random.default_rng(0)), drawn[0])
 
 
 def test_same_seed_same_result() -> None:
@@ -106,12 +137,9 @@ def test_higher_temperature_is_peakier() -> None:
     assert mean[0] > mean[1] > mean[2]
 
 
-def test_no_finite_candidate_counts_as_a_collision() -> None:
-    found = refine(
-        DrivingPrior(), unchanged, lambda w: at_distance(w, np.ones(len(w)), finite=False), PREVIOUS, HYPER,
-        np.random.default_rng(0),
-    )  # fmt: skip
-    assert found.collides
+def test_without_a_finite_candidate_the_score_is_infinite() -> None:
+    found = refined(lambda waypoints: at_distance(waypoints, np.ones(len(waypoints)), finite=False), HYPER)
+    assert found.score == np.inf
 
 
 @pytest.mark.parametrize("setting", [{"candidates": 0}, {"horizon": 0}, {"clearance_m": -1.0}, {"rounds": -1}])

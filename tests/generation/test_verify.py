@@ -10,7 +10,7 @@ from generation.labels import Side, closest_approach, side_of, times_to_collisio
 from generation.physics import DriverLimits
 from generation.ranking import challenge_score, ranked
 from generation.solvable import log_replay_contacts
-from generation.verify import Discard, is_drivable_motion, touches_others, verify
+from generation.verify import Discard, contacts, is_drivable_motion, verify
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters()
@@ -34,7 +34,8 @@ def moved(scene: Scene, change: Floats) -> Scene:
 
 
 def verdict(scene: Scene) -> Discard | None:
-    return verify(scene, 0, START, HYPER, DriverLimits())
+    finding = verify(scene, 0, START, HYPER, DriverLimits())
+    return None if finding is None else finding.reason
 
 
 def test_a_close_clean_track_is_kept() -> None:
@@ -106,11 +107,31 @@ def test_touching_others_skips_the_agent_itself_and_absent_ones() -> None:
     scene = scene_on_straight_road((Car(60.0, 194.75, 8.0), Car(62.0, 194.75, 8.0)))
     frames = np.arange(20, 40)
     boxes = scene.agents.boxes[0, frames]
-    assert touches_others(boxes, scene, 0, frames).all()
+    step, other = contacts(boxes, scene, 0, frames)
+    np.testing.assert_array_equal(step, np.arange(20))
+    assert set(other) == {1}
     valid = scene.agents.valid.copy()
     valid[1, 30:] = False
     half = replace(scene, agents=replace(scene.agents, valid=valid))
-    np.testing.assert_array_equal(touches_others(boxes, half, 0, frames), frames < 30)
+    np.testing.assert_array_equal(contacts(boxes, half, 0, frames)[0], np.flatnonzero(frames < 30))
+
+
+def test_a_finding_says_what_shows_it() -> None:
+    def finding(scene: Scene) -> dict[str, object]:
+        found = verify(scene, 0, START, HYPER, DriverLimits())
+        assert found is not None
+        return found.as_json()
+
+    struck = with_track(x=56.0, y=194.75, others=(Car(58.0, 194.75, 8.0),))
+    assert finding(struck) == {"reason": "hits-an-object", "frame": START, "other": struck.agents.ids[1]}
+    far = finding(with_track(x=70.0, y=194.75))
+    assert (far["quantity"], far["limit"]) == ("smallest gap, m", HYPER.close_gap_m)
+    assert isinstance(far["value"], float)
+    assert far["value"] > HYPER.close_gap_m
+    jumping = with_track(x=56.0, y=194.75)
+    shift = np.zeros((len(jumping.timestamps_us) - START, 2))
+    shift[20:, 1] = 2.0
+    assert finding(moved(jumping, shift))["quantity"] == "speed sideways, m/s"
 
 
 def test_side_closest_approach_and_time_to_collision() -> None:

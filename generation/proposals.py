@@ -1,0 +1,106 @@
+"""What a search asks of a diffusion model, and many searches asking together.
+
+A search is a generator: it yields a request for trajectories and is sent the answer. One search alone and many side by
+side run through the same code (`run_together`), so that a model on an accelerator can answer all of them in one call.
+"""
+
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from benchmark.geometry import Floats
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """A request for new trajectories by the full reverse process.
+
+    Attributes:
+        count: How many.
+        previous: (3,) pose half a second ago in the rear-axle frame of the vehicle now.
+        rng: All chance; it belongs to one search.
+    """
+
+    count: int
+    previous: Floats
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True, slots=True)
+class Mutation:
+    """A request for variants of trajectories by a truncated diffusion process.
+
+    Attributes:
+        waypoints: (B, 16, 3) trajectories to change.
+        noise_level: Diffusion steps that are added and taken away again.
+        previous: (3,) pose half a second ago.
+        rng: All chance; it belongs to one search.
+    """
+
+    waypoints: Floats
+    noise_level: int
+    previous: Floats
+    rng: np.random.Generator
+
+
+Request = Sampling | Mutation
+Search = Generator[Request, Floats, Found]
+
+
+class Prior(Protocol):
+    """Unconditional generator of driving.
+
+    Waypoints are (B, 16, 3) x, y, heading at 2 Hz over 8 s, metres, in the rear-axle frame of the vehicle now.
+    """
+
+    @property
+    def fingerprint(self) -> str:
+        """Content key of weights and sampler settings."""
+
+    def answer(self, requests: Sequence[Request]) -> list[Floats]:
+        """Waypoints for each request; an answer does not depend on the requests beside it."""
+
+
+Diversify = Callable[[Floats, np.random.Generator], Floats]
+"""Spreads the speeds of an initial batch, which makes it diverse; the reference code does it, the paper is silent."""
+
+
+def run_together(searches: Sequence[Search[Found]], prior: Prior) -> tuple[list[Found], list[float]]:
+    """Run searches side by side until each has ended.
+
+    Args:
+        searches: Fresh generators.
+        prior: Answers their requests, all that are open at a time in one call.
+
+    Returns:
+        What each search returned, and the processor seconds that its answers took (an equal share of each call).
+    """
+    found: dict[int, Found] = {}
+    seconds = [0.0] * len(searches)
+    waiting: dict[int, Request] = {}
+    for index, search in enumerate(searches):
+        _go_on(search, None, index, waiting, found)
+    while waiting:
+        asking, requests = list(waiting), list(waiting.values())
+        start = time.process_time()
+        answers = prior.answer(requests)
+        share = (time.process_time() - start) / len(asking)
+        waiting.clear()
+        for index, answer in zip(asking, answers, strict=True):
+            seconds[index] += share
+            _go_on(searches[index], answer, index, waiting, found)
+    return [found[index] for index in range(len(searches))], seconds
+
+
+def _go_on(
+    search: Search[Found], answer: Floats | None, index: int, waiting: dict[int, Request], found: dict[int, Found]
+) -> None:
+    try:
+        waiting[index] = next(search) if answer is None else search.send(answer)
+    except StopIteration as end:
+        found[index] = end.value
