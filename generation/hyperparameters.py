@@ -1,8 +1,10 @@
 """Every number of the generator: the paper's hyper-parameter table, and what the paper leaves open."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from difflib import get_close_matches
 from enum import StrEnum
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -138,6 +140,30 @@ class HyperParameters:
             headway_s=0.0,
         )
 
+    def changed(self, assignments: Sequence[str]) -> Self:
+        """The same settings with some of them changed by text, as from a command line.
+
+        Args:
+            assignments: ``name=value``; switches are ``true`` or ``false``.
+
+        Returns:
+            The changed settings.
+
+        Raises:
+            InputError: If there is no setting of that name or the value does not fit.
+        """
+        kinds = {field.name: type(getattr(self, field.name)) for field in fields(self)}
+        values: dict[str, Any] = {}
+        for assignment in assignments:
+            name, equals, text = assignment.partition("=")
+            name, text = name.strip(), text.strip()
+            if name not in kinds or not equals:
+                near = get_close_matches(name, kinds, n=1)
+                hint = f"did you mean {near[0]}?" if near else "names are the fields of generation.hyperparameters"
+                raise InputError(f"{assignment!r} is not NAME=VALUE of a hyper-parameter; {hint}")
+            values[name] = _parsed(name, text, kinds[name])
+        return replace(self, **values)
+
     def __post_init__(self) -> None:
         for name in ("candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries"):
             if getattr(self, name) < 1:
@@ -180,3 +206,19 @@ class HyperParameters:
         if not self.multi_round:
             return ()
         return tuple(int(level) for level in np.rint(np.linspace(self.first_noise_level, 1, self.rounds)))
+
+
+def _parsed(name: str, text: str, kind: type) -> Any:
+    """A value of the type that the hyper-parameter has."""
+    if kind is bool:
+        if text not in ("true", "false"):
+            raise InputError(f"hyper-parameter {name} is a switch, true or false, not {text!r}")
+        return text == "true"
+    try:
+        value = kind(text)
+    except ValueError as error:
+        choices = f"one of {', '.join(kind)}" if issubclass(kind, StrEnum) else f"a number ({kind.__name__})"
+        raise InputError(f"hyper-parameter {name} must be {choices}, not {text!r}") from error
+    if isinstance(value, float) and not np.isfinite(value):
+        raise InputError(f"hyper-parameter {name} must be finite, not {text!r}")
+    return value

@@ -1,0 +1,38 @@
+import pytest
+
+from benchmark.errors import InputError
+from generation.hyperparameters import CollisionReading, HyperParameters
+
+
+def test_settings_change_by_text() -> None:
+    changed = HyperParameters().changed(["clearance_m=0", "rounds = 2", "parked=true", "collision_reading=half"])
+    assert changed == HyperParameters(clearance_m=0.0, rounds=2, parked=True, collision_reading=CollisionReading.HALF)
+    assert changed.fingerprint != HyperParameters().fingerprint
+    assert HyperParameters().changed([]) == HyperParameters()
+
+
+@pytest.mark.parametrize(
+    ("assignment", "says"),
+    [
+        ("clearence_m=0", "did you mean clearance_m"),
+        ("clearance_m", "NAME=VALUE"),
+        ("rounds=2.5", "rounds must be a number"),
+        ("clearance_m=wide", "clearance_m must be a number"),
+        ("clearance_m=nan", "must be finite"),
+        ("parked=yes", "true or false"),
+        ("collision_reading=exact", "one of geometry, literal, half"),
+        ("candidates=0", "at least 1"),
+        ("__class__=3", "NAME=VALUE"),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence(assignment: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        HyperParameters().changed([assignment])
+
+
+def test_the_paper_alone_looks_one_second_ahead_and_keeps_no_air() -> None:
+    paper = HyperParameters.paper()
+    assert paper.scored_frames == tuple(range(1, 13))
+    assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.0, 0.0, 1, 0.0)
+    table = (paper.dac_weight, paper.cr_weight, paper.ac_weight, paper.temperature, paper.rounds, paper.horizon)
+    assert table == (5.0, 10.0, 1.0, 1.0, 5, 12)
