@@ -24,6 +24,7 @@ from benchmark.cli_options import (
     SizeOption,
     SplitOption,
     TablesOption,
+    Verifiable,
     WorkersOption,
     image_size,
     name_list,
@@ -253,6 +254,29 @@ def leaderboard_command(
         typer.echo(f"{len(written)} files in {folder}; start with {folder / 'README.md'}")
 
 
+@app.command("verify")
+def verify_command(
+    what: Annotated[Verifiable, typer.Argument(help="What to compare.")],
+    golden: Annotated[Path | None, typer.Option(help="Directory of golden numbers, if not the built-in set.")] = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
+    from benchmark.verification import report
+
+    if what is Verifiable.PHYSICS:
+        from generation.verification.physics import verify_physics as verify
+    elif what is Verifiable.SCORING:
+        from generation.verification.scoring import verify_scoring as verify
+    else:
+        from generation.verification.denoiser import verify_denoiser as verify
+    checks = verify(golden)
+    if json_output:
+        print_json([check.as_json() for check in checks])
+    else:
+        typer.echo(report(checks))
+    raise typer.Exit(0 if all(check.ok for check in checks) else 1)
+
+
 @app.command("demo")
 def demo_command(
     out: OutOption = OUT,
@@ -341,6 +365,26 @@ def data_info_command(
         typer.echo(f"{name}: {value}")
 
 
+@data_app.command("stats")
+def data_stats_command(
+    root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")] = "mini",
+    split: Annotated[str | None, typer.Option(help="Only this split; every row of the tables if not given.")] = None,
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """The paper's data-set table for any split, and what generated adversaries do where."""
+    from benchmark.datasets.statistics import statistics
+    from benchmark.workspace import EMBEDDED
+
+    folder = _open_source(root, tables, workers).root if root == EMBEDDED else Path(root)
+    found = statistics(folder, split=split, version=tables)
+    if json_output:
+        print_json(found.as_json())
+    else:
+        typer.echo(found.plain())
+
+
 @data_app.command("show")
 def data_show_command(
     root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")],
@@ -415,6 +459,7 @@ def data_build_command(
     train_scenes: Annotated[int, typer.Option(help="Training scenes.")] = 0,
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
+    renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
 ) -> None:
@@ -423,7 +468,8 @@ def data_build_command(
     from generation.mini import TownSettings, build_town
 
     width, height = image_size(size)
-    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value)
+    images = renderer is not RendererName.NONE
+    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images)
     target = root or cache_root() / settings.folder_name(EMBEDDED)
     typer.echo(str(build_town(target, settings, workers=worker_count(workers))))
 

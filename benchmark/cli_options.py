@@ -31,6 +31,14 @@ class RendererName(StrEnum):
     NONE = "none"
 
 
+class Verifiable(StrEnum):
+    """What has golden numbers."""
+
+    PHYSICS = "physics"
+    SCORING = "scoring"
+    DENOISER = "denoiser"
+
+
 DataOption = Annotated[str, typer.Option("--data", help="mini (embedded) or the root of a nuScenes-format data set.")]
 TablesOption = Annotated[
     str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")

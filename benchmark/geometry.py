@@ -4,6 +4,8 @@ A box is ``(..., 5) = [x, y, length, width, yaw]``: centre in metres, length alo
 counter-clockwise from +x. Quaternions are ``[w, x, y, z]``.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,11 +35,18 @@ def box_corners(boxes: Floats) -> Floats:
         (..., 4, 2) corners, metres.
     """
     boxes = np.asarray(boxes, dtype=np.float64)
-    half = 0.5 * boxes[..., None, 2:4] * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-    cos, sin = np.cos(boxes[..., None, 4]), np.sin(boxes[..., None, 4])
-    x = half[..., 0] * cos - half[..., 1] * sin
-    y = half[..., 0] * sin + half[..., 1] * cos
-    return np.asarray(np.stack([x, y], axis=-1) + boxes[..., None, :2])
+    cos, sin = np.cos(boxes[..., 4]), np.sin(boxes[..., 4])
+    half_length, half_width = 0.5 * boxes[..., 2], 0.5 * boxes[..., 3]
+    corners = np.empty((*boxes.shape[:-1], 4, 2))
+    for axis, (ahead, left) in enumerate(
+        ((half_length * cos, -half_width * sin), (half_length * sin, half_width * cos))
+    ):
+        center, diagonal, other = boxes[..., axis], ahead + left, ahead - left
+        np.add(center, diagonal, out=corners[..., 0, axis])
+        np.subtract(center, other, out=corners[..., 1, axis])
+        np.subtract(center, diagonal, out=corners[..., 2, axis])
+        np.add(center, other, out=corners[..., 3, axis])
+    return corners
 
 
 def boxes_overlap(first: Floats, second: Floats) -> Bools:
@@ -54,18 +63,49 @@ def boxes_overlap(first: Floats, second: Floats) -> Bools:
         (...) verdicts.
     """
     first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    dx, dy = second[..., 0] - first[..., 0], second[..., 1] - first[..., 1]
     turn = second[..., 4] - first[..., 4]
-    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    return axes_overlap(
+        second[..., 0] - first[..., 0],
+        second[..., 1] - first[..., 1],
+        _half_sizes_and_direction(first),
+        _half_sizes_and_direction(second),
+        np.cos(turn),
+        np.sin(turn),
+    )
+
+
+HalfSizesAndDirection = Sequence[Floats] | Floats
+"""Half the length, half the width, cosine and sine of the heading; each (...)."""
+
+
+def _half_sizes_and_direction(boxes: Floats) -> HalfSizesAndDirection:
+    return 0.5 * boxes[..., 2], 0.5 * boxes[..., 3], np.cos(boxes[..., 4]), np.sin(boxes[..., 4])
+
+
+def axes_overlap(
+    dx: Floats, dy: Floats, first: HalfSizesAndDirection, second: HalfSizesAndDirection, cos: Floats, sin: Floats
+) -> Bools:
+    """The test of `boxes_overlap` for callers that test each box many times and know its direction already.
+
+    Args:
+        dx: (...) from the centre of the first box to that of the second.
+        dy: (...) the same.
+        first: The first box.
+        second: The second box.
+        cos: (...) of the angle between their headings; of either sign, of any turn.
+        sin: (...) the same.
+
+    Returns:
+        (...) verdicts.
+    """
+    cos, sin = np.abs(cos), np.abs(sin)
     overlap: Bools | None = None
     for own, other in ((first, second), (second, first)):
-        axis_cos, axis_sin = np.cos(own[..., 4]), np.sin(own[..., 4])
-        along = np.abs(dx * axis_cos + dy * axis_sin)
-        across = np.abs(dy * axis_cos - dx * axis_sin)
-        reach_along = 0.5 * (own[..., 2] + other[..., 2] * cos + other[..., 3] * sin)
-        reach_across = 0.5 * (own[..., 3] + other[..., 2] * sin + other[..., 3] * cos)
-        inside = (along <= reach_along) & (across <= reach_across)
-        overlap = inside if overlap is None else overlap & inside
+        half_length, half_width, axis_cos, axis_sin = own
+        along = np.abs(dx * axis_cos + dy * axis_sin) <= half_length + other[0] * cos + other[1] * sin
+        across = np.abs(dy * axis_cos - dx * axis_sin) <= half_width + other[0] * sin + other[1] * cos
+        along &= across
+        overlap = along if overlap is None else overlap & along
     assert overlap is not None
     return overlap
 

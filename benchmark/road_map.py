@@ -204,9 +204,22 @@ class DrivableRaster:
         """
         cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
         dx, dy = points[..., 0] - self.pose[0], points[..., 1] - self.pose[1]
-        half = self.cells.shape[0] / 2
-        right = np.rint((dx * sin - dy * cos) / self.resolution_m + half).astype(np.int64)
-        forward = np.rint((dx * cos + dy * sin) / self.resolution_m + half).astype(np.int64)
-        limit = self.cells.shape[0]
-        inside = (right >= 0) & (right < limit) & (forward >= 0) & (forward < limit)
-        return np.asarray(inside & self.cells[np.where(inside, right, 0), np.where(inside, forward, 0)])
+        count = len(self.cells)
+        framed = np.zeros((count + 2, count + 2), dtype=np.bool_)
+        framed[1:-1, 1:-1] = self.cells
+        # A point too far away for a float is outside like any other.
+        with np.errstate(over="ignore", invalid="ignore"):
+            cell = self._nearest(dx * sin - dy * cos)
+            cell *= count + 2
+            cell += self._nearest(dx * cos + dy * sin)
+        return np.asarray(framed.ravel()[cell])
+
+    def _nearest(self, along_m: Floats) -> NDArray[np.int64]:
+        """Index along one axis, counted from a frame of one cell around the grid that stands for all outside."""
+        count = len(self.cells)
+        place: Floats = along_m / self.resolution_m
+        place += count / 2
+        # Before the conversion: an integer cannot hold every float.
+        place = np.fmin(np.fmax(np.rint(place), -1.0), float(count))
+        place += 1.0
+        return place.astype(np.int64)

@@ -20,7 +20,7 @@ from benchmark.scene import Scene
 from benchmark.storage import content_key, content_seed
 from generation.candidates import in_canvas, initial_state, launch_frame
 from generation.hyperparameters import HyperParameters
-from generation.labels import ClosestApproach, closest_approach, times_to_collision
+from generation.labels import ClosestApproach, Labels, closest_approach, describe, times_to_collision
 from generation.physics import MotionModel, VehicleState, rear_axle, simulate
 from generation.proposals import Diversify, Prior, Search, run_together
 from generation.ranking import challenge_score
@@ -70,6 +70,7 @@ class Attempt:
         scene: The adversarial scene, if kept.
         tries: Searches that were made; everything else is about the last one.
         stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other. Not in the report.
+        labels: What the adversary does, if kept.
     """
 
     scene_name: str
@@ -85,6 +86,7 @@ class Attempt:
     scene: Scene | None
     tries: int = 0
     stage_seconds: dict[str, float] = field(default_factory=dict)
+    labels: Labels | None = None
 
     @property
     def discard(self) -> Discard | None:
@@ -113,6 +115,7 @@ class Attempt:
             if closest is None
             else {"gap_m": closest.gap_m, "time_s": closest.time_s, "side": closest.side.value},
             "least_time_to_collision_s": self.least_time_to_collision_s,
+            "labels": None if self.labels is None else self.labels.as_json(),
             "plans": [
                 {
                     "frame": plan.frame,
@@ -244,6 +247,7 @@ def _judged(driven: Attempt, hunt: "_Hunt") -> Attempt:
         closest=closest_approach(changed, agent, start),
         least_time_to_collision_s=None if np.isinf(soonest) else soonest,
         scene=changed if finding is None else None,
+        labels=describe(changed, agent, start) if finding is None else None,
     )
 
 

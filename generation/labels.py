@@ -1,12 +1,17 @@
-"""What an adversary does to the ego, in numbers: closest approach, side, time to collision."""
+"""What an adversary does to the ego: kind of manoeuvre, closest approach, side, times, place."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
+from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_gap, boxes_overlap, to_local
 from benchmark.scene import Scene
+from generation.encounters import encounter
+from generation.manoeuvres import Encroachment, Manoeuvre, Occurrence, encroachment, occurrences
+from generation.places import Place, place_of
 
 TIME_TO_COLLISION_LIMIT_S = 5.0
 TIME_TO_COLLISION_STEP_S = 0.1
@@ -38,8 +43,90 @@ class ClosestApproach:
     side: Side
 
 
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """What one adversary does to the ego and where; ``docs/manoeuvres.md`` defines every word.
+
+    Attributes:
+        manoeuvre: The primary kind.
+        occurred: Every kind that occurred, the primary one first.
+        closest: Closest approach.
+        least_time_to_collision_s: Smallest of `times_to_collision`, ``None`` if never within 5 s.
+        time_to_collision_at_s: When it was smallest first, seconds since the first frame.
+        encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
+        place: Where the closest approach happened.
+    """
+
+    manoeuvre: Manoeuvre
+    occurred: tuple[Occurrence, ...]
+    closest: ClosestApproach
+    least_time_to_collision_s: float | None
+    time_to_collision_at_s: float | None
+    encroachment: Encroachment | None
+    place: Place
+
+    def as_json(self) -> dict[str, Any]:
+        """The labels as JSON values."""
+        reached = self.least_time_to_collision_s
+        return {
+            "manoeuvre": self.manoeuvre.value,
+            "occurred": [{**asdict(item), "kind": item.kind.value} for item in self.occurred],
+            "closest_approach": {**asdict(self.closest), "side": self.closest.side.value},
+            "time_to_collision": None
+            if reached is None
+            else {"seconds": reached, "time_s": self.time_to_collision_at_s},
+            "encroachment": None if self.encroachment is None else asdict(self.encroachment),
+            "place": self.place.value,
+        }
+
+
+def describe(scene: Scene, agent: int, start: int) -> Labels:
+    """Say what a vehicle does to the ego.
+
+    Args:
+        scene: The scene.
+        agent: Index of the vehicle.
+        start: First frame that counts, the launch of an adversary.
+
+    Returns:
+        The labels.
+
+    Raises:
+        InputError: If there is no such vehicle or frame, the vehicle is not there from then on, or its track is not
+            finite.
+    """
+    if not (0 <= agent < len(scene.agents) and 0 <= start < len(scene.timestamps_us)):
+        raise InputError(
+            f"{scene.name} has {len(scene.agents)} agents and {len(scene.timestamps_us)} frames; there is no agent "
+            f"{agent} from frame {start} on to describe"
+        )
+    present, boxes = scene.agents.valid[agent], agent_boxes(scene, agent)
+    if not present[start:].any() or not np.isfinite(boxes).all():
+        raise InputError(
+            f"{scene.name}: agent {scene.agents.ids[agent]} is not there from frame {start} on or its track is not "
+            "finite; describe another one"
+        )
+    # Where the vehicle is not there, its box is the nearest valid one and would count as standing.
+    frames = start + np.flatnonzero(present[start:])
+    met = encounter(scene.ego.boxes, boxes, scene.seconds, present, start)
+    closest = closest_approach(scene, agent, start)
+    times = times_to_collision(scene, agent, start)[frames - start]
+    soonest = int(np.argmin(times))
+    known = bool(np.isfinite(times[soonest]))
+    occurred = occurrences(met)
+    return Labels(
+        manoeuvre=occurred[0].kind,
+        occurred=occurred,
+        closest=closest,
+        least_time_to_collision_s=float(times[soonest]) if known else None,
+        time_to_collision_at_s=float(scene.seconds[frames[soonest]]) if known else None,
+        encroachment=encroachment(met),
+        place=place_of(scene.road_map, scene.ego.boxes[closest.frame], boxes[closest.frame]),
+    )
+
+
 def closest_approach(scene: Scene, agent: int, start: int) -> ClosestApproach:
-    """Closest approach of an agent to the ego's body from a frame on.
+    """Closest approach of an agent to the ego's body from a frame on, while the agent is there.
 
     Args:
         scene: The scene.
@@ -49,7 +136,7 @@ def closest_approach(scene: Scene, agent: int, start: int) -> ClosestApproach:
     Returns:
         The first closest moment.
     """
-    gaps = body_gaps(scene, agent, start)
+    gaps = np.where(scene.agents.valid[agent, start:], body_gaps(scene, agent, start), np.inf)
     frame = start + int(np.argmin(gaps))
     return ClosestApproach(
         float(gaps.min()),

@@ -10,17 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.geometry import Bools, Floats, to_global
+from benchmark.geometry import Bools, Floats
 from generation.reference_path import ReferencePath, reference_path, wrapped
+from generation.tracking import (
+    STOPPING_GAIN,
+    STOPPING_SPEED,
+    SteeringLaw,
+    cruising_gain,
+    speeds_ahead,
+    steering_law,
+)
 
 REAR_AXLE_BEHIND_CENTER = 0.3
 """Of the vehicle's length."""
 WHEELBASE = 0.6
 """Of the vehicle's length."""
-LOOK_AHEAD_STEPS = 10
-LATERAL_WEIGHT, HEADING_WEIGHT, SPEED_WEIGHT = 1.0, 10.0, 10.0
 ACCELERATION_LAG_S, STEERING_LAG_S = 0.2, 0.05
-STOPPING_GAIN, STOPPING_SPEED = 0.5, 0.2
+REFERENCE_STEERING_RAD = np.pi / 3
+"""The only limit that the reference code has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,106 +153,148 @@ def simulate(
         waypoints: (B, 16, 2 or 3) x, y (heading is ignored) at 2 Hz in the rear-axle frame of ``state``.
         state: Motion now.
         length_m: Length of the vehicle.
-        steps: Frames to simulate.
+        steps: Frames to simulate, at most those of the path (96 in SI, 80 as in the reference).
         model: Units and limits.
 
     Returns:
         The motion. A candidate with NaN or infinity is marked, the others are not disturbed.
     """
     finite = np.isfinite(waypoints).all(axis=(1, 2))
-    safe = np.where(finite[:, None, None], waypoints[..., :2], 0.0)
-    path = reference_path(safe, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
-    if model.limits is not None:
-        np.clip(path.speed, 0.0, max(model.limits.speed_m_s, state.speed), out=path.speed)
-    local, commands = _drive(path, state, length_m, steps, model)
-    finite &= np.isfinite(local).all(axis=(1, 2))
-    yaw = local[..., 2] + state.pose[2]
-    states = np.concatenate([to_global(local[..., :2], state.pose), wrapped(yaw)[..., None], local[..., 3:]], axis=-1)
-    states[~finite] = np.nan
-    ahead = REAR_AXLE_BEHIND_CENTER * length_m
-    center = states[..., :3].copy()
-    center[..., 0] += ahead * np.cos(center[..., 2])
-    center[..., 1] += ahead * np.sin(center[..., 2])
-    return SimulatedMotion(center, states, commands, finite)
+    safe = waypoints[..., :2] if finite.all() else np.where(finite[:, None, None], waypoints[..., :2], 0.0)
+    # A candidate that overflows is marked below; the others never see it.
+    with np.errstate(all="ignore"):
+        path = reference_path(safe, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
+        drive = _drive(path, state, length_m, steps, model)
+        finite &= np.isfinite(drive.states).all(axis=(0, 1))
+        states, center = _global(drive, state.pose, REAR_AXLE_BEHIND_CENTER * length_m)
+    states[..., ~finite] = np.nan
+    center[..., ~finite] = np.nan
+    return SimulatedMotion(
+        center.transpose(2, 0, 1), states.transpose(2, 0, 1), drive.commands.transpose(2, 0, 1), finite
+    )
 
 
-def _drive(
-    path: ReferencePath, state: VehicleState, length_m: float, steps: int, model: MotionModel
-) -> tuple[Floats, Floats]:
-    """Local states (B, steps + 1, 6) and commands (B, steps, 2)."""
-    count = len(path.pose)
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """Motion in the local frame, candidates last: every row that a step works on is contiguous.
+
+    Attributes:
+        states: (S + 1, 6, B) x, y, yaw (not wrapped), speed, acceleration, steering angle.
+        direction: (S + 1, 2, B) cosine and sine of yaw.
+        commands: (S, 2, B) acceleration and steering rate.
+    """
+
+    states: Floats
+    direction: Floats
+    commands: Floats
+
+
+def _drive(path: ReferencePath, state: VehicleState, length_m: float, steps: int, model: MotionModel) -> _Drive:
+    """Speeds first, because they do not depend on steering; then the steering law at all frames; then the path."""
+    count = path.speed.shape[1]
     wheelbase = WHEELBASE * length_m
-    tracker_wheelbase = model.tracker_wheelbase_m or wheelbase
-    states = np.zeros((count, steps + 1, 6))
-    states[:, 0, 3:] = state.speed, state.acceleration, state.steering
-    commands = np.zeros((count, steps, 2))
-    dt = model.dt
-    for step in range(steps):
-        now = states[:, step]
-        yaw, speed, acceleration, steering = now[:, 2], now[:, 3], now[:, 4], now[:, 5]
-        commands[:, step] = _track(path, step, now, tracker_wheelbase, dt)
-        new_acceleration = acceleration + dt / (dt + ACCELERATION_LAG_S) * (commands[:, step, 0] - acceleration)
-        steering_rate = commands[:, step, 1] * dt / (dt + STEERING_LAG_S)
-        following = states[:, step + 1]
-        following[:, 0] = now[:, 0] + speed * np.cos(yaw) * dt
-        following[:, 1] = now[:, 1] + speed * np.sin(yaw) * dt
-        following[:, 2] = wrapped(yaw + speed * np.tan(steering) / wheelbase * dt)
-        if model.limits is None:
-            following[:, 3] = speed + new_acceleration * dt
-            following[:, 4] = new_acceleration
-            following[:, 5] = np.clip(steering + steering_rate * dt, -np.pi / 3, np.pi / 3)
-        else:
-            following[:, 3:] = _limited(now, new_acceleration, steering_rate, wheelbase, dt, model.limits)
-    return states, commands
-
-
-def _track(path: ReferencePath, step: int, now: Floats, wheelbase: float, dt: float) -> Floats:
-    """Commands (B, 2) of one step: acceleration and steering rate."""
-    last = path.speed.shape[1] - 1
-    ahead = min(step + LOOK_AHEAD_STEPS, last)
-    speed, steering = now[:, 3], now[:, 5]
-    excess = speed - path.speed[:, ahead]
-    span = LOOK_AHEAD_STEPS * dt
-    cruising = -(SPEED_WEIGHT * span) / (SPEED_WEIGHT * span**2 + 1.0) * excess
-
-    at = path.pose[:, step]
-    dx, dy = now[:, 0] - at[:, 0], now[:, 1] - at[:, 1]
-    lateral_error = -dx * np.sin(at[:, 2]) + dy * np.cos(at[:, 2])
-    heading_error = wrapped(now[:, 2] - at[:, 2])
-    window = np.minimum(np.arange(step, step + LOOK_AHEAD_STEPS), ahead)
-    travel = (speed[:, None] + cruising[:, None] * dt * np.arange(LOOK_AHEAD_STEPS)) * dt
-    # Free response of the linear model to no steering at all, and response to one unit of steering rate.
-    turn = travel * (steering[:, None] / wheelbase - path.curvature[:, window])
-    final_turn = np.cumsum(turn, axis=1)
-    free_lateral = lateral_error + np.sum(travel * (heading_error[:, None] + final_turn - turn), axis=1)
-    free_heading = wrapped(heading_error + final_turn[:, -1])
-    unit_turn = travel * (dt * np.arange(LOOK_AHEAD_STEPS)) / wheelbase
-    unit_heading = np.cumsum(unit_turn, axis=1)
-    unit_lateral = np.sum(travel * (unit_heading - unit_turn), axis=1)
-    unit_heading_last = unit_heading[:, -1]
-    gain = LATERAL_WEIGHT * unit_lateral**2 + HEADING_WEIGHT * unit_heading_last**2 + 1.0
-    steering_rate = -(LATERAL_WEIGHT * unit_lateral * free_lateral + HEADING_WEIGHT * unit_heading_last * free_heading)
-
-    stopping = (path.speed[:, ahead] <= STOPPING_SPEED) & (speed <= STOPPING_SPEED)
-    return np.column_stack(
-        [np.where(stopping, -STOPPING_GAIN * excess, cruising), np.where(stopping, 0.0, steering_rate / gain)]
+    drive = _Drive(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
+    drive.states[0, 3:] = np.array([state.speed, state.acceleration, state.steering])[:, None]
+    drive.direction[:, 0] = 1.0
+    wanted = speeds_ahead(path, steps)
+    if model.limits is not None:
+        np.clip(wanted, 0.0, max(model.limits.speed_m_s, state.speed), out=wanted)
+    stopping = _change_speed(drive, wanted, model)
+    law = steering_law(
+        path,
+        drive.states[:-1, 3],
+        drive.commands[:, 0],
+        stopping,
+        wheelbase_m=model.tracker_wheelbase_m or wheelbase,
+        dt=model.dt,
     )
+    _steer(drive, law, wheelbase, model)
+    return drive
 
 
-def _limited(
-    now: Floats, acceleration: Floats, steering_rate: Floats, wheelbase: float, dt: float, limits: DriverLimits
-) -> Floats:
-    """New speed, acceleration and steering angle (B, 3) of a vehicle that has limits and never reverses."""
-    speed, old_acceleration, steering = now[:, 3], now[:, 4], now[:, 5]
-    acceleration = np.clip(
-        acceleration, old_acceleration - limits.jerk_m_s3 * dt, old_acceleration + limits.jerk_m_s3 * dt
+def _change_speed(drive: _Drive, wanted: Floats, model: MotionModel) -> Bools:
+    """Fill in speeds, accelerations and their commands; returns (S, B) where the controller for stopping works."""
+    limits, count = model.limits, wanted.shape[1]
+    bounds = [np.inf] * 3
+    if limits is not None:
+        bounds = [limits.jerk_m_s3 * model.dt, limits.acceleration_m_s2, limits.braking_m_s2]
+    lag_share = model.dt / (model.dt + ACCELERATION_LAG_S)
+    # Constants are rows like everything else: arithmetic with a Python number takes twice as long.
+    gain, lag, dt, most_change, most, most_braking = (
+        np.full(count, value) for value in (cruising_gain(model.dt), lag_share, model.dt, *bounds)
     )
-    acceleration = np.clip(acceleration, -limits.braking_m_s2, limits.acceleration_m_s2)
-    new_speed = np.maximum(speed + acceleration * dt, 0.0)
-    acceleration = np.where(new_speed > 0.0, acceleration, np.maximum(acceleration, 0.0))
-    fast = np.maximum(new_speed, 0.1)
+    least_change, least = -most_change, -most_braking
+    stopping = wanted <= STOPPING_SPEED
+    may_stop = stopping.any(axis=1)
+    for step in range(len(wanted)):
+        speed, acceleration = drive.states[step, 3:5]
+        new_speed, new_acceleration = drive.states[step + 1, 3:5]
+        command = drive.commands[step, 0]
+        excess = speed - wanted[step]
+        np.multiply(excess, gain, out=command)
+        if may_stop[step]:
+            stopping[step] &= speed <= STOPPING_SPEED
+            np.copyto(command, -STOPPING_GAIN * excess, where=stopping[step])
+        np.subtract(command, acceleration, out=new_acceleration)
+        new_acceleration *= lag
+        np.minimum(new_acceleration, most_change, out=new_acceleration)
+        np.maximum(new_acceleration, least_change, out=new_acceleration)
+        new_acceleration += acceleration
+        np.minimum(new_acceleration, most, out=new_acceleration)
+        np.maximum(new_acceleration, least, out=new_acceleration)
+        np.add(speed, new_acceleration * dt, out=new_speed)
+        if limits is not None and np.fmin.reduce(new_speed, initial=np.inf) <= 0.0:
+            standing = new_speed <= 0.0
+            new_speed[standing] = 0.0
+            new_acceleration[standing] = np.maximum(new_acceleration[standing], 0.0)
+    return stopping
+
+
+def _steer(drive: _Drive, law: SteeringLaw, wheelbase: float, model: MotionModel) -> None:
+    """Fill in poses, steering angles and their commands."""
+    states, direction = drive.states, drive.direction
+    travel = states[:-1, 3] * model.dt
+    turning = travel / wheelbase
+    most_change, most_angle = _steering_limits(states[1:, 3], wheelbase, model)
+    least_change, least_angle = -most_change, -most_angle
+    responding = np.full(travel.shape[1], model.dt * model.dt / (model.dt + STEERING_LAG_S))
+    for step, (now, following, heading) in enumerate(zip(states, states[1:], direction)):
+        np.cos(now[2], out=heading[0])
+        np.sin(now[2], out=heading[1])
+        rate = law.steering_rate(step, now[:3], now[5])
+        drive.commands[step, 1] = rate
+        np.multiply(heading, travel[step], out=following[:2])
+        np.multiply(np.tan(now[5]), turning[step], out=following[2])
+        following[:3] += now[:3]
+        angle = following[5]
+        np.multiply(rate, responding, out=angle)
+        np.minimum(angle, most_change[step], out=angle)
+        np.maximum(angle, least_change[step], out=angle)
+        angle += now[5]
+        np.minimum(angle, most_angle[step], out=angle)
+        np.maximum(angle, least_angle[step], out=angle)
+    np.cos(states[-1, 2], out=direction[-1, 0])
+    np.sin(states[-1, 2], out=direction[-1, 1])
+
+
+def _steering_limits(speed: Floats, wheelbase: float, model: MotionModel) -> tuple[Floats, Floats]:
+    """Largest change of the steering angle in one frame and largest angle, at speeds of any shape."""
+    limits = model.limits
+    if limits is None:
+        return np.full_like(speed, np.inf), np.full_like(speed, REFERENCE_STEERING_RAD)
+    fast = np.maximum(speed, 0.1)
     most_rate = np.minimum(limits.steering_rate_rad_s, limits.lateral_jerk_m_s3 * wheelbase / fast**2)
     most_curvature = np.minimum(limits.lateral_acceleration_m_s2 / fast**2, limits.yaw_rate_rad_s / fast)
-    most_angle = np.minimum(limits.steering_rad, np.arctan(most_curvature * wheelbase))
-    angle = np.clip(steering + np.clip(steering_rate, -most_rate, most_rate) * dt, -most_angle, most_angle)
-    return np.column_stack([new_speed, acceleration, angle])
+    return most_rate * model.dt, np.minimum(limits.steering_rad, np.arctan(most_curvature * wheelbase))
+
+
+def _global(drive: _Drive, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]:
+    """States (S + 1, 6, B) in the global frame, and poses (S + 1, 3, B) of a point ahead of theirs."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[cos, -sin], [sin, cos]])
+    states = drive.states.copy()
+    states[:, :2] = turn @ drive.states[:, :2] + pose[:2, None]
+    states[:, 2] = wrapped(drive.states[:, 2] + pose[2])
+    center = states[:, :3].copy()
+    center[:, :2] += ahead_m * (turn @ drive.direction)
+    return states, center

@@ -1,4 +1,7 @@
-"""From 16 waypoints at 2 Hz to what the tracker follows: poses, speeds and curvatures at every frame."""
+"""From 16 waypoints at 2 Hz to what the tracker follows: poses, speeds and curvatures at every frame.
+
+Arrays have the candidates last, so that the recurrences over frames work on contiguous rows.
+"""
 
 import functools
 from dataclasses import dataclass
@@ -17,23 +20,32 @@ HELD_BELOW_M_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ReferencePath:
-    """What the tracker follows; F frames.
+    """What the tracker follows; F frames, B candidates.
 
     Attributes:
-        pose: (B, F + 1, 3) x, y, heading in the local frame.
-        speed: (B, F) along the path.
-        curvature: (B, F) radians per metre.
+        position: (F + 1, 2, B) x, y in the local frame.
+        heading: (F + 1, B) radians, in the local frame.
+        direction: (F + 1, 2, B) cosine and sine of the heading.
+        speed: (F, B) along the path.
+        curvature: (F, B) radians per metre.
     """
 
-    pose: Floats
+    position: Floats
+    heading: Floats
+    direction: Floats
     speed: Floats
     curvature: Floats
 
 
 def wrapped(angle_rad: Floats) -> Floats:
     """Wrap angles to [-pi, pi), leaving those inside untouched to the last bit."""
-    inside = (angle_rad >= -np.pi) & (angle_rad < np.pi)
-    return np.where(inside, angle_rad, (angle_rad + np.pi) % (2 * np.pi) - np.pi)
+    outside = angle_rad < -np.pi
+    outside |= angle_rad >= np.pi
+    if not outside.any():
+        return angle_rad
+    result = angle_rad.copy()
+    result[outside] = (angle_rad[outside] + np.pi) % (2 * np.pi) - np.pi
+    return result
 
 
 def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, smooth: bool) -> ReferencePath:
@@ -49,16 +61,28 @@ def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, sm
     Returns:
         The path.
     """
-    points = np.einsum("fw,bwc->bfc", _interpolation(frames_per_waypoint, smooth), waypoints)
-    headings = _held_headings(points, dt) if smooth else _chord_headings(points)
-    steps = np.diff(points, axis=1)
-    along = steps[..., 0] * np.cos(headings[:, :-1]) + steps[..., 1] * np.sin(headings[:, :-1])
+    count = len(waypoints)
+    frames = WAYPOINTS * frames_per_waypoint
+    knots = waypoints.transpose(1, 2, 0).reshape(WAYPOINTS, 2 * count)
+    position = (_interpolation(frames_per_waypoint, smooth) @ knots).reshape(frames + 1, 2, count)
+    chord = position[2:] - position[:-2]
     if smooth:
-        along = np.maximum(along, 0.0)
-    speed = np.einsum("fg,bg->bf", _speed_fit(steps.shape[1], dt, smooth), along)
-    turns = wrapped(np.diff(headings, axis=1))
-    curvature = _fit_curvature(speed * dt, turns, CURVATURE_RATE_PENALTY / dt**2)
-    return ReferencePath(np.concatenate([points, headings[..., None]], axis=-1), speed, curvature)
+        _hold(chord, dt)
+    heading = _ends_repeated(np.arctan2(chord[:, 1], chord[:, 0]))
+    direction = _ends_repeated(_directions(chord))
+    step = np.diff(position, axis=0)
+    step *= direction[:-1]
+    along = step[:, 0] + step[:, 1]
+    if smooth:
+        np.maximum(along, 0.0, out=along)
+    speed = _speed_fit(frames, dt, smooth) @ along
+    curvature = _fit_curvature(speed * dt, wrapped(np.diff(heading, axis=0)), CURVATURE_RATE_PENALTY / dt**2)
+    return ReferencePath(position, heading, direction, speed, curvature)
+
+
+def _ends_repeated(inner: Floats) -> Floats:
+    """First and last frame, where there is no chord, repeat their neighbours."""
+    return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
 @functools.cache
@@ -73,7 +97,7 @@ def _interpolation(frames_per_waypoint: int, smooth: bool) -> Floats:
         bend = _natural_spline_bends()
         matrix += ((1.0 - fraction) ** 3 - (1.0 - fraction)) / 6.0 * bend[segment]
         matrix += (fraction**3 - fraction) / 6.0 * bend[segment + 1]
-    return np.asarray(matrix[:, 1:])
+    return np.ascontiguousarray(matrix[:, 1:])
 
 
 def _natural_spline_bends() -> Floats:
@@ -103,46 +127,79 @@ def _speed_fit(frames: int, dt: float, true_jerk: bool) -> Floats:
     return np.asarray(np.linalg.inv(normal) * dt)
 
 
-def _chord_headings(points: Floats) -> Floats:
-    """(B, F + 1) direction from the previous to the next point; the ends repeat their neighbours."""
-    chord = points[:, 2:] - points[:, :-2]
-    inner = np.arctan2(chord[..., 1], chord[..., 0])
-    return np.concatenate([inner[:, :1], inner, inner[:, -1:]], axis=1)
+def _hold(chord: Floats, dt: float) -> None:
+    """Replace chords (F - 1, 2, B) by the last usable one: where the car hardly moves or the path turns back.
+
+    Before the first usable one, the vehicle's own heading stands.
+    """
+    squared = chord * chord
+    still = squared[:, 0] + squared[:, 1] < (2.0 * HELD_BELOW_M_S * dt) ** 2
+    turn = chord[1:] * chord[:-1]
+    if not (still.any() or (chord[0, 0] < 0.0).any() or (turn[:, 0] + turn[:, 1] < 0.0).any()):
+        return
+    held = np.zeros_like(chord[0])
+    held[0] = 1.0
+    for now, unusable in zip(chord, still):
+        turn = now * held
+        unusable |= turn[0] + turn[1] < 0.0
+        np.copyto(now, held, where=unusable)
+        held = now
 
 
-def _held_headings(points: Floats, dt: float) -> Floats:
-    """Chord headings, but held where the car hardly moves and where the path turns back on itself."""
-    chord = points[:, 2:] - points[:, :-2]
-    direction = np.arctan2(chord[..., 1], chord[..., 0])
-    moving = np.hypot(chord[..., 0], chord[..., 1]) >= 2.0 * HELD_BELOW_M_S * dt
-    headings = np.zeros(points.shape[:2])
-    held = np.zeros(len(points))
-    for frame in range(chord.shape[1]):
-        forward = np.cos(direction[:, frame] - held) > 0.0
-        held = np.where(moving[:, frame] & forward, direction[:, frame], held)
-        headings[:, frame + 1] = held
-    headings[:, 0] = np.where(moving[:, 0], headings[:, 1], 0.0)
-    headings[:, -1] = held
-    return headings
+def _directions(chord: Floats) -> Floats:
+    """Unit vectors (F - 1, 2, B) along chords; +x, the direction that `arctan2` gives, where there is none."""
+    squared = chord * chord
+    length = np.sqrt(squared[:, 0] + squared[:, 1])
+    # Outside this range the squares lose digits.
+    extreme = ~((length > 1e-140) & (length < 1e140))
+    if not extreme.any():
+        return np.asarray(chord / length[:, None])
+    length[extreme] = 1.0
+    direction = chord / length[:, None]
+    angle = np.arctan2(chord[:, 1][extreme], chord[:, 0][extreme])
+    direction[:, 0][extreme], direction[:, 1][extreme] = np.cos(angle), np.sin(angle)
+    return np.asarray(direction)
 
 
 def _fit_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
-    """Curvature (B, F): turns are travel times curvature, with a penalty on its change.
+    """Curvature (F, B): turns are travel times curvature, with a penalty on its change."""
+    pull = travel * travel
+    pull[0] += INITIAL_CURVATURE_PENALTY
+    return _chain(pull, travel * turns, np.full((len(travel) - 1, 1), rate_penalty))
 
-    The normal equations are tridiagonal and positive definite: elimination over frames, vectorised over candidates.
+
+def _chain(pull: Floats, push: Floats, link: Floats) -> Floats:
+    """Solve a chain of springs: positive definite tridiagonal equations, by removing every other node again and again.
+
+    Node i is pulled to zero by a spring of strength ``pull[i]``, pushed by ``push[i]`` and linked to node i + 1 by a
+    spring of strength ``link[i]``. A removed node leaves springs in its place, whose strengths are products and sums
+    of positive numbers: nothing cancels, however weakly a standing car is pulled.
+
+    Args:
+        pull: (N, B) not negative, with at least one positive in each column.
+        push: (N, B).
+        link: (N - 1, B or 1) positive.
+
+    Returns:
+        (N, B) where the nodes come to rest.
     """
-    frames = travel.shape[1]
-    diagonal = travel**2 + 2.0 * rate_penalty
-    diagonal[:, 0] += INITIAL_CURVATURE_PENALTY - rate_penalty
-    diagonal[:, -1] -= rate_penalty
-    right = travel * turns
-    diagonal, right = diagonal.T.copy(), right.T.copy()
-    for frame in range(1, frames):
-        factor = rate_penalty / diagonal[frame - 1]
-        diagonal[frame] -= factor * rate_penalty
-        right[frame] += factor * right[frame - 1]
-    curvature = np.empty_like(right)
-    curvature[-1] = right[-1] / diagonal[-1]
-    for frame in range(frames - 2, -1, -1):
-        curvature[frame] = (right[frame] + rate_penalty * curvature[frame + 1]) / diagonal[frame]
-    return curvature.T
+    if len(pull) == 1:
+        return np.asarray(push / pull)
+    before, after = link[::2], link[1::2]
+    between = len(after)
+    total = pull[1::2] + before
+    total[:between] += after
+    to_left, to_right = before / total, after / total[:between]
+    kept_pull, kept_push, rest = pull[::2].copy(), push[::2].copy(), push[1::2] / total
+    removed = len(total)
+    kept_pull[:removed] += to_left * pull[1::2]
+    kept_push[:removed] += to_left * push[1::2]
+    kept_pull[1 : between + 1] += to_right * pull[1::2][:between]
+    kept_push[1 : between + 1] += to_right * push[1::2][:between]
+    kept = _chain(kept_pull, kept_push, (to_left[:between] * after)[: len(kept_pull) - 1])
+    result = np.empty_like(pull)
+    result[::2] = kept
+    rest += to_left * kept[:removed]
+    rest[:between] += to_right * kept[1 : between + 1]
+    result[1::2] = rest
+    return result

@@ -18,8 +18,9 @@ from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
 from generation.proposals import Mutation, Request, Sampling
+from generation.verification.built_in import BUILT_IN
 
-GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "denoiser"
+GOLDEN = BUILT_IN / "denoiser"
 CRUISING = np.array([-4.0, 0.0, 0.0])
 SMALL = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16, history_tokens=1)
 

@@ -1,7 +1,6 @@
 """Noise schedule, DDIM steps and the Verlet standardiser."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +19,9 @@ from generation.diffusion.schedule import (
     strided_timesteps,
 )
 from generation.diffusion.standardiser import actions_from_waypoints, waypoints_from_actions
+from generation.verification.built_in import BUILT_IN
 
-GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "denoiser"
+GOLDEN = BUILT_IN / "denoiser"
 
 
 def test_forward_process_never_reaches_pure_noise() -> None:

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +9,12 @@ from hypothesis import strategies as st
 
 from benchmark.geometry import Floats, wrap_angle
 from generation.physics import DriverLimits, MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
-from generation.reference_path import reference_path
+from generation.reference_path import _speed_fit, reference_path
+from tests.generation.slow_physics import slow_path, slow_simulate
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "physics"
-SI = MotionModel.si()
+SHARED_GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "physics"
+SI, REFERENCE = MotionModel.si(), MotionModel.reference()
 LENGTH_M = 4.6
 
 
@@ -23,8 +27,16 @@ def drive(waypoints: Floats, speed: float, steps: int = 48, **more: float) -> Si
     return simulate(waypoints, VehicleState(np.zeros(3), speed, **more), LENGTH_M, steps=steps, model=SI)
 
 
-def test_reference_model_repeats_the_golden_numbers() -> None:
-    golden = np.load(GOLDEN / "physics.npz")
+@pytest.mark.parametrize(
+    "folder",
+    [
+        GOLDEN,
+        pytest.param(SHARED_GOLDEN, marks=pytest.mark.skipif(not SHARED_GOLDEN.is_dir(), reason="needs all numbers")),
+    ],
+    ids=["some", "all"],
+)
+def test_reference_model_repeats_the_golden_numbers(folder: Path) -> None:
+    golden = np.load(folder / "physics.npz")
     for group, row in enumerate(golden["groups"]):
         values = dict(zip(golden["group_columns"], row, strict=True))
         members = golden["group"] == group
@@ -34,13 +46,13 @@ def test_reference_model_repeats_the_golden_numbers() -> None:
             VehicleState(pose, values["speed_per_step"]),
             values["length"],
             steps=80,
-            model=MotionModel.reference(),
+            model=REFERENCE,
         )
         error = motion.center - golden["center_pose"][members]
         error[..., 2] = wrap_angle(error[..., 2])
         good = golden["well_conditioned"][members]
-        assert np.abs(error[good]).max(initial=0.0) < 1e-6
-        assert np.abs(motion.commands - golden["commands"][members])[good].max(initial=0.0) < 1e-8
+        assert np.abs(error[good]).max(initial=0.0) < 1e-9
+        assert np.abs(motion.commands - golden["commands"][members])[good].max(initial=0.0) < 1e-11
         soon = golden["sensitivity_13_steps_m"][members] < 1e-6
         assert np.abs(error[soon, :14]).max(initial=0.0) < 1e-6
 
@@ -49,8 +61,83 @@ def test_reference_profiles_repeat_the_golden_numbers() -> None:
     golden = np.load(GOLDEN / "physics.npz")
     path = reference_path(golden["waypoints_local"][..., :2], dt=1.0, frames_per_waypoint=5, smooth=False)
     good = golden["well_conditioned"]
-    np.testing.assert_allclose(path.speed[good], golden["velocity_profile"][good], atol=1e-10)
-    np.testing.assert_allclose(path.curvature[good], golden["curvature_profile"][good], atol=1e-8)
+    np.testing.assert_allclose(path.speed.T[good], golden["velocity_profile"][good], atol=1e-10)
+    np.testing.assert_allclose(path.curvature.T[good], golden["curvature_profile"][good], atol=1e-8)
+
+
+DEGENERATE = {
+    "zeros_moving": 1e-9,
+    "zeros_stopped": 1e-9,
+    "huge_speed": 1e-6,
+    "huge_jump": 0.1,  # 10 km in one waypoint, then the steering saturates
+    "zigzag": 1e-6,
+    "random_1e3": 1e-6,
+    "one_point": 1e-9,
+    "tiny_1e-9": 1e-9,
+    "sideways": 1e-9,
+}
+
+
+@pytest.mark.skipif(not SHARED_GOLDEN.is_dir(), reason="needs the golden numbers")
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_reference_model_repeats_degenerate_cases(name: str) -> None:
+    golden = np.load(SHARED_GOLDEN / "physics_degenerate.npz")
+    x, y, yaw, _, length, _ = golden["common_center_x_y_heading_width_length_height"]
+    state = VehicleState(rear_axle(np.array([x, y, yaw]), length), float(golden[f"{name}/speed_per_step"]))
+    motion = simulate(golden[f"{name}/waypoints_local"][None], state, length, steps=80, model=REFERENCE)
+    error = motion.center[0] - golden[f"{name}/center_pose"]
+    error[:, 2] = wrap_angle(error[:, 2])
+    assert np.abs(error[:14]).max() < 1e-8
+    assert np.abs(error).max() < DEGENERATE[name]
+
+
+def driven(rng: np.random.Generator, count: int) -> Floats:
+    speed = np.maximum(rng.uniform(0.0, 15.0) + np.cumsum(rng.normal(0.0, 0.7, (count, 16)), axis=1), 0.0)
+    heading = np.cumsum(rng.normal(0.0, 0.08, (count, 16)), axis=1)
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return np.cumsum(0.5 * speed[..., None] * direction, axis=1)
+
+
+def erratic(rng: np.random.Generator, count: int) -> Floats:
+    return np.cumsum(rng.normal([3.0, 0.0], [3.0, 2.0], (count, 16, 2)), axis=1)
+
+
+def hardly_moving(rng: np.random.Generator, count: int) -> Floats:
+    return np.asarray(np.cumsum(rng.normal(0.0, 0.05, (count, 16, 2)), axis=1) * (rng.random((count, 16, 1)) < 0.5))
+
+
+@pytest.mark.parametrize(
+    "model, waypoints",
+    [(SI, driven), (SI, erratic), (SI, hardly_moving), (REFERENCE, driven), (REFERENCE, erratic)],
+    ids=["si driven", "si erratic", "si hardly moving", "reference driven", "reference erratic"],
+)
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32), steps=st.integers(1, 80))
+def test_the_fast_side_agrees_with_the_slow_one(
+    model: MotionModel, waypoints: Callable[[np.random.Generator, int], Floats], seed: int, steps: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    candidates, length = waypoints(rng, 2), float(rng.uniform(2.0, 11.0))
+    per_frame = 1.0 if model.limits else 1.0 / 12.0
+    state = VehicleState(
+        np.array([*rng.uniform(-500.0, 500.0, 2), rng.uniform(-np.pi, np.pi)]),
+        float(rng.uniform(0.0, 15.0) * per_frame),
+        float(rng.uniform(-2.0, 2.0) * per_frame**2),
+        float(rng.uniform(-0.05, 0.05)),
+    )
+    fast = simulate(candidates, state, length, steps=steps, model=model)
+    path = reference_path(candidates, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
+    for index, candidate in enumerate(candidates):
+        expected = slow_path(candidate, model)
+        np.testing.assert_allclose(path.position[..., index], expected.pose[:, :2], atol=1e-9)
+        np.testing.assert_allclose(wrap_angle(path.heading[:, index] - expected.pose[:, 2]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(path.speed[:, index], expected.speed, atol=1e-9)
+        center, states, commands = slow_simulate(candidate, state, length, steps=steps, model=model)
+        for mine, theirs in ((fast.center, center), (fast.states, states)):
+            error = mine[index] - theirs
+            error[:, 2] = wrap_angle(error[:, 2])
+            assert np.abs(error).max() < 1e-6
+        np.testing.assert_allclose(fast.commands[index], commands, atol=1e-6)
 
 
 def test_constant_speed_stays_constant() -> None:
@@ -120,15 +207,49 @@ def test_rigid_motion_of_the_start_moves_the_result(seed: int, yaw: float, x: fl
     np.testing.assert_allclose(wrap_angle(there.center[..., 2] - here.center[..., 2] - yaw), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_one_broken_candidate_is_marked_and_the_rest_is_undisturbed(bad: float) -> None:
-    waypoints = along_x(np.full((3, 16), 6.0))
-    clean = drive(waypoints, 6.0)
-    waypoints[1, 7, 0] = bad
-    motion = drive(waypoints, 6.0)
-    np.testing.assert_array_equal(motion.finite, [True, False, True])
-    np.testing.assert_array_equal(motion.center[[0, 2]], clean.center[[0, 2]])
-    assert np.isnan(motion.center[1]).all()
+@pytest.mark.parametrize("model", [SI, REFERENCE], ids=["si", "reference"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, 1e160, 1e20])
+def test_one_broken_candidate_leaves_the_rest_undisturbed(bad: float, model: MotionModel) -> None:
+    waypoints = np.cumsum(np.random.default_rng(5).normal([3.0, 0.0], 1.0, (5, 16, 2)), axis=1)
+    waypoints[4] = 0.0  # comes to a stand
+    state = VehicleState(np.zeros(3), 6.0)
+    clean = simulate(waypoints, state, LENGTH_M, steps=48, model=model)
+    waypoints[1, 7, 0] = waypoints[3] = bad
+    motion = simulate(waypoints, state, LENGTH_M, steps=48, model=model)
+    others = [0, 2, 4]
+    assert motion.finite[others].all()
+    assert not motion.finite[1] or bad == 1e20
+    np.testing.assert_array_equal(motion.center[others], clean.center[others])
+    np.testing.assert_array_equal(motion.commands[others], clean.commands[others])
+    np.testing.assert_array_equal(np.isfinite(motion.center).all(axis=(1, 2)), motion.finite)
+
+
+def test_nothing_and_no_time_are_simulated_as_such() -> None:
+    assert simulate(np.zeros((0, 16, 3)), VehicleState(np.zeros(3), 5.0), 4.0, steps=12, model=SI).finite.shape == (0,)
+    still = drive(along_x(np.full((2, 16), 6.0)), 6.0, 0)
+    np.testing.assert_array_equal(still.states[:, 0], [[0.0, 0.0, 0.0, 6.0, 0.0, 0.0]] * 2)
+
+
+def test_si_penalises_jerk_and_the_reference_acceleration() -> None:
+    accelerating = 5.0 + 0.1 * np.arange(96.0)
+    np.testing.assert_allclose(_speed_fit(96, 1.0 / 12.0, True) @ (accelerating / 12.0), accelerating, atol=1e-9)
+    per_frame = 0.5 + 0.01 * np.arange(80.0)
+    assert np.abs(_speed_fit(80, 1.0, False) @ per_frame - per_frame).max() > 1e-7
+
+
+@pytest.mark.parametrize("length", [3.6, 4.6, 11.0])
+def test_si_tracks_with_the_vehicles_own_wheelbase(length: float) -> None:
+    turn = 0.5 * 6.0 / 30.0 * np.arange(1, 17)
+    waypoints = np.stack([30.0 * np.sin(turn), 30.0 * (1.0 - np.cos(turn))], axis=-1)[None]
+    on_circle = VehicleState(np.zeros(3), 6.0, 0.0, float(np.arctan(0.6 * length / 30.0)))
+    si = simulate(waypoints, on_circle, length, steps=48, model=SI)
+    radius = np.hypot(si.states[0, 24:, 0], si.states[0, 24:, 1] - 30.0)
+    assert np.abs(radius - 30.0).max() < 0.25
+    believing = replace(SI, tracker_wheelbase_m=REFERENCE.tracker_wheelbase_m)
+    other = simulate(waypoints, on_circle, length, steps=48, model=believing)
+    if length == 11.0:
+        missed = np.hypot(other.states[0, 24:, 0], other.states[0, 24:, 1] - 30.0)
+        assert np.abs(missed - 30.0).max() > 2.0 * np.abs(radius - 30.0).max()
 
 
 def test_going_on_from_a_state_is_the_same_as_not_stopping() -> None:

@@ -1,0 +1,288 @@
+"""A data set in numbers: the paper's data-set table, and what generated adversaries do where.
+
+Reads the tables without the devkit, so that maps and images may be missing.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from benchmark.datasets.roots import variant_folders
+from benchmark.datasets.split_names import read_splits, scenes_of_split
+from benchmark.datasets.table_rows import TableCounts, count_rows, table_rows
+from benchmark.datasets.tables import find_version
+from benchmark.errors import InputError
+from benchmark.storage import read_json
+
+_QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
+
+
+PUBLISHED_ADV_NUSC: Final = TableCounts(12_858, 254_436, 156, 6_115, 254_436, 225_085)
+"""What the paper prints for its own data set; quoted, not counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class ManoeuvreRow:
+    """One kind of manoeuvre in a data set.
+
+    Attributes:
+        manoeuvre: The kind.
+        primary: Adversaries whose primary kind it is.
+        occurred: Adversaries that did it at some time.
+        places: Of the primary ones, how many happened where.
+        median_gap_m: Median smallest gap of the primary ones, ``None`` if there are none.
+    """
+
+    manoeuvre: str
+    primary: int
+    occurred: int
+    places: dict[str, int]
+    median_gap_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What `statistics` found.
+
+    Attributes:
+        root: The data set.
+        split: Split that was counted, ``None`` for the whole data set.
+        counts: Table rows.
+        adversaries_per_scene: Number of scenes by number of adversaries; empty for recordings.
+        labelled: Adversaries with labels.
+        manoeuvres: Rows by falling number; empty without labels.
+        places: Adversaries by place of the closest approach.
+        gap_m: Quantiles of the smallest gap between the bodies.
+        time_to_collision_s: Quantiles over those that came within 5 s of a collision.
+        within_5_s: How many those are.
+    """
+
+    root: str
+    split: str | None
+    counts: TableCounts
+    adversaries_per_scene: dict[int, int]
+    labelled: int
+    manoeuvres: tuple[ManoeuvreRow, ...]
+    places: dict[str, int]
+    gap_m: dict[str, float]
+    time_to_collision_s: dict[str, float]
+    within_5_s: int
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything as JSON values, with the published table beside."""
+        return {**asdict(self), "published_adv_nusc": asdict(PUBLISHED_ADV_NUSC)}
+
+    def plain(self) -> str:
+        """Everything as text tables."""
+        which = "all scenes" if self.split is None else f"split {self.split}"
+        blocks = [f"{self.root}, {which}", _plain(_count_rows(self.counts))]
+        if self.adversaries_per_scene:
+            rows = [("adversaries", "scenes"), *sorted(self.adversaries_per_scene.items())]
+            blocks.append(_plain(rows))
+        if self.labelled:
+            blocks += [_plain(_manoeuvre_rows(self.manoeuvres, self.places)), _plain(_quantile_rows(self))]
+        return "\n\n".join(blocks)
+
+
+class _Seconds(BaseModel):
+    model_config = ConfigDict(frozen=True)
+    seconds: float
+
+
+class _Gap(BaseModel):
+    model_config = ConfigDict(frozen=True)
+    gap_m: float
+
+
+class _Kind(BaseModel):
+    model_config = ConfigDict(frozen=True)
+    kind: str
+
+
+class _StoredLabels(BaseModel):
+    """What statistics need of ``generation.labels.Labels`` as written to ``challenger.json``."""
+
+    model_config = ConfigDict(frozen=True)
+    manoeuvre: str
+    place: str
+    occurred: tuple[_Kind, ...]
+    closest_approach: _Gap
+    time_to_collision: _Seconds | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Root:
+    """One root, opened as far as needed: names of its scenes that count, and how they were made."""
+
+    folder: Path
+    scenes: frozenset[str] | None
+    made: Mapping[str, Any]
+
+
+def statistics(root: Path, *, split: str | None = None, version: str | None = None) -> Statistics:
+    """Count a data set: tables always, manoeuvres where ``challenger.json`` has labels.
+
+    Args:
+        root: A nuScenes-format root, or a folder of variant roots, which are summed. Only tables are read.
+        split: Split to count, by the rules of `scenes_of_split`; ``None`` for every row of the tables.
+        version: Version folder; needed only where there are several.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        InputError: If there is no such data set or split, or a table is missing, broken or lacks a field.
+    """
+    parts = _roots(root, split, version)
+    counted = [count_rows(part.folder, part.scenes) for part in parts]
+    total = TableCounts(*(sum(getattr(one, item.name) for one in counted) for item in fields(TableCounts)))
+    labels = [found for part in parts for found in _labels_of(part)]
+    adversaries = Counter(len(entry.get("adversaries", ())) for part in parts for entry in part.made.values())
+    reached = [found.time_to_collision.seconds for found in labels if found.time_to_collision is not None]
+    return Statistics(
+        root=str(root),
+        split=split,
+        counts=total,
+        adversaries_per_scene=dict(sorted(adversaries.items())) if any(adversaries) else {},
+        labelled=len(labels),
+        manoeuvres=_rows_of(labels),
+        places=_falling(Counter(found.place for found in labels)),
+        gap_m=_quantiles([found.closest_approach.gap_m for found in labels]),
+        time_to_collision_s=_quantiles(reached),
+        within_5_s=len(reached),
+    )
+
+
+def manoeuvre_table(root: Path, *, split: str | None = None, version: str | None = None) -> tuple[ManoeuvreRow, ...]:
+    """Distribution of manoeuvres in a generated data set, from the labels in ``challenger.json``.
+
+    Args:
+        root: As `statistics`.
+        split: As `statistics`.
+        version: As `statistics`.
+
+    Returns:
+        One row a kind, the most frequent first; none if the data set has no labels.
+
+    Raises:
+        InputError: As `statistics`.
+    """
+    return _rows_of([found for part in _roots(root, split, version) for found in _labels_of(part)])
+
+
+def _roots(root: Path, split: str | None, version: str | None) -> list[_Root]:
+    variants = [root / name for name in variant_folders(root)] if root.is_dir() else []
+    return [_open(folder, split, version) for folder in variants or [root]]
+
+
+def _open(root: Path, split: str | None, version: str | None) -> _Root:
+    version = find_version(root, version)
+    provenance = _provenance(root / version / "challenger.json")
+    made: dict[str, Any] = provenance.get("scenes", {})
+    if split is None:
+        return _Root(root / version, None, made)
+    present = [str(row["name"]) for row in table_rows(root / version / "scene.json", "name")]
+    names = scenes_of_split(
+        split, present, read_splits(root, version), where=str(root), built_as=provenance.get("split")
+    )
+    return _Root(root / version, frozenset(names), {name: made[name] for name in names if name in made})
+
+
+def _provenance(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    value = read_json(path)
+    made = value.get("scenes") if isinstance(value, dict) else None
+    if not isinstance(made, dict) or not all(
+        isinstance(entry, dict) and isinstance(entry.get("adversaries", []), list) for entry in made.values()
+    ):
+        raise InputError(f"{path} must be an object with its scenes; write the data set again")
+    return dict(value)
+
+
+def _labels_of(part: _Root) -> Iterator[_StoredLabels]:
+    for name, entry in part.made.items():
+        for found in _labels_in(entry.get("report")):
+            try:
+                yield _StoredLabels.model_validate(found)
+            except ValidationError as error:
+                where = ".".join(map(str, error.errors()[0]["loc"]))
+                raise InputError(
+                    f"{part.folder / 'challenger.json'}: the labels of {name} lack a proper {where or 'content'}; "
+                    "generate the data set again"
+                ) from error
+
+
+def _labels_in(report: Any) -> Iterator[Any]:
+    """Labels in a report, which has one for each adversary, wherever it puts them."""
+    if isinstance(report, list):
+        for item in report:
+            yield from _labels_in(item)
+    elif isinstance(report, dict):
+        for key in sorted(report):
+            if key == "labels" and report[key] is not None:
+                yield report[key]
+            else:
+                yield from _labels_in(report[key])
+
+
+def _rows_of(labels: Sequence[_StoredLabels]) -> tuple[ManoeuvreRow, ...]:
+    primary = Counter(found.manoeuvre for found in labels)
+    occurred = Counter(kind for found in labels for kind in {item.kind for item in found.occurred})
+    rows = []
+    for kind in sorted({*primary, *occurred}, key=lambda kind: (-primary[kind], -occurred[kind], kind)):
+        own = [found for found in labels if found.manoeuvre == kind]
+        gaps = [found.closest_approach.gap_m for found in own]
+        places = _falling(Counter(found.place for found in own))
+        median = float(np.median(gaps)) if gaps else None
+        rows.append(ManoeuvreRow(kind, primary[kind], occurred[kind], places, median))
+    return tuple(rows)
+
+
+def _falling(counts: Counter[str]) -> dict[str, int]:
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
+def _quantiles(values: Sequence[float]) -> dict[str, float]:
+    return {name: float(np.quantile(values, level)) for name, level in _QUANTILES.items()} if values else {}
+
+
+def _count_rows(counts: TableCounts) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = [("", "here", "Adv-nuSc as published")]
+    for item in fields(TableCounts):
+        here, published = getattr(counts, item.name), getattr(PUBLISHED_ADV_NUSC, item.name)
+        rows.append((item.name.replace("_", " "), f"{here:,}", f"{published:,}"))
+    return rows
+
+
+def _manoeuvre_rows(table: Sequence[ManoeuvreRow], places: Mapping[str, int]) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = [("manoeuvre", "primary", "occurred", *places, "median gap")]
+    for row in table:
+        gap = "-" if row.median_gap_m is None else f"{row.median_gap_m:.2f} m"
+        rows.append((row.manoeuvre, row.primary, row.occurred, *(row.places.get(place, 0) for place in places), gap))
+    return [*rows, ("all", sum(row.primary for row in table), "", *places.values(), "")]
+
+
+def _quantile_rows(found: Statistics) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = [("", "of", *(name for name in _QUANTILES))]
+    rows.append(("smallest gap, m", found.labelled, *(f"{value:.2f}" for value in found.gap_m.values())))
+    if found.within_5_s:
+        times = (f"{value:.1f}" for value in found.time_to_collision_s.values())
+        rows.append(("time to collision, s", found.within_5_s, *times))
+    return rows
+
+
+def _plain(rows: Sequence[Sequence[Any]]) -> str:
+    """Text columns: the first to the left, numbers to the right."""
+    texts = [[str(cell) for cell in row] for row in rows]
+    widths = [max(len(row[column]) for row in texts) for column in range(len(texts[0]))]
+    lines = []
+    for row in texts:
+        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)

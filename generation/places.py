@@ -1,0 +1,271 @@
+"""Where something happens: roundabout, car park, junction, bend or straight, from the map alone.
+
+Only what the map supports is said: a map without junction surfaces (imported recordings) tells junctions by lanes that
+cross, and a place without any lane is unknown.
+"""
+
+import heapq
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, Point, Polygon
+
+from benchmark.geometry import Floats, wrap_angle
+from benchmark.road_map import Lane, RoadMap
+
+NEAR_M = 60.0
+"""Lanes farther away than this say nothing about a place."""
+LARGEST_RING_M = 260.0
+"""Way round the largest roundabout."""
+SMALLEST_RING_M = 25.0
+RING_STEP_M = 2.0
+COUNTER_TURN_RAD = np.deg2rad(30.0)
+"""A ring turns back by no more than this altogether."""
+STEADY_TURN = 1.0 / 3.0
+STEADY_SHARE = 0.6
+"""At least this share of a ring turns by at least this part of the mean: streets round a block are mostly straight."""
+ROUND_SPREAD = 0.15
+"""Relative spread of a ring's distances from its centre."""
+RING_MARGIN_M = 5.0
+"""On a roundabout means at most this far outside the circle of lane centres."""
+CROSSING_M = 8.0
+"""Distance from a point where lanes cross that is still the junction."""
+SHARED_END_M = 0.5
+CROSSING_RAD = np.deg2rad(30.0)
+LANE_REACH_M = 4.0
+"""A car this far from a centre line is still on that lane."""
+LANE_TURN_RAD = np.deg2rad(60.0)
+BEND_WINDOW_M = 10.0
+"""How far before and after a car the lane's direction is compared."""
+BEND_RAD = np.deg2rad(10.0)
+"""Change of direction over both windows together; a bend's radius is below about 115 m."""
+
+
+class Place(StrEnum):
+    """Kinds of place, the first that applies."""
+
+    ROUNDABOUT = "roundabout"
+    CAR_PARK = "car-park"
+    JUNCTION = "junction"
+    BEND = "bend"
+    STRAIGHT = "straight"
+    UNKNOWN = "unknown"
+
+
+def place_of(road_map: RoadMap, ego: Floats, other: Floats) -> Place:
+    """Where two bodies meet.
+
+    Args:
+        road_map: The map.
+        ego: (5,) box; its lane tells bend from straight.
+        other: (5,) box; what either centre is on counts for the rest.
+
+    Returns:
+        The place.
+    """
+    centers = [Point(*ego[:2]), Point(*other[:2])]
+    x, y = ego[:2]
+    around = road_map.near((x - NEAR_M, y - NEAR_M, x + NEAR_M, y + NEAR_M))
+    if _on_roundabout(around, centers):
+        return Place.ROUNDABOUT
+    roads = [shape for shape in around.road_segments.values() if any(shape.covers(center) for center in centers)]
+    parked = [center for center in centers if any(area.covers(center) for area in around.carparks.values())]
+    if any(not any(road.covers(center) for road in roads) for center in parked):
+        return Place.CAR_PARK
+    if _in_junction(around, centers):
+        return Place.JUNCTION
+    return _course(around.lanes, ego)
+
+
+def rings(lanes: Mapping[str, Lane]) -> Iterator[Polygon]:
+    """Roundabouts: closed chains of lanes that turn steadily in one direction.
+
+    Args:
+        lanes: Lanes by identifier.
+
+    Yields:
+        The area inside each chain of lane centres; the same roundabout may come several times.
+    """
+    courses = {name: _Course.of(lane) for name, lane in lanes.items()}
+    for name in sorted(lanes):
+        for sign in (1.0, -1.0):
+            chain = _shortest_way_round(lanes, courses, name, sign)
+            ring = None if chain is None else _ring(np.concatenate([lanes[part].centerline for part in chain]))
+            if ring is not None:
+                yield ring
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """Length of a lane in metres and its turning to either side in radians."""
+
+    length: float
+    left: float
+    right: float
+
+    @classmethod
+    def of(cls, lane: Lane) -> Self:
+        turn = _turns(_resampled(lane.centerline, RING_STEP_M))
+        length = float(np.hypot(*np.diff(lane.centerline, axis=0).T).sum())
+        return cls(length, float(turn[turn > 0].sum()), float(-turn[turn < 0].sum()))
+
+
+def _shortest_way_round(
+    lanes: Mapping[str, Lane], courses: Mapping[str, _Course], first: str, sign: float
+) -> tuple[str, ...] | None:
+    """The shortest chain of lanes from one back to itself that turns one way.
+
+    ``first`` has the smallest name of its chain, so that each chain is found once. All chains would be too many where
+    short lanes part and merge.
+    """
+    waiting: list[tuple[float, tuple[str, ...], float]] = [(0.0, (first,), 0.0)]
+    done: set[str] = set()
+    while waiting:
+        length, chain, back = heapq.heappop(waiting)
+        if chain[-1] in done:
+            continue
+        done.add(chain[-1])
+        course = courses[chain[-1]]
+        length, back = length + course.length, back + (course.right if sign > 0 else course.left)
+        if length > LARGEST_RING_M or back > COUNTER_TURN_RAD:
+            continue
+        if first in lanes[chain[-1]].successors:
+            return chain
+        for following in lanes[chain[-1]].successors:
+            if following in lanes and following > first and following not in done:
+                heapq.heappush(waiting, (length, (*chain, following), back))
+    return None
+
+
+def _ring(points: Floats) -> Polygon | None:
+    """The area of a closed chain if it is round, else ``None``."""
+    line = _resampled(np.concatenate([points, points[:1]]), RING_STEP_M)
+    length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+    if not SMALLEST_RING_M <= length <= LARGEST_RING_M:
+        return None
+    turn = _turns(np.concatenate([line, line[1:2]]))
+    if abs(abs(float(turn.sum())) - 2 * np.pi) > COUNTER_TURN_RAD:
+        return None
+    # Over three steps, because centre lines made of short pieces turn in jumps.
+    eased = np.abs(turn + np.roll(turn, 1) + np.roll(turn, -1)) / 3
+    ring = Polygon(line)
+    distance = np.hypot(*(line - np.array(ring.centroid.coords[0])).T)
+    steady = float((eased >= STEADY_TURN * 2 * np.pi / len(turn)).mean()) >= STEADY_SHARE
+    return ring if steady and float(distance.std() / distance.mean()) <= ROUND_SPREAD else None
+
+
+def _on_roundabout(road_map: RoadMap, centers: list[Point]) -> bool:
+    """Whether a place is on a ring of lanes, or on the junction surface that most of the ring is on."""
+    surfaces = [road_map.road_segments[name] for name in sorted(road_map.intersections)]
+    under = [surface for surface in surfaces if any(surface.covers(center) for center in centers)]
+    for ring in rings(road_map.lanes):
+        if any(ring.distance(center) <= RING_MARGIN_M for center in centers):
+            return True
+        circle = ring.exterior
+        if any(surface.intersection(circle).length >= 0.5 * circle.length for surface in under):
+            return True
+    return False
+
+
+def _in_junction(road_map: RoadMap, centers: list[Point]) -> bool:
+    if road_map.road_segments:
+        surfaces = [road_map.road_segments[name] for name in road_map.intersections]
+        return any(surface.covers(center) for surface in surfaces for center in centers)
+    reach = shapely.union_all([center.buffer(CROSSING_M) for center in centers])
+    lines = [LineString(_distinct(lane.centerline)) for lane in road_map.lanes.values()]
+    near = [line for line in lines if line.intersects(reach)]
+    return any(_cross(first, second, reach) for index, first in enumerate(near) for second in near[index + 1 :])
+
+
+def _cross(first: LineString, second: LineString, reach: Polygon) -> bool:
+    """Whether two lines cross in their middles at an angle; lanes that part or merge share ends."""
+    for point in shapely.get_parts(first.intersection(second)):
+        if not isinstance(point, Point) or not reach.covers(point):
+            continue
+        along = [(line, line.project(point)) for line in (first, second)]
+        if any(min(at, line.length - at) < SHARED_END_M for line, at in along):
+            continue
+        headings = [_heading_at(line, at) for line, at in along]
+        if CROSSING_RAD <= _between(*headings) <= np.pi - CROSSING_RAD:
+            return True
+    return False
+
+
+def _between(first: float, second: float) -> float:
+    """Angle between two directions, 0 to pi."""
+    return abs(float(wrap_angle(np.array(first - second))))
+
+
+def _heading_at(line: LineString, at: float) -> float:
+    """Direction of a line over the metre around a place along it."""
+    ends = [line.interpolate(float(np.clip(at + step, 0.0, line.length))) for step in (-0.5, 0.5)]
+    return float(np.arctan2(ends[1].y - ends[0].y, ends[1].x - ends[0].x))
+
+
+def _course(lanes: Mapping[str, Lane], ego: Floats) -> Place:
+    """Bend or straight, from the lane that the ego is on."""
+    best: tuple[float, str, float] | None = None
+    center = Point(*ego[:2])
+    for name, lane in sorted(lanes.items()):
+        line = LineString(_distinct(lane.centerline))
+        distance, at = line.distance(center), line.project(center)
+        if distance > LANE_REACH_M or (best is not None and distance >= best[0]):
+            continue
+        if _between(_heading_at(line, at), ego[4]) <= LANE_TURN_RAD:
+            best = (distance, name, at)
+    if best is None:
+        return Place.UNKNOWN
+    line, at = _extended(lanes, best[1], best[2])
+    begin, end = max(at - BEND_WINDOW_M, 0.0), min(at + BEND_WINDOW_M, line.length)
+    change = _between(_heading_at(line, begin), _heading_at(line, end))
+    # The same change over a shorter piece of lane is a tighter bend; a very short piece has no direction to speak of.
+    return Place.BEND if change >= BEND_RAD * max(end - begin, BEND_WINDOW_M) / (2 * BEND_WINDOW_M) else Place.STRAIGHT
+
+
+def _extended(lanes: Mapping[str, Lane], name: str, at: float) -> tuple[LineString, float]:
+    """A lane with the straightest lanes before and after it, and the same place along the whole.
+
+    Connectors are left out: what turns in a junction is not a bend of the road that leads there.
+    """
+    parts = [lanes[name].centerline]
+    left = LineString(parts[0]).length - at
+    if at < BEND_WINDOW_M and (before := _straightest(lanes, name, lanes[name].predecessors)) is not None:
+        parts.insert(0, before)
+        at += LineString(np.concatenate([before, parts[1][:1]])).length
+    if left < BEND_WINDOW_M:
+        after = _straightest(lanes, name, lanes[name].successors)
+        parts += [] if after is None else [after]
+    return LineString(_distinct(np.concatenate(parts))), at
+
+
+def _straightest(lanes: Mapping[str, Lane], name: str, linked: tuple[str, ...]) -> Floats | None:
+    turning = {
+        other: _Course.of(lanes[other]).left + _Course.of(lanes[other]).right
+        for other in linked
+        if other in lanes and other != name and not lanes[other].is_connector
+    }
+    return lanes[min(turning, key=lambda other: (turning[other], other))].centerline if turning else None
+
+
+def _resampled(points: Floats, step_m: float) -> Floats:
+    """(M, 2) points about ``step_m`` apart on a polyline; always its two ends."""
+    points = _distinct(points)
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    wanted = np.linspace(0.0, station[-1], max(round(station[-1] / step_m), 1) + 1)
+    return np.column_stack([np.interp(wanted, station, points[:, axis]) for axis in (0, 1)])
+
+
+def _distinct(points: Floats) -> Floats:
+    """A polyline without repeated points, which have no direction."""
+    moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
+    return points if moved.sum() < 2 else points[moved]
+
+
+def _turns(points: Floats) -> Floats:
+    """Changes of direction between the steps of a polyline, radians."""
+    step = np.diff(points, axis=0)
+    return wrap_angle(np.diff(np.arctan2(step[:, 1], step[:, 0])))
