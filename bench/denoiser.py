@@ -9,12 +9,17 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from generation.diffusion.bank import sample_actions
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
-from generation.diffusion.denoiser import TrajectoryDenoiser
-from generation.diffusion.prior import TrajectoryPrior, diversify
+from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
 
 BATCH = 256
 PREVIOUS = np.array([-4.0, 0.0, 0.0])
+SMALL_TRANSFORMER = DenoiserConfig(
+    feature_dim=64, heads=4, layers=3, feedforward_dim=192, history_tokens=0, preconditioned=True
+)
+"""What the packaged network is an alternative to."""
 
 
 def timed(work: Callable[[], object], repeats: int) -> tuple[float, float]:
@@ -39,6 +44,10 @@ def denoise_call(denoiser: TrajectoryDenoiser) -> Callable[[], object]:
     return call
 
 
+def full_process(denoiser: TrajectoryDenoiser, calls: int) -> Callable[[], object]:
+    return lambda: sample_actions(denoiser, BATCH, calls, np.random.default_rng(0))
+
+
 def planning_step(prior: TrajectoryPrior) -> Callable[[], object]:
     """Initial batch and the five rounds of refinement, without physics and scoring."""
 
@@ -54,16 +63,25 @@ def planning_step(prior: TrajectoryPrior) -> Callable[[], object]:
 
 def main() -> None:
     torch.set_num_threads(1)
-    prior = TrajectoryPrior.load()
+    prior, packaged = TrajectoryPrior.load(), load_denoiser(PACKAGED_WEIGHTS)
     rows: list[tuple[str, Callable[[], object], int]] = [
-        ("denoise call, packaged", denoise_call(load_denoiser(PACKAGED_WEIGHTS)), 20),
+        ("denoise call, packaged", denoise_call(packaged), 50),
+        ("denoise call, small transformer", denoise_call(TrajectoryDenoiser(SMALL_TRANSFORMER).eval()), 20),
         ("denoise call, reference size", denoise_call(TrajectoryDenoiser().eval()), 2),
         ("initial batch from the bank", lambda: prior.sample(BATCH, PREVIOUS, np.random.default_rng(0)), 10),
+        ("full process, 100 calls, packaged", full_process(packaged, 100), 3),
+        ("full process, 20 calls, packaged", full_process(packaged, 20), 3),
         ("planning step, packaged", planning_step(prior), 5),
     ]
     for calls in (1, 2, None):
         name = "reference's calls per round" if calls is None else f"{calls} call(s) per round"
-        rows.append((f"planning step, {name}", planning_step(TrajectoryPrior.load(mutation_steps=calls)), 5))
+        rows.append(
+            (
+                f"planning step, {name}",
+                planning_step(TrajectoryPrior.load(None, SamplerSettings(mutation_steps=calls))),
+                5,
+            )
+        )
     print(f"batch {BATCH}, one thread; smallest of several runs")
     for name, work, repeats in rows:
         processor, wall = timed(work, repeats)

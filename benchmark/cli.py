@@ -10,22 +10,34 @@ import typer
 
 from benchmark import __version__
 from benchmark.cli_options import (
+    AddressOption,
+    CallsOption,
     DataOption,
+    DenoiserOption,
+    DeviceOption,
+    DropoutOption,
     DryRunOption,
+    ExecutorName,
+    ExecutorOption,
     Frames,
     FramesOption,
     JsonOption,
     Layout,
     LimitOption,
     OutOption,
+    Preset,
+    PresetOption,
     RendererName,
     ScenesOption,
     SeedOption,
+    SetOption,
     SizeOption,
     SplitOption,
     TablesOption,
+    TogetherOption,
     Verifiable,
     WorkersOption,
+    executor_of,
     image_size,
     name_list,
     print_json,
@@ -38,7 +50,11 @@ if TYPE_CHECKING:
     from benchmark.plan_rows import PlannerFactory
     from benchmark.records import RunRecord
     from benchmark.workspace import Workspace
-    from generation.build import BuildReport, BuildSettings
+    from generation.attempts import PriorFactory
+    from generation.build import BuildSettings
+    from generation.build_report import BuildReport
+    from generation.hyperparameters import HyperParameters
+    from generation.surrogate import PlannerUnderTest
 
 app = typer.Typer(
     name="challenger-bench",
@@ -104,13 +120,22 @@ def generate_command(
     source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
     scenes: ScenesOption = None,
     limit: LimitOption = None,
-    vehicles: Annotated[int, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = 10,
+    adversaries: Annotated[int, typer.Option(min=1, help="Adversaries in each scene.")] = 1,
+    surrogate: Annotated[str | None, typer.Option(help="Keep only scenes in which this planner collides.")] = None,
+    surrogate_checkpoint: Annotated[Path | None, typer.Option(help="Weights of the surrogate.")] = None,
+    vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
     per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
     top: Annotated[int | None, typer.Option(min=1, help="Keep only the so many most challenging scenes.")] = None,
-    candidates: Annotated[int, typer.Option(min=4, max=65536, help="Candidate trajectories per planning step.")] = 256,
-    rounds: Annotated[int, typer.Option(min=0, help="Refinement rounds per planning step.")] = 5,
+    candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
+    rounds: Annotated[int | None, typer.Option(min=0, help="Refinement rounds per planning step.")] = None,
     parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
-    denoiser: Annotated[Path | None, typer.Option(help="Weights of another trajectory model.")] = None,
+    preset: PresetOption = Preset.DEFAULT,
+    changes: SetOption = None,
+    denoiser: DenoiserOption = None,
+    calls: CallsOption = None,
+    dropout: DropoutOption = False,
+    device: DeviceOption = "cpu",
+    together: TogetherOption = 1,
     layout: Annotated[Layout, typer.Option(help="One root with suffixed names, or one root per variant.")] = (
         Layout.SUFFIXED
     ),
@@ -119,35 +144,100 @@ def generate_command(
     frames: FramesOption = Frames.ALL,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
+    executor: ExecutorOption = ExecutorName.LOCAL,
+    address: AddressOption = None,
+    profile: Annotated[bool, typer.Option(help="Say where the time went, beside the paper's table.")] = False,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from generation.build import BuildSettings
-    from generation.hyperparameters import HyperParameters
 
     source = _open_source(data, tables, workers)
+    shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
     settings = BuildSettings(
         out=_workspace(out).split_root(source.name, split),
-        hyper=HyperParameters(candidates=candidates, rounds=rounds, candidate_limit=vehicles, parked=parked),
+        hyper=_hyper_parameters(preset, shortcuts, changes),
+        prior=_prior(preset, denoiser, device, calls, dropout=dropout),
         source_split=source_split,
         scenes=name_list(scenes),
         limit=limit,
+        adversaries=adversaries,
+        surrogate=_planner_under_test(surrogate, surrogate_checkpoint, seed, workers),
         per_scene=per_scene,
         total=top,
-        weights=denoiser,
         layout=layout.value,
         renderer=_renderer(renderer, size),
         frames=frames.value,
         seed=seed,
-        workers=worker_count(workers),
+        executor=executor_of(executor, address, workers),
+        together=together,
         dry_run=dry_run,
     )
     report = _generate(source, split, settings)
+    runtime = report.runtime if profile else None
     if json_output:
-        print_json(report.as_json())
+        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.as_json()}))
+        return
+    typer.echo(report.summary())
+    if runtime is not None:
+        typer.echo(runtime.plain())
+
+
+@app.command("ablate")
+def ablate_command(
+    model: Annotated[str, typer.Option("--model", help="Planner that has to drive.")] = "constant-velocity",
+    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
+    candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
+    preset: PresetOption = Preset.DEFAULT,
+    changes: SetOption = None,
+    denoiser: DenoiserOption = None,
+    device: DeviceOption = "cpu",
+    together: TogetherOption = 1,
+    size: SizeOption = "448x256",
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    executor: ExecutorOption = ExecutorName.LOCAL,
+    address: AddressOption = None,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """The paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
+    from benchmark.storage import file_name
+    from generation.ablation import ablate, ablation_estimate
+    from generation.build import BuildSettings
+
+    source = _open_source(data, tables, workers)
+    planner = _planner_under_test(model, checkpoint, seed, workers)
+    assert planner is not None
+    settings = BuildSettings(
+        out=out / "ablation" / source.name / file_name(planner.factory.facts.name),
+        hyper=_hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes),
+        prior=_prior(preset, denoiser, device, None, dropout=False),
+        source_split=source_split,
+        scenes=name_list(scenes),
+        limit=limit,
+        renderer=_renderer(RendererName.SCHEMATIC, size),
+        frames="keyframes",
+        seed=seed,
+        executor=executor_of(executor, address, workers),
+        together=together,
+    )
+    if dry_run:
+        typer.echo(ablation_estimate(source, planner, settings))
+        return
+    report = ablate(source, planner, settings)
+    if json_output:
+        print_json(report.model_dump(mode="json", by_alias=True))
     else:
-        typer.echo(report.summary())
+        typer.echo(report.plain())
 
 
 @app.command("eval")
@@ -288,6 +378,7 @@ def demo_command(
     from adapters.registry import planner_factory
     from benchmark.evaluate import EvalSettings, evaluate
     from benchmark.transfer import transfer
+    from benchmark.workers import LocalProcesses
     from generation.build import BuildSettings
     from generation.hyperparameters import HyperParameters
     from generation.mini import TownSettings, build_town
@@ -309,7 +400,7 @@ def demo_command(
         per_scene=1,
         renderer=_renderer(RendererName.SCHEMATIC, "448x256"),
         frames="keyframes",
-        workers=processes,
+        executor=LocalProcesses(processes),
     )
     tell("2/4 generating adversarial scenes")
     report = _generate(source, "adv", settings)
@@ -476,9 +567,12 @@ def data_build_command(
 
 @train_app.command("denoiser")
 def train_denoiser_command(
-    tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
+    tracks: Annotated[
+        Path, typer.Option(help="Folder of track files (.npz), nuPlan databases (.db) or nuScenes roots.")
+    ],
     out: Annotated[Path, typer.Option(help="Weights file to write; log and progress lie beside it.")],
     steps: Annotated[int | None, typer.Option(min=1, help="Optimisation steps.")] = None,
+    held_out: Annotated[str | None, typer.Option(help="Sources that only check, separated by commas.")] = None,
     seed: SeedOption = 0,
 ) -> None:
     """Train the trajectory model and describe it; the same command resumes."""
@@ -487,7 +581,8 @@ def train_denoiser_command(
     from generation.diffusion.training import TrainingConfig, train_denoiser
 
     default = TrainingConfig(tracks=tracks, out=out, seed=seed)
-    weights = train_denoiser(replace(default, steps=steps or default.steps))
+    checking = default.held_out if held_out is None else name_list(held_out) or ()
+    weights = train_denoiser(replace(default, steps=steps or default.steps, held_out=checking))
     write_bank(weights)
     typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
 
@@ -530,12 +625,14 @@ def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "Data
     from benchmark.workspace import EMBEDDED
 
     def build() -> None:
+        from benchmark.workers import LocalProcesses
         from generation.build import BuildSettings
 
         typer.echo(f"generating split {split} of the embedded data set (once, some minutes)", err=True)
         renderer = _renderer(RendererName.SCHEMATIC, "448x256")
         target = _workspace(out).split_root(source.name, split)
-        _generate(source, split, BuildSettings(out=target, renderer=renderer, workers=worker_count(workers)))
+        executor = LocalProcesses(worker_count(workers))
+        _generate(source, split, BuildSettings(out=target, renderer=renderer, executor=executor))
 
     return _workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
 
@@ -584,6 +681,40 @@ def _workspace(out: Path) -> "Workspace":
     from benchmark.workspace import Workspace
 
     return Workspace(out)
+
+
+def _hyper_parameters(preset: Preset, shortcuts: dict[str, Any], changes: list[str] | None) -> "HyperParameters":
+    """Settings of the search: the preset, options that name one setting, and changes by text, each over the last."""
+    from generation.hyperparameters import HyperParameters
+
+    start = HyperParameters.paper() if preset is Preset.PAPER else HyperParameters()
+    return replace(start, **{name: value for name, value in shortcuts.items() if value is not None}).changed(
+        changes or []
+    )
+
+
+def _prior(preset: Preset, weights: Path | None, device: str, calls: int | None, *, dropout: bool) -> "PriorFactory":
+    """The trajectory model; with the paper's preset nothing that it draws is drawn again."""
+    from generation.attempts import PackagedPrior
+    from generation.diffusion.prior import SamplerSettings
+
+    literal = preset is Preset.PAPER
+    return PackagedPrior(weights, device, SamplerSettings(mutation_steps=calls, drivable=not literal, dropout=dropout))
+
+
+def _planner_under_test(
+    name: str | None, checkpoint: Path | None, seed: int, workers: int
+) -> "PlannerUnderTest | None":
+    """A planner that decides about generated scenes."""
+    from adapters.registry import BLIND, planner_factory
+    from generation.surrogate import PlannerUnderTest
+
+    if name is None:
+        if checkpoint is not None:
+            raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
+        return None
+    factory = planner_factory(name, checkpoint=checkpoint, seed=seed)
+    return PlannerUnderTest(factory, images=name not in BLIND, workers=worker_count(workers))
 
 
 def _renderer(name: RendererName, size: str) -> Any:

@@ -3,11 +3,14 @@
 import json
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.workers import Executor
 
 
 class Frames(StrEnum):
@@ -39,6 +42,20 @@ class Verifiable(StrEnum):
     DENOISER = "denoiser"
 
 
+class Preset(StrEnum):
+    """Settings of the search to start from."""
+
+    DEFAULT = "default"
+    PAPER = "paper"
+
+
+class ExecutorName(StrEnum):
+    """Where work is done."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
 DataOption = Annotated[str, typer.Option("--data", help="mini (embedded) or the root of a nuScenes-format data set.")]
 TablesOption = Annotated[
     str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
@@ -51,6 +68,31 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed giv
 WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
+PresetOption = Annotated[
+    Preset, typer.Option("--preset", help="default, or paper: nothing of the search that the paper does not name.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md)."),
+]
+DenoiserOption = Annotated[
+    Path | None, typer.Option("--denoiser", help="Weights of another trajectory model, such as ig360_adv.ckpt.")
+]
+DeviceOption = Annotated[str, typer.Option("--device", help="Where the trajectory model runs: cpu, cuda, cuda:1.")]
+TogetherOption = Annotated[
+    int, typer.Option("--together", min=1, help="Attempts planned side by side in a process; pays on a GPU.")
+]
+DropoutOption = Annotated[
+    bool, typer.Option("--dropout", help="Sample with dropout on, as the reference code does by an omission.")
+]
+CallsOption = Annotated[
+    int | None,
+    typer.Option("--calls", min=1, help="Network calls of a mutation at most; the reference has one a noise level."),
+]
+ExecutorOption = Annotated[
+    ExecutorName, typer.Option("--executor", help="This machine's processes, or an existing Ray cluster.")
+]
+AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT of the Ray cluster, or auto.")]
 SizeOption = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
 FramesOption = Annotated[Frames, typer.Option("--frames", help="Images at all 12 Hz frames or at 2 Hz keyframes.")]
 
@@ -75,6 +117,19 @@ def worker_count(count: int) -> int:
     if count < 0:
         raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
     return count or default_workers()
+
+
+def executor_of(name: ExecutorName, address: str | None, workers: int) -> "Executor":
+    """Where work is done; raises `InputError` if the options contradict each other."""
+    if name is ExecutorName.LOCAL:
+        from benchmark.workers import LocalProcesses
+
+        if address is not None:
+            raise InputError("--address belongs to --executor ray; add it or leave the address out")
+        return LocalProcesses(worker_count(workers))
+    from benchmark.ray_cluster import RayCluster
+
+    return RayCluster(address or "auto")
 
 
 def print_json(value: Any) -> None:

@@ -1,22 +1,32 @@
 """Work on many items with this machine's processes, in order, with a progress bar.
 
 Results come in the order of the items whatever the number of workers; every process computes with one thread, so that
-one worker and many give the same bytes.
+one worker and many give the same bytes. Items are drawn only a little ahead of the results: they may be large.
 """
 
+import functools
 import multiprocessing
 import os
+import signal
 import sys
+import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+UNFINISHED_PER_WORKER: Final = 3
+"""Units handed out to each worker: one that it works on, the others so that it never waits."""
+WAITING_PER_WORKER: Final = 60
+"""Finished and unfinished units for each worker; one slow unit holds up the results of no more than these."""
+_SLOW_TO_IMPORT: Final = ("torch", "cv2", "shapely", "benchmark.datasets.nuscenes")
 
 
 class Executor(Protocol):
@@ -68,14 +78,46 @@ class LocalProcesses:
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
     ) -> Iterator[Result]:
-        """See `Executor.map`."""
-        return map_ordered(function, list(items), workers=self.workers, label=label)
+        """See `Executor.map`.
+
+        Raises:
+            InputError: If ``workers`` is not positive, or a worker process is killed.
+        """
+        if self.workers < 1:
+            raise InputError(f"--workers must be at least 1, got {self.workers}")
+        if self.workers == 1 or total < 2:
+            single_threaded()
+            return progress(map(function, items), total=total, label=label)
+        return self._in_processes(function, items, total=total, label=label)
+
+    def _in_processes(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+    ) -> Iterator[Result]:
+        workers, before = min(self.workers, total), set(multiprocessing.active_children())
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(
+            ["torch", "cv2", "shapely", "benchmark.datasets.nuscenes", *_module_of(function)]
+        )
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker) as pool:
+            results = results_in_order(lambda item: pool.submit(function, item), items, workers)
+            try:
+                yield from progress(results, total=total, label=label)
+            except BrokenProcessPool as error:
+                raise InputError(
+                    f"a worker process ended abruptly ({label}), as happens where memory runs out; run the same "
+                    "command again with fewer --workers (finished work is kept)"
+                ) from error
+            except BaseException:
+                # Nobody wants the rest, and a unit may take minutes: interrupted work is made again anyway.
+                for worker in set(multiprocessing.active_children()) - before:
+                    worker.terminate()
+                raise
 
 
 def map_ordered(
     function: Callable[[Item], Result], items: Sequence[Item], *, workers: int, label: str
 ) -> Iterator[Result]:
-    """Apply a function to items, in parallel, and give the results in the order of the items.
+    """`LocalProcesses.map` for items that are all there already.
 
     Args:
         function: Importable (a module-level function or a partial of one).
@@ -83,33 +125,71 @@ def map_ordered(
         workers: Number of processes; 1 computes here.
         label: Text beside the progress bar, shown only on a terminal and only for lasting work.
 
-    Yields:
+    Returns:
         One result per item.
 
     Raises:
         InputError: If ``workers`` is not positive, or a worker process is killed.
     """
-    if workers < 1:
-        raise InputError(f"--workers must be at least 1, got {workers}")
-    if workers == 1 or len(items) < 2:
-        single_threaded()
-        yield from progress(map(function, items), total=len(items), label=label)
-        return
-    context = multiprocessing.get_context("forkserver")
-    # The server imports the slow libraries once; every worker is forked from it, still on one thread.
-    context.set_forkserver_preload(["torch", "cv2", "shapely", "benchmark.datasets.nuscenes"])
-    with ProcessPoolExecutor(min(workers, len(items)), mp_context=context, initializer=single_threaded) as pool:
-        futures: list[Future[Result]] = [pool.submit(function, item) for item in items]
-        try:
-            yield from progress((future.result() for future in futures), total=len(items), label=label)
-        except BrokenProcessPool as error:
-            raise InputError(
-                f"a worker process ended abruptly ({label}), as happens where memory runs out; run the same command "
-                "again with fewer --workers (finished work is kept)"
-            ) from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    return LocalProcesses(workers).map(function, items, total=len(items), label=label)
+
+
+def results_in_order(
+    submit: Callable[[Item], "Future[Result]"], items: Iterable[Item], workers: int
+) -> Iterator[Result]:
+    """Keep workers busy and give their results in the order of the items.
+
+    Args:
+        submit: Hands one item to a worker.
+        items: Drawn only while few submitted units are unfinished, or wait for the result of an earlier one.
+        workers: How many work at the same time.
+
+    Yields:
+        One result per item.
+
+    Raises:
+        Exception: The first error, in the order of the items.
+    """
+    remaining = iter(items)
+    ordered: deque[Future[Result]] = deque()
+    unfinished: set[Future[Result]] = set()
+    exhausted = False
+    while ordered or not exhausted:
+        unfinished = {future for future in unfinished if not future.done()}
+        room = len(unfinished) < UNFINISHED_PER_WORKER * workers and len(ordered) < WAITING_PER_WORKER * workers
+        if room and not exhausted:
+            try:
+                ordered.append(submit(next(remaining)))
+                unfinished.add(ordered[-1])
+            except StopIteration:
+                exhausted = True
+        if ordered and ordered[0].done():
+            yield ordered.popleft().result()
+        elif exhausted or not room:
+            wait(unfinished, return_when=FIRST_COMPLETED)
+
+
+def _module_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Name of the module that a function comes from; none for a script, which each worker runs anew."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    module = getattr(function, "__module__", "__main__")
+    return () if module == "__main__" else (module,)
+
+
+def _begin_worker() -> None:
+    # A terminal interrupts all processes of a command at once; the first of them answers for all.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    single_threaded()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, killed perhaps: nobody would ever give it work or take its result."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def progress(results: Iterable[Result], *, total: int, label: str) -> Iterator[Result]:

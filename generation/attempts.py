@@ -1,95 +1,73 @@
-"""Attempts as resumable work: found by content key on disk, computed where missing, on any number of processes."""
+"""Attempts as resumable work: found by content key on disk, computed where missing, wherever an executor puts them.
+
+Workers never open the data set: they are sent the scene that they work on.
+"""
 
 import functools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from benchmark.storage import content_key, read_kept_json, write_json
-from benchmark.workers import map_ordered
-from generation.adversary import ALGORITHM_VERSION, Attempt, attempt
-from generation.candidates import choose
-from generation.diffusion.prior import TrajectoryPrior
+from benchmark.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
+from benchmark.workers import Executor
+from generation.adversary import ALGORITHM_VERSION, Attempt, attempts_together
+from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
 from generation.hyperparameters import HyperParameters
+from generation.physics import MotionModel
+from generation.proposals import Prior
+from generation.survey import Survey, read_survey, survey
+from generation.verify import verify
+
+PriorFactory = Callable[[], Prior]
+"""Gives the same prior in any process. Must be picklable."""
 
 
 @dataclass(frozen=True, slots=True)
-class SourceReference:
-    """How a worker process finds the data set again.
+class PackagedPrior:
+    """The diffusion model, loaded once in each process.
 
     Attributes:
-        root: Folder.
-        version: Version folder.
-        name: Name of the data set.
+        weights: Its weights, ``None`` for those in the package.
+        device: Where the network runs.
+        sampler: How the network is asked.
     """
 
-    root: Path
-    version: str
-    name: str
+    weights: Path | None = None
+    device: str = "cpu"
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
 
-    @classmethod
-    def of(cls, source: DataSet) -> "SourceReference":
-        """Refer to an open data set; this process goes on with the open one."""
-        reference = cls(source.root, source.version, source.name)
-        _opened[reference] = source
-        return reference
-
-    def open(self) -> DataSet:
-        """The data set, opened once in each process."""
-        if self not in _opened:
-            _opened[self] = open_data(self.root, version=self.version, name=self.name)
-        return _opened[self]
+    def __call__(self) -> Prior:
+        """The model."""
+        return _loaded(self.weights, self.device, self.sampler)
 
 
-_opened: dict[SourceReference, DataSet] = {}
+@functools.lru_cache(maxsize=2)
+def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
+    return TrajectoryPrior.load(weights, sampler, device=device)
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
-    """Everything that decides what an attempt gives.
+class Earlier:
+    """An adversary that a scene has already.
 
     Attributes:
-        source: Where the scenes are.
-        fingerprint: Of the data set.
-        hyper: Settings of the search.
-        seed: User's seed.
-        weights: Weights of the prior, ``None`` for the packaged ones.
-        prior_fingerprint: Of the prior.
-        folder: Where finished attempts are kept.
+        key: Content key of the attempt that made it.
+        agent: Index of the vehicle.
+        agent_id: Its instance identifier.
+        start: Frame of its launch.
     """
 
-    source: SourceReference
-    fingerprint: str
-    hyper: HyperParameters
-    seed: int
-    weights: Path | None
-    prior_fingerprint: str
-    folder: Path
-
-    def key(self, unit: "Unit") -> str:
-        """Content key of one attempt."""
-        return content_key(
-            "attempt",
-            ALGORITHM_VERSION,
-            self.fingerprint,
-            unit.scene_name,
-            unit.agent_id,
-            self.seed,
-            self.hyper.fingerprint,
-            self.prior_fingerprint,
-        )
-
-    def path(self, unit: "Unit") -> Path:
-        """File of one finished attempt."""
-        return self.folder / f"{self.key(unit)}.json"
+    key: str
+    agent: int
+    agent_id: str
+    start: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +78,54 @@ class Unit:
         scene_name: Name in the source.
         agent: Index of the vehicle.
         agent_id: Its instance identifier.
+        earlier: Adversaries that the scene has already, in the order in which they were planned.
     """
 
     scene_name: str
     agent: int
     agent_id: str
+    earlier: tuple[Earlier, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Everything that decides what an attempt gives.
+
+    Attributes:
+        fingerprint: Of the data set.
+        hyper: Settings of the search.
+        seed: User's seed.
+        prior: Makes the diffusion model.
+        prior_fingerprint: Of the diffusion model.
+        state: Where finished work is kept.
+    """
+
+    fingerprint: str
+    hyper: HyperParameters
+    seed: int
+    prior: PriorFactory
+    prior_fingerprint: str
+    state: Path
+
+    def key(self, unit: Unit) -> str:
+        """Content key of one attempt."""
+        parts = (self.fingerprint, unit.scene_name, unit.agent_id, self.seed, self.hyper.fingerprint)
+        chain = [[link.key for link in unit.earlier]] if unit.earlier else []
+        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain)
+
+    def path(self, unit: Unit) -> Path:
+        """File of one finished attempt."""
+        return self.state / "attempts" / f"{self.key(unit)}.json"
+
+    def timing_path(self, unit: Unit) -> Path:
+        """File that says how long an attempt took; no result depends on it."""
+        return self.state / "timing" / "attempts" / f"{self.key(unit)}.timing.json"
+
+    def survey_path(self, scene_name: str, earlier: tuple[Earlier, ...]) -> Path:
+        """File of one finished choice of vehicles."""
+        chain = [link.key for link in earlier]
+        parts = ("survey", ALGORITHM_VERSION, self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
+        return self.state / "surveys" / f"{content_key(*parts)}.json"
 
 
 class StoredAttempt(BaseModel):
@@ -139,10 +160,10 @@ class StoredAttempt(BaseModel):
         )
 
     def adversarial(self, scene: Scene) -> Scene:
-        """The kept scene, from the recorded one.
+        """The kept scene, from the one that the attempt started from.
 
         Args:
-            scene: The recorded scene.
+            scene: The recorded scene, with the earlier adversaries in it.
 
         Returns:
             The scene with the stored track.
@@ -150,7 +171,8 @@ class StoredAttempt(BaseModel):
         Raises:
             InputError: If the attempt was discarded or belongs to another scene.
         """
-        if not self.kept or self.start is None or scene.agents.ids[self.agent] != self.agent_id:
+        known = self.agent < len(scene.agents) and scene.agents.ids[self.agent] == self.agent_id
+        if not self.kept or self.start is None or not known:
             raise InputError(
                 f"the stored attempt for {self.agent_id} in {self.scene_name} does not fit this scene; delete the "
                 ".challenger folder of the output and run again"
@@ -159,62 +181,35 @@ class StoredAttempt(BaseModel):
         return scene.with_adversary(self.agent, slice(self.start, self.start + len(poses)), poses)
 
 
-def candidates_of(
-    source: SourceReference, scene_names: Sequence[str], hyper: HyperParameters, seed: int, *, workers: int
-) -> list[Unit]:
-    """Vehicles to try, in the order of the scenes.
+def surveyed(
+    search: Search, scene_name: str, earlier: tuple[Earlier, ...], read: Callable[[], Scene], *, keep: bool
+) -> Survey:
+    """Which vehicles of a scene are tried; found on disk, or looked at and kept.
 
     Args:
-        source: Where the scenes are.
-        scene_names: Which scenes.
-        hyper: Limits of the choice.
-        seed: Which choice.
-        workers: Processes.
+        search: What decides the choice.
+        scene_name: Name in the source.
+        earlier: Adversaries that the scene has already.
+        read: Gives the scene with these adversaries; called only where the survey is not there.
+        keep: Whether the survey is written.
 
     Returns:
-        The units of work.
+        The survey.
     """
-    job = functools.partial(_candidates_of_scene, source, hyper, seed)
-    found = map_ordered(job, list(scene_names), workers=workers, label="choosing vehicles")
-    return [unit for units in found for unit in units]
-
-
-def _candidates_of_scene(source: SourceReference, hyper: HyperParameters, seed: int, scene_name: str) -> list[Unit]:
-    scene = source.open().scene(scene_name)
-    return [Unit(scene_name, agent, scene.agents.ids[agent]) for agent in choose(scene, hyper, seed)]
-
-
-def attempts(search: Search, units: Sequence[Unit], *, workers: int) -> Iterator[StoredAttempt]:
-    """Results of the units in their order; finished ones are read, missing ones are computed and kept.
-
-    Args:
-        search: What decides the results.
-        units: Vehicles to try.
-        workers: Processes; the results do not depend on it.
-
-    Yields:
-        One stored attempt per unit.
-    """
-    yield from map_ordered(
-        functools.partial(_finished_attempt, search), list(units), workers=workers, label="planning adversaries"
-    )
-
-
-def _finished_attempt(search: Search, unit: Unit) -> StoredAttempt:
-    path = search.path(unit)
-    kept = _kept_attempt(path, unit)
+    path = search.survey_path(scene_name, earlier)
+    kept = read_survey(read_kept_json(path), scene_name)
     if kept is not None:
         return kept
-    scene = search.source.open().scene(unit.scene_name)
-    result = attempt(scene, unit.agent, search.seed, search.hyper, packaged_prior(search.weights))
-    stored = StoredAttempt.of(unit, result)
-    write_json(path, stored.model_dump(mode="json"), indent=None)
-    return stored
+    found = survey(read(), search.hyper, search.seed)
+    if keep:
+        write_json(path, found.model_dump(mode="json"), indent=None)
+    return found
 
 
-def _kept_attempt(path: Path, unit: Unit) -> StoredAttempt | None:
+def kept_attempt(search: Search, unit: Unit) -> StoredAttempt | None:
+    """A finished attempt, or ``None`` where there is none or it is damaged."""
     try:
-        stored = StoredAttempt.model_validate(read_kept_json(path))
+        stored = StoredAttempt.model_validate(read_kept_json(search.path(unit)))
     except ValidationError:
         # A damaged file is unfinished work: it is made again.
         return None
@@ -222,7 +217,67 @@ def _kept_attempt(path: Path, unit: Unit) -> StoredAttempt | None:
     return stored if same_unit else None
 
 
-@functools.lru_cache(maxsize=2)
-def packaged_prior(weights: Path | None) -> TrajectoryPrior:
-    """The diffusion model, loaded once in each process."""
-    return TrajectoryPrior.load(weights)
+def attempts(
+    search: Search,
+    units: Sequence[Unit],
+    scene_of: Callable[[Unit], Scene],
+    executor: Executor,
+    *,
+    together: int = 1,
+    label: str = "planning adversaries",
+) -> list[StoredAttempt]:
+    """Results of the units in their order; finished ones are read, missing ones are computed and kept.
+
+    Args:
+        search: What decides the results.
+        units: Vehicles to try; those of one scene side by side.
+        scene_of: Gives the scene of a unit, with the earlier adversaries in it; called here, for missing units only.
+        executor: Where the missing ones are computed; the results do not depend on it.
+        together: Units that a worker plans side by side, which pays on an accelerator; no result depends on it.
+        label: Text beside the progress bar.
+
+    Returns:
+        One stored attempt per unit.
+
+    Raises:
+        InputError: If workers are lost, or results cannot be written.
+    """
+    found = [kept_attempt(search, unit) for unit in units]
+    missing = [index for index, stored in enumerate(found) if stored is None]
+    batches = [missing[first : first + together] for first in range(0, len(missing), together)]
+
+    def work() -> Iterator[list[tuple[Scene, Unit]]]:
+        for batch in batches:
+            yield [(scene_of(units[index]), units[index]) for index in batch]
+
+    done = executor.map(functools.partial(_attempted, search), work(), total=len(batches), label=label)
+    for batch, results in zip(batches, done, strict=True):
+        for index, stored in zip(batch, results, strict=True):
+            found[index] = stored
+    return [stored for stored in found if stored is not None]
+
+
+def _attempted(search: Search, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
+    """Compute and keep a few attempts; runs in a worker."""
+    vehicles = [(scene, unit.agent) for scene, unit in work]
+    results = attempts_together(vehicles, search.seed, search.hyper, search.prior())
+    kept = []
+    for (_, unit), result in zip(work, results, strict=True):
+        stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))
+        timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
+        # Before the attempt: whoever finds the attempt finds its time as well.
+        write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
+        write_json(search.path(unit), stored.model_dump(mode="json"), indent=None)
+        kept.append(stored)
+    return kept
+
+
+def _undisturbed(result: Attempt, unit: Unit, hyper: HyperParameters) -> Attempt:
+    """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
+    limits = MotionModel.si().limits
+    assert limits is not None
+    for link in unit.earlier:
+        finding = None if result.scene is None else verify(result.scene, link.agent, link.start, hyper, limits)
+        if finding is not None:
+            return replace(result, finding=finding, challenge=0.0, scene=None)
+    return result

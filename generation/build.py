@@ -1,26 +1,45 @@
 """Building a split: choose vehicles, plan adversaries, keep the most challenging, render and write nuScenes format.
 
-Every step is resumable and gives the same bytes for any number of workers.
+Every step is resumable and gives the same bytes for any executor.
 """
 
-import functools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.storage import only_writer, token, write_json, write_json_lines
-from benchmark.workers import map_ordered
-from generation.attempts import Search, SourceReference, StoredAttempt, Unit, attempts, candidates_of, packaged_prior
+from benchmark.scene import Scene
+from benchmark.storage import canonical_json, only_writer
+from benchmark.workers import Executor, LocalProcesses
+from generation.attempts import PackagedPrior, PriorFactory, Search, kept_attempt
+from generation.build_report import BuildReport
+from generation.chains import Chain, Harvest, first_units, harvest
+from generation.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.hyperparameters import HyperParameters
-from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set, write_scene
-from generation.ranking import ranked
+from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.profile import runtime_table
 from generation.rendering import Renderer
+from generation.selection import select
+from generation.surrogate import PlannerUnderTest
+from generation.writing import WritingJob, publish_reports, withdraw, write_scenes
 
 Split = Literal["adv", "val-r"]
+
+
+class NothingSurvivedError(InputError):
+    """No adversarial scene came out of a build.
+
+    Attributes:
+        report: What was tried.
+    """
+
+    def __init__(self, sentence: str, report: BuildReport) -> None:
+        super().__init__(sentence)
+        self.report = report
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +52,12 @@ class BuildSettings:
         scenes: Names of source scenes to use, ``None`` for all.
         limit: Use only this many source scenes.
         seed: Seed of the choice of vehicles and of the search.
-        workers: Processes.
+        executor: Where the work is done.
+        together: Attempts that a worker plans side by side, which pays on an accelerator.
         hyper: Settings of the search.
-        weights: Weights of the diffusion model, ``None`` for the packaged ones.
+        prior: Makes the diffusion model.
+        adversaries: In each scene.
+        surrogate: Keep only scenes in which this planner collides; ``None`` keeps all.
         per_scene: Most adversarial variants kept of one source scene, ``None`` for all.
         total: Most adversarial scenes kept, ``None`` for all.
         renderer: Draws the images, ``None`` for a data set without images.
@@ -52,9 +74,12 @@ class BuildSettings:
     scenes: tuple[str, ...] | None = None
     limit: int | None = None
     seed: int = 0
-    workers: int = 1
+    executor: Executor = field(default_factory=LocalProcesses)
+    together: int = 1
     hyper: HyperParameters = field(default_factory=HyperParameters)
-    weights: Path | None = None
+    prior: PriorFactory = field(default_factory=PackagedPrior)
+    adversaries: int = 1
+    surrogate: PlannerUnderTest | None = None
     per_scene: int | None = None
     total: int | None = None
     renderer: Renderer | None = None
@@ -65,49 +90,15 @@ class BuildSettings:
     lossless: bool = False
     dry_run: bool = False
 
+    def __post_init__(self) -> None:
+        for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
+            if number is not None and number < 1:
+                raise InputError(f"--{option} must be at least 1, got {number}")
 
-@dataclass(frozen=True, slots=True)
-class BuildReport:
-    """What was done.
-
-    Attributes:
-        split: Split that was built.
-        scenes: Source scenes looked at.
-        tried: Attempts, one per chosen vehicle.
-        finished_before: Attempts that were already on disk (dry run only).
-        survived: Attempts that passed verification.
-        discarded: Number of attempts by reason.
-        written: Names of the scenes written, best first for ``adv``.
-        dry_run: Whether the work was only counted.
-    """
-
-    split: str
-    scenes: int
-    tried: int
-    finished_before: int
-    survived: int
-    discarded: dict[str, int]
-    written: tuple[str, ...]
-    dry_run: bool = False
-
-    def as_json(self) -> dict[str, Any]:
-        """The report as JSON values."""
-        return {**asdict(self), "written": list(self.written)}
-
-    def summary(self) -> str:
-        """One sentence for people."""
-        if self.dry_run:
-            work = (
-                "" if self.split == "val-r" else f", {self.tried} vehicles to try ({self.finished_before} of them done)"
-            )
-            return f"would build {self.split} from {self.scenes} scenes{work}; nothing was written"
-        if self.split == "val-r":
-            return f"{len(self.written)} scenes rendered again"
-        reasons = ", ".join(f"{count} {reason}" for reason, count in sorted(self.discarded.items())) or "none"
-        return (
-            f"{self.scenes} scenes, {self.tried} vehicles tried, {self.survived} passed verification "
-            f"(discarded: {reasons}), {len(self.written)} scenes written"
-        )
+    @property
+    def timing(self) -> Path:
+        """Folder of notes on how long work took; no result depends on them."""
+        return self.out / STATE_FOLDER / "timing"
 
 
 def build_split(source: DataSet, split: Split, settings: BuildSettings) -> BuildReport:
@@ -119,16 +110,16 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
         settings: What and where.
 
     Returns:
-        What was done; the same is in ``report.json``, and each attempt in ``attempts.jsonl``, in the output root.
+        What was done. The same is in ``report.json``, each attempt in ``attempts.jsonl`` and each choice of vehicles in
+        ``candidates.jsonl``, in the output root.
 
     Raises:
         InputError: If a scene is unknown, nothing survives, another command is writing there, or the output cannot be
             written.
     """
-    names = _source_scenes(source, settings)
-    reference = SourceReference.of(source)
+    names = source_scenes(source, settings)
     if split == "val-r":
-        return _build_originals(source, reference, names, settings)
+        return _build_originals(source, names, settings)
     if split != "adv":
         raise InputError(f"cannot build split {split!r}, choose adv or val-r")
     without_map = [name for name in names if not source.has_map(name)]
@@ -137,57 +128,33 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
             f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of {len(names)} scenes), and "
             "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
         )
-    units = candidates_of(reference, names, settings.hyper, settings.seed, workers=settings.workers)
     search = Search(
-        source=reference,
         fingerprint=source.fingerprint(),
         hyper=settings.hyper,
         seed=settings.seed,
-        weights=settings.weights,
-        prior_fingerprint=packaged_prior(settings.weights).fingerprint,
-        folder=settings.out / ".challenger" / "attempts",
+        prior=settings.prior,
+        prior_fingerprint=settings.prior().fingerprint,
+        state=settings.out / STATE_FOLDER,
     )
     if settings.dry_run:
-        finished = sum(search.path(unit).exists() for unit in units)
-        return BuildReport(split, len(names), len(units), finished, 0, {}, (), dry_run=True)
+        return _counted(source, search, names, settings)
     with only_writer(settings.out):
-        return _build_adversarial(source, search, names, units, settings)
+        return _build_adversarial(source, search, names, settings)
 
 
-def _build_adversarial(
-    source: DataSet, search: Search, names: Sequence[str], units: Sequence[Unit], settings: BuildSettings
-) -> BuildReport:
-    results = list(attempts(search, units, workers=settings.workers))
-    survivors = [result for result in results if result.kept]
-    discarded = Counter(result.discard for result in results if result.discard is not None)
-    kept = ranked(survivors, per_scene=settings.per_scene, total=settings.total)
-    jobs = _adversarial_jobs(kept)
-    report = BuildReport(
-        "adv", len(names), len(units), 0, len(survivors), dict(discarded), tuple(job.name for job in jobs)
-    )
-    _write_reports(settings.out, report, results)
-    if not jobs:
-        raise InputError(
-            f"no adversarial scene survived: {report.summary()}; try more scenes or another --seed "
-            f"(details in {settings.out / 'attempts.jsonl'})"
-        )
-    _write(source, "adv", search.source, jobs, settings)
-    return report
+def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+    """Names of the recorded scenes that a build uses.
 
+    Args:
+        source: Recorded scenes.
+        settings: Which of them.
 
-@dataclass(frozen=True, slots=True)
-class _WritingJob:
-    """One scene to write: the recording, or a variant of it."""
+    Returns:
+        The names, in order.
 
-    name: str
-    source_scene: str
-    variant: int
-    stored: StoredAttempt | None
-
-
-def _source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
-    if settings.limit is not None and settings.limit < 1:
-        raise InputError(f"--limit must be at least 1, got {settings.limit}")
+    Raises:
+        InputError: If a scene is unknown or there are none.
+    """
     if settings.scenes is None:
         names = source.scene_names(settings.source_split)
     else:
@@ -203,35 +170,80 @@ def _source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
     return names[: settings.limit]
 
 
-def _build_originals(
-    source: DataSet, reference: SourceReference, names: Sequence[str], settings: BuildSettings
-) -> BuildReport:
-    jobs = [_WritingJob(name.replace("/", "-"), name, 0, None) for name in names]
-    written = () if settings.dry_run else tuple(job.name for job in jobs)
-    report = BuildReport("val-r", len(names), 0, 0, 0, {}, written, dry_run=settings.dry_run)
-    if not settings.dry_run:
-        with only_writer(settings.out):
-            _write_reports(settings.out, report, [])
-            _write(source, "val-r", reference, jobs, settings)
+def _counted(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    """How much there is to do."""
+    chosen = first_units(search, source, names, keep=False)
+    units = [unit for _, of_scene in chosen for unit in of_scene]
+    left = [unit for unit in units if kept_attempt(search, unit) is None]
+    not_tried: Counter[str] = Counter()
+    for seen, _ in chosen:
+        not_tried.update(seen.not_tried())
+    count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
+    expected = round(KEPT_SHARE * len(units))
+    if settings.per_scene is not None:
+        expected = min(expected, settings.per_scene * len(names))
+    if settings.total is not None:
+        expected = min(expected, settings.total)
+    about = Estimate(count, each, expected, _rendering_seconds(source, names, settings), workers_of(settings.executor))
+    return BuildReport(
+        "adv",
+        len(names),
+        len(units),
+        len(units) - len(left),
+        not_tried=dict(not_tried),
+        adversaries=settings.adversaries,
+        estimate=about,
+        dry_run=True,
+    )
+
+
+def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
+    timing = settings.timing / "rendering"
+    return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
+
+
+def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    found = harvest(
+        search, source, names, settings.executor, adversaries=settings.adversaries, together=settings.together
+    )
+    plan = _plan(source, "adv", settings)
+    chosen = select(source, plan, found, settings)
+    said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
+    written = tuple(job.name for job in chosen.jobs)
+    report = BuildReport.of(len(names), found, written, said, settings.adversaries)
+    publish_reports(settings.out, _report_files(report, found, chosen.chains))
+    if not written:
+        withdraw(settings.out)
+        raise NothingSurvivedError(
+            f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
+            f"(details in {settings.out / 'attempts.jsonl'})",
+            report,
+        )
+    chosen.take_over(plan)
+    keys = _write(source, plan, chosen.jobs, settings)
+    notes = [settings.timing / "rendering" / f"{key}.timing.json" for key in keys]
+    return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+
+
+def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
+    if settings.dry_run:
+        each = _rendering_seconds(source, names, settings)
+        about = Estimate(0, 0.0, len(names), each, workers_of(settings.executor))
+        return BuildReport("val-r", len(names), estimate=about, dry_run=True)
+    report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
+    with only_writer(settings.out):
+        publish_reports(settings.out, _report_files(report, Harvest(), []))
+        _write(source, _plan(source, "val-r", settings), jobs, settings)
     return report
 
 
-def _adversarial_jobs(kept: Sequence[StoredAttempt]) -> list[_WritingJob]:
-    """Names that do not depend on the rank, and variant numbers that do (best first)."""
-    seen: Counter[str] = Counter()
-    jobs = []
-    for stored in kept:
-        suffix = token("adversary", stored.scene_name, stored.agent_id)[:8]
-        name = f"{stored.scene_name.replace('/', '-')}-{suffix}"
-        jobs.append(_WritingJob(name, stored.scene_name, seen[stored.scene_name], stored))
-        seen[stored.scene_name] += 1
-    return jobs
+def _unchanged(scene: Scene) -> Scene:
+    return scene
 
 
-def _write(
-    source: DataSet, split: str, reference: SourceReference, jobs: Sequence[_WritingJob], settings: BuildSettings
-) -> None:
-    plan = DataSetPlan(
+def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
+    return DataSetPlan(
         root=settings.out,
         version=settings.version,
         split=split,
@@ -242,22 +254,31 @@ def _write(
         lossless=settings.lossless,
         source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
     )
-    job = functools.partial(_write_one, plan, reference)
-    finish_data_set(plan, list(map_ordered(job, list(jobs), workers=settings.workers, label="rendering")))
 
 
-def _write_one(plan: DataSetPlan, reference: SourceReference, job: _WritingJob) -> str:
-    scene = reference.open().scene(job.source_scene)
-    name = job.name
-    report: dict[str, Any] = {}
-    if job.stored is not None:
-        scene = job.stored.adversarial(scene)
-        report = {key: value for key, value in job.stored.report.items() if key != "plans"}
-        if plan.layout == "per-variant":
-            name = job.source_scene
-    return write_scene(plan, scene, name=name, variant=job.variant, source_scene=job.source_scene, report=report)
+def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[str]:
+    keys = write_scenes(plan, jobs, source.scene, settings.executor, timing=settings.timing / "rendering")
+    finish_data_set(plan, keys)
+    return keys
 
 
-def _write_reports(out: Path, report: BuildReport, results: Sequence[StoredAttempt]) -> None:
-    write_json(out / "report.json", report.as_json())
-    write_json_lines(out / "attempts.jsonl", [result.report for result in results])
+def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain]) -> dict[str, bytes]:
+    """What a build says of itself, by file name."""
+    name_of = {link.unit: chain.name for chain in written for link in chain.links}
+    attempts = [
+        {
+            **tried.stored.report,
+            "earlier": [link.agent_id for link in tried.unit.earlier],
+            "dropped": found.dropped.get(tried.unit),
+            "written": name_of.get(tried.unit),
+        }
+        for tried in found.tried
+    ]
+    candidates = [seen.row(earlier) for earlier, seen in found.surveys]
+    files = {
+        "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
+        "attempts.jsonl": "".join(canonical_json(row) + "\n" for row in attempts).encode(),
+    }
+    if candidates:
+        files["candidates.jsonl"] = "".join(canonical_json(row) + "\n" for row in candidates).encode()
+    return files

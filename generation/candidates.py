@@ -3,6 +3,9 @@
 Appendix "The Adv-nuSc Dataset": up to 10 background vehicles that come close to the ego.
 """
 
+from collections.abc import Sequence
+from enum import StrEnum
+
 import numpy as np
 import shapely
 
@@ -22,6 +25,19 @@ FIT_HALF_WINDOW = FRAMES_PER_KEYFRAME
 """Frames on either side from which the motion at the launch is estimated: one keyframe interval."""
 
 
+class NotTried(StrEnum):
+    """Why an object of a scene is not tried as an adversary."""
+
+    NOT_FOUR_WHEELED = "not-a-four-wheeler"
+    ALREADY_ADVERSARY = "already-an-adversary"
+    NEVER_NEAR = "never-near-the-ego"
+    PARKED = "parked"
+    OFF_ROAD = "off-the-drivable-area"
+    NO_LAUNCH = "no-frame-to-launch-at"
+    EGO_STANDS = "ego-stands-after-the-launch"
+    NOT_DRAWN = "not-drawn-by-the-seed"
+
+
 def choose(scene: Scene, hyper: HyperParameters, seed: int) -> tuple[int, ...]:
     """Agents to try in one scene.
 
@@ -33,8 +49,22 @@ def choose(scene: Scene, hyper: HyperParameters, seed: int) -> tuple[int, ...]:
     Returns:
         Agent indices, ascending.
     """
-    shapely.prepare(scene.road_map.drivable_area)
     eligible = [agent for agent in range(len(scene.agents)) if is_eligible(scene, agent, hyper)]
+    return draw(scene, eligible, hyper, seed)
+
+
+def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
+    """At most ``hyper.candidate_limit`` of the eligible vehicles.
+
+    Args:
+        scene: The recorded scene.
+        eligible: Agent indices, ascending.
+        hyper: Limits.
+        seed: Which choice.
+
+    Returns:
+        Agent indices, ascending.
+    """
     rng = np.random.default_rng(content_seed("candidates", scene.name, scene.token, seed))
     # Weighted draw without replacement: who waits least, with waiting times of rate "weight".
     weight = np.array([staying_share(scene, agent, hyper) for agent in eligible]) ** hyper.staying_preference
@@ -53,19 +83,40 @@ def is_eligible(scene: Scene, agent: int, hyper: HyperParameters) -> bool:
     Returns:
         The verdict.
     """
+    return unfit(scene, agent, hyper) is None
+
+
+def unfit(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
+    """Why an object cannot become an adversary.
+
+    Args:
+        scene: The recorded scene.
+        agent: Index of the agent.
+        hyper: Limits.
+
+    Returns:
+        The first reason, or ``None`` for an eligible vehicle.
+    """
     agents = scene.agents
-    if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES or agents.ids[agent] in scene.adversaries:
-        return False
+    if agents.categories[agent] not in FOUR_WHEELED_CATEGORIES:
+        return NotTried.NOT_FOUR_WHEELED
+    if agents.ids[agent] in scene.adversaries:
+        return NotTried.ALREADY_ADVERSARY
     canvas = in_canvas(scene, agents.position[agent, :, :2], hyper.half_extent_m) & agents.valid[agent]
     if not canvas.any() or center_distance(scene, agent)[canvas].min() >= hyper.proximity_m:
-        return False
+        return NotTried.NEVER_NEAR
     path = agents.position[agent, agents.valid[agent], :2]
     if not hyper.parked and np.ptp(path, axis=0).max() < hyper.least_motion_m:
-        return False
+        return NotTried.PARKED
+    shapely.prepare(scene.road_map.drivable_area)
     if scene.road_map.is_drivable(agents.position[agent, canvas, :2]).mean() < hyper.least_drivable_share:
-        return False
+        return NotTried.OFF_ROAD
     launch = launch_frame(scene, agent, hyper)
-    return launch is not None and bool((ego_speed(scene)[launch:] >= hyper.moving_ego_m_s).any())
+    if launch is None:
+        return NotTried.NO_LAUNCH
+    if not (ego_speed(scene)[launch:] >= hyper.moving_ego_m_s).any():
+        return NotTried.EGO_STANDS
+    return None
 
 
 def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:

@@ -33,5 +33,6 @@ def challenger_bench(*arguments: str | Path, cache: Path | None = None, timeout:
 
 
 def bytes_below(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder, by relative path."""
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """Every file below a folder, by relative path, but for notes on how long work took."""
+    files = (path for path in folder.rglob("*") if path.is_file() and not path.name.endswith("timing.json"))
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}

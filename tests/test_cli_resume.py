@@ -51,7 +51,7 @@ def finish(command: list[str]) -> None:
 
 def without_times(out: Path) -> dict[str, bytes]:
     """Everything below a folder, hidden state as well; only how long planners took may differ."""
-    return {name: data for name, data in bytes_below(out).items() if not name.endswith("timing.json")}
+    return bytes_below(out)
 
 
 def started(command: list[str]) -> subprocess.Popen[str]:

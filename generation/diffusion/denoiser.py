@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from benchmark.errors import InputError
 from generation.diffusion.preconditioning import GaussianPreconditioner
+from generation.diffusion.residual_network import LEVEL_FEATURES, ResidualNetwork
 from generation.diffusion.schedule import STEPS
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
@@ -36,6 +37,8 @@ class DenoiserConfig:
         noise_level_scale: Factor on timestep/100 before the sinusoid.
         dropout: Active in training mode only.
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
+        attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
+            (`generation.diffusion.residual_network`), and heads, history and logits play no part.
     """
 
     feature_dim: int = 256
@@ -47,6 +50,7 @@ class DenoiserConfig:
     noise_level_scale: float = 1.0
     dropout: float = 0.1
     preconditioned: bool = False
+    attention: bool = True
 
     def __post_init__(self) -> None:
         if min(self.feature_dim, self.heads, self.layers, self.feedforward_dim) < 1 or self.history_tokens < 0:
@@ -58,15 +62,16 @@ class DenoiserConfig:
 
 
 PACKAGED = DenoiserConfig(
-    feature_dim=64,
-    heads=4,
+    feature_dim=192,
+    heads=1,
     layers=3,
     feedforward_dim=192,
     history_tokens=0,
     far_logit_bias=0.0,
     noise_level_scale=float(STEPS),
-    dropout=0.0,
+    dropout=0.1,
     preconditioned=True,
+    attention=False,
 )
 """The small network whose weights are in the package."""
 
@@ -189,6 +194,15 @@ class TrajectoryDenoiser(nn.Module):
     def __init__(self, config: DenoiserConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or DenoiserConfig()
+        self.preconditioner = GaussianPreconditioner() if config.preconditioned else None
+        if config.attention:
+            self._build_transformer(config)
+            return
+        level = NoiseLevelSinusoid(LEVEL_FEATURES)
+        size = (config.feature_dim, config.feedforward_dim, config.layers)
+        self.residual_network = ResidualNetwork(*size, config.dropout, level)
+
+    def _build_transformer(self, config: DenoiserConfig) -> None:
         width = config.feature_dim
         if config.history_tokens:
             self.history_encoder = nn.Sequential(nn.Linear(HISTORY_CHANNELS, width), nn.ReLU(), nn.Linear(width, width))
@@ -200,7 +214,6 @@ class TrajectoryDenoiser(nn.Module):
         self.type_embedding = nn.Embedding(3, width)
         self.global_attention_layers = nn.ModuleList(DenoiserLayer(config) for _ in range(config.layers))
         self.decoder_mlp = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, CHANNELS))
-        self.preconditioner = GaussianPreconditioner() if config.preconditioned else None
 
         sequence = config.history_tokens + WAYPOINTS
         angles, index = rotary_angles(sequence, width), torch.arange(sequence)
@@ -226,7 +239,11 @@ class TrajectoryDenoiser(nn.Module):
         return self.preconditioner.join(self.network(whitened, timesteps), guess, left)
 
     def network(self, tokens_in: Tensor, timesteps: Tensor) -> Tensor:
-        """The transformer alone: (B, 16, 3) to (B, 16, 3)."""
+        """The network without its preconditioner: (B, 16, 3) to (B, 16, 3)."""
+        levels = timesteps.to(tokens_in.dtype) * (self.config.noise_level_scale / STEPS)
+        if not self.config.attention:
+            answer: Tensor = self.residual_network(tokens_in, levels)
+            return answer
         tokens: Tensor = self.trajectory_encoder(tokens_in)
         kinds = [1] * WAYPOINTS
         if self.config.history_tokens:
@@ -235,7 +252,7 @@ class TrajectoryDenoiser(nn.Module):
             tokens = torch.cat([history, tokens], dim=1)
             kinds = [0] * self.config.history_tokens + kinds
         types = self.type_embedding.weight[kinds]
-        sigma = self.sigma_encoder(timesteps.to(tokens.dtype) * (self.config.noise_level_scale / STEPS))
+        sigma = self.sigma_encoder(levels)
         width, weight = self.config.feature_dim, self.sigma_proj_layer.weight
         level = functional.linear(sigma, weight[:, width:], self.sigma_proj_layer.bias)
         tokens = functional.linear(tokens, weight[:, :width]) + level[:, None, :]

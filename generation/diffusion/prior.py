@@ -28,7 +28,7 @@ SLOWER_X: Final = (0.2, 0.8)
 FASTER_X: Final = (1.2, 1.8)
 BOTH_AXES: Final = (0.5, 1.5)
 """Ranges of the reference's ``aug_traj``."""
-PROCESSOR_ROWS: Final = 128
+PROCESSOR_ROWS: Final = 256
 """Trajectories of one network call on a processor: their features fit into its cache."""
 ACCELERATOR_ROWS: Final = 4096
 """Trajectories of one network call on an accelerator. Fixed, and filled up where there are fewer, because a matrix
@@ -41,8 +41,8 @@ class SamplerSettings:
 
     Attributes:
         steps: Network calls of a full reverse process; ``None`` is the reference's 100.
-        mutation_steps: Network calls of a truncated one, spread over its steps; ``None`` is the reference's one per
-            noise level. Two differ from five by less than what the noise of the last round changes (model card).
+        mutation_steps: Network calls of a truncated one at most, spread over its steps; ``None`` is the reference's one
+            per noise level. What fewer cost is in the model card.
         stochastic: Whether reverse steps add the reference's small noise.
         drivable: Whether samples that no car could drive from the present speed are drawn again, and changes that
             make a candidate less drivable not made. The model does not know the speed: braking samples would drive a
@@ -51,7 +51,7 @@ class SamplerSettings:
     """
 
     steps: int | None = None
-    mutation_steps: int | None = 2
+    mutation_steps: int | None = None
     stochastic: bool = True
     drivable: bool = True
     dropout: bool = False
@@ -100,24 +100,18 @@ class TrajectoryPrior:
     def load(
         cls,
         path: Path | None = None,
+        settings: SamplerSettings | None = None,
         *,
-        steps: int | None = None,
         bank: bool = True,
-        mutation_steps: int | None = 2,
-        drivable: bool = True,
-        dropout: bool = False,
         device: str = "cpu",
     ) -> Self:
         """Load weights.
 
         Args:
             path: safetensors of ours, or the published checkpoint (a bare state dict); ``None`` is the packaged model.
-            steps: Network calls of a full reverse process, 100 by default. A bank is always made of full processes
-                without dropout, so asking for anything else samples without it.
+            settings: How the network is asked. A bank is always made of full processes without dropout, so asking for
+                anything else samples without it.
             bank: Whether to draw from the pre-sampled bank beside the weights, where there is one.
-            mutation_steps: See `SamplerSettings`.
-            drivable: See `SamplerSettings`.
-            dropout: See `SamplerSettings`.
             device: Where the network runs, for example ``cuda``. Other kinds of device round differently, so their
                 results have content keys of their own.
 
@@ -125,16 +119,17 @@ class TrajectoryPrior:
             The prior.
 
         Raises:
-            InputError: If weights, bank or device cannot be used.
+            InputError: If weights, bank, settings or device cannot be used.
         """
         weights = PACKAGED_WEIGHTS if path is None else path
-        settings = SamplerSettings(steps=steps, mutation_steps=mutation_steps, drivable=drivable, dropout=dropout)
-        for calls in (steps, mutation_steps):
+        settings = settings or SamplerSettings()
+        for calls in (settings.steps, settings.mutation_steps):
             strided_timesteps(0, calls)
         target = _device(device)
         denoiser = load_denoiser(weights)
         beside = bank_beside(weights)
-        use_bank = bank and steps is None and not dropout and beside.is_file()
+        whole = settings.steps is None and settings.stochastic and not settings.dropout
+        use_bank = bank and whole and beside.is_file()
         held = read_bank(beside, weights) if use_bank else None
         digests = [file_sha256(weights), file_sha256(beside) if use_bank else None]
         fingerprint = content_key("trajectory prior", digests, asdict(settings), target.type)

@@ -1,14 +1,15 @@
 """Recorded vehicle tracks (`benchmark.datasets.tracks`), cut into windows that a trajectory model can learn from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.datasets.tracks import read_recorded_tracks
-from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_local, wrap_angle
 from generation.diffusion.kinematics import MAX_ACCELERATION, STEP_S, motion
 from generation.diffusion.standardiser import WAYPOINTS
@@ -49,12 +50,14 @@ class TrackFile:
         licence: Licence in words.
         tracks: Per vehicle (T, 3) rear-axle poses x, y, unwrapped heading at ``hz``, metres.
         hz: Samples per second.
+        smoothing_s: Span of the local quadratic fit, `SMOOTHING_SPAN_S` or `ROUGH_SPAN_S`.
     """
 
     source: str
     licence: str
     tracks: tuple[Floats, ...]
     hz: float
+    smoothing_s: float = SMOOTHING_SPAN_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,32 +67,53 @@ class Windows:
     Attributes:
         previous: (N, 3) pose half a second ago.
         waypoints: (N, 16, 3) x, y, heading at 2 Hz.
+        track: (N,) which track of the source each window is from; windows of one track resemble each other.
         rejected: Windows left out, by reason.
     """
 
     previous: Floats
     waypoints: Floats
+    track: NDArray[np.int64]
     rejected: dict[str, int]
 
+    def every(self, stride: int, start: int) -> Self:
+        """Every ``stride``-th window from ``start`` on."""
+        part = slice(start, None, stride)
+        return type(self)(self.previous[part], self.waypoints[part], self.track[part], self.rejected)
 
-def find_track_files(folder: Path) -> dict[str, Path]:
-    """Track files of a folder.
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Windows of several portions in order."""
+        if not parts:
+            return cls(np.zeros((0, 3)), np.zeros((0, WAYPOINTS, 3)), np.zeros(0, np.int64), {})
+        reasons = dict.fromkeys(reason for part in parts for reason in part.rejected)
+        return cls(
+            np.concatenate([part.previous for part in parts]),
+            np.concatenate([part.waypoints for part in parts]),
+            np.concatenate([part.track for part in parts]),
+            {reason: sum(part.rejected.get(reason, 0) for part in parts) for reason in reasons},
+        )
+
+
+def rear_axle_of_box(center: Floats, length_m: float) -> Floats:
+    """Rear axle of a vehicle of which only the box is known.
 
     Args:
-        folder: Holds ``<source>.npz`` files.
+        center: (T, 3) x, y, heading of the box centre.
+        length_m: Length; the recording car's where it is not a positive number.
 
     Returns:
-        Path by source name, sorted.
-
-    Raises:
-        InputError: If there is no such folder or no file in it.
+        (T, 3) x, y, heading.
     """
-    if not folder.is_dir():
-        raise InputError(f"no folder of tracks at {folder}; pass the folder that holds the <source>.npz files")
-    found = {path.stem: path for path in sorted(folder.glob("*.npz"))}
-    if not found:
-        raise InputError(f"{folder} holds no .npz track files; pass the folder that holds the <source>.npz files")
-    return found
+    known = np.isfinite(length_m) and length_m > 0
+    return _moved_back(center, REAR_AXLE_FROM_CENTER * (length_m if known else EGO_LENGTH_M))
+
+
+def _moved_back(pose: Floats, distance_m: float) -> Floats:
+    heading = pose[:, 2]
+    return np.column_stack(
+        [pose[:, 0] - distance_m * np.cos(heading), pose[:, 1] - distance_m * np.sin(heading), heading]
+    )
 
 
 def read_tracks(path: Path) -> TrackFile:
@@ -111,13 +135,12 @@ def read_tracks(path: Path) -> TrackFile:
             continue
         part = slice(recorded.pointers[index], recorded.pointers[index + 1])
         heading = np.unwrap(recorded.heading[part].astype(np.float64))
+        pose = np.column_stack([recorded.x[part], recorded.y[part], heading])
+        ahead = REFERENCE_POINT_FROM_REAR_AXLE_M.get(recorded.source)
         length = float(recorded.length[index])
-        default = REAR_AXLE_FROM_CENTER * (length if np.isfinite(length) and length > 0 else EGO_LENGTH_M)
-        ahead = REFERENCE_POINT_FROM_REAR_AXLE_M.get(recorded.source, default)
-        x = recorded.x[part] - ahead * np.cos(heading)
-        y = recorded.y[part] - ahead * np.sin(heading)
-        tracks.append(np.column_stack([x, y, heading]))
-    return TrackFile(recorded.source, recorded.licence, tuple(tracks), recorded.hz)
+        tracks.append(rear_axle_of_box(pose, length) if ahead is None else _moved_back(pose, ahead))
+    span = ROUGH_SPAN_S if recorded.source in ROUGH_SOURCES else SMOOTHING_SPAN_S
+    return TrackFile(recorded.source, recorded.licence, tuple(tracks), recorded.hz, span)
 
 
 def smooth(track: Floats, hz: float, span_s: float) -> Floats:
@@ -158,24 +181,25 @@ def cut_windows(file: TrackFile, stride_s: float = 0.5) -> Windows:
     """
     step, stride = round(STEP_S / GRID_S), max(round(stride_s / GRID_S), 1)
     reach = step * (WAYPOINTS + 1)
-    cut = []
-    for track in file.tracks:
+    cut, origin = [], []
+    for index, track in enumerate(file.tracks):
         times = np.arange(len(track)) / file.hz
         grid = np.arange(int(times[-1] / GRID_S + 1e-6) + 1 if len(track) else 0) * GRID_S
         if len(grid) <= reach:
             continue
-        smoothed = smooth(track, file.hz, ROUGH_SPAN_S if file.source in ROUGH_SOURCES else SMOOTHING_SPAN_S)
+        smoothed = smooth(track, file.hz, file.smoothing_s)
         poses = np.column_stack([np.interp(grid, times, column) for column in smoothed.T])
         starts = np.arange(0, len(poses) - reach, stride)
         cut.append(poses[starts[:, None] + np.arange(0, reach + 1, step)])
+        origin.append(np.full(len(starts), index))
     poses = np.concatenate(cut) if cut else np.zeros((0, WAYPOINTS + 2, 3))
     now = poses[:, 1]
     local = np.concatenate([to_local(poses[..., :2], now[:, None]), (poses[..., 2] - now[:, None, 2])[..., None]], -1)
-    return _drivable(local)
+    return _drivable(local, np.concatenate([np.zeros(0, np.int64), *origin]))
 
 
-def _drivable(local: Floats) -> Windows:
-    """Sort out (N, 18, 3) local windows."""
+def _drivable(local: Floats, track: NDArray[np.int64]) -> Windows:
+    """Sort out (N, 18, 3) local windows of (N,) tracks."""
     moved = motion(local[:, 2:], local[:, 0])
     steps = np.diff(local, axis=1)
     jerk = np.linalg.norm(np.diff(local[..., :2], n=3, axis=1), axis=-1) / STEP_S**3
@@ -194,4 +218,4 @@ def _drivable(local: Floats) -> Windows:
     for reason, hit in reasons.items():
         rejected[reason] = int((hit & keep).sum())
         keep &= ~hit
-    return Windows(local[keep, 0], local[keep, 2:], rejected)
+    return Windows(local[keep, 0], local[keep, 2:], track[keep], rejected)

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.storage import content_key, content_seed, file_sha256, write_json_lines
+from benchmark.storage import content_key, content_seed, write_json_lines
 from benchmark.workers import progress
 from generation.diffusion.checkpoint import read_tensors, save_denoiser, write_tensors
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.schedule import ALPHA_BARS, STEPS
-from generation.diffusion.standardiser import actions_from_waypoints
-from generation.diffusion.tracks import Windows, cut_windows, find_track_files, read_tracks
+from generation.diffusion.track_sources import find_track_sources
+from generation.diffusion.window_pool import WindowPool, load_track_data, window_actions
 
 HELD_OUT_SOURCES: Final = (
     "interaction_sample",
@@ -28,6 +28,9 @@ HELD_OUT_SOURCES: Final = (
 )
 """Sources whose terms do not let weights made from them be passed on; they only check what was learnt."""
 BETAS_ADAM: Final = (0.9, 0.99)
+CHECKED_WINDOWS: Final = 4096
+LEVELS_OF_ROUNDS: Final = 5
+"""Noise levels that refinement uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +38,17 @@ class TrainingConfig:
     """What a training run depends on.
 
     Attributes:
-        tracks: Folder of track files (`generation.diffusion.tracks`).
+        tracks: Folder of recordings (`generation.diffusion.track_sources`).
         out: Weights to write; progress and log lie beside it.
         held_out: Sources that are never trained on.
         steps: Gradient steps.
         batch: Windows per step.
         learning_rate: Peak, after ``warmup`` steps; falls to zero along a cosine.
         warmup: Steps of linear rise.
+        weight_decay: Per step, times the learning rate.
         ema: Share of the averaged weights kept per step.
+        level_power: A training noise level is 100 times a uniform number to this power. Above one, small levels come
+            more often: the rounds of refinement ask at the smallest five, and there is most to learn.
         size_jitter: Windows are scaled by up to this share, which varies speeds.
         stride_s: Time between the starts of training windows.
         checkpoint_every: Steps between resumable checkpoints and log rows.
@@ -53,20 +59,24 @@ class TrainingConfig:
     tracks: Path
     out: Path
     held_out: tuple[str, ...] = HELD_OUT_SOURCES
-    steps: int = 12_000
-    batch: int = 256
-    learning_rate: float = 2e-3
+    steps: int = 15_000
+    batch: int = 512
+    learning_rate: float = 3e-3
     warmup: int = 300
+    weight_decay: float = 1e-2
     ema: float = 0.999
-    size_jitter: float = 0.1
+    level_power: float = 2.0
+    size_jitter: float = 0.3
     stride_s: float = 0.1
-    checkpoint_every: int = 500
+    checkpoint_every: int = 1000
     seed: int = 0
     denoiser: DenoiserConfig = field(default=PACKAGED)
 
     def __post_init__(self) -> None:
         if min(self.steps, self.batch, self.checkpoint_every) < 1:
             raise InputError("training needs at least one step, one window a step and one step between checkpoints")
+        if not self.level_power > 0:
+            raise InputError(f"the power of the noise levels must be positive, got {self.level_power}")
 
 
 @dataclass(slots=True)
@@ -80,54 +90,11 @@ class _Run:
     step: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class TrackData:
-    """Windows of a folder of tracks, by source.
-
-    Attributes:
-        training: To learn from.
-        held_out: To check with, possibly empty.
-        licences: Of every source.
-    """
-
-    training: dict[str, Windows]
-    held_out: dict[str, Windows]
-    licences: dict[str, str]
-
-
-def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) -> TrackData:
-    """Cut every track file of a folder.
-
-    Args:
-        folder: Holds ``<source>.npz``.
-        held_out: Names of sources not to learn from.
-        stride_s: Time between the starts of training windows; held-out windows start every half second.
-
-    Returns:
-        See `TrackData`; sources without a usable window are left out.
-
-    Raises:
-        InputError: If nothing is left to learn from.
-    """
-    training: dict[str, Windows] = {}
-    checking: dict[str, Windows] = {}
-    licences: dict[str, str] = {}
-    for name, path in find_track_files(folder).items():
-        file = read_tracks(path)
-        windows = cut_windows(file, 0.5 if name in held_out else stride_s)
-        if len(windows.previous):
-            (checking if name in held_out else training)[name] = windows
-            licences[name] = file.licence
-    if not training:
-        raise InputError(f"{folder} has no window of 8.5 s of driving outside the held-out sources; add tracks")
-    return TrackData(training, checking, licences)
-
-
 def train_denoiser(config: TrainingConfig) -> Path:
     """Train a trajectory denoiser; the same command resumes.
 
-    Noise prediction at uniformly drawn timesteps (paper, Diffusion Trajectory Generator), averaged weights. Every
-    step draws from a generator of its own, so an interrupted run ends with the same bytes as an undisturbed one.
+    Noise prediction (paper, Diffusion Trajectory Generator), averaged weights, stored in half precision. Every step
+    draws from a generator of its own, so an interrupted run ends with the same bytes as an undisturbed one.
 
     Args:
         config: See `TrainingConfig`.
@@ -139,10 +106,10 @@ def train_denoiser(config: TrainingConfig) -> Path:
         InputError: If the tracks cannot be used, or the progress file belongs to another run.
     """
     data = load_track_data(config.tracks, config.held_out, config.stride_s)
-    actions = {name: _actions(windows) for name, windows in data.training.items()}
-    checking = [_actions(windows) for windows in data.held_out.values()]
+    pool = WindowPool.of({name: window_actions(windows) for name, windows in data.training.items()})
+    checking = [window_actions(windows) for windows in data.held_out.values()]
     identity = _identity(config)
-    run = _start(config, actions)
+    run = _start(config, pool)
     unfinished = config.out.with_suffix(".progress.safetensors")
     if unfinished.exists():
         _resume(run, unfinished, identity)
@@ -150,24 +117,20 @@ def train_denoiser(config: TrainingConfig) -> Path:
     run.denoiser.train()
     losses: list[float] = []
     for step in progress(range(run.step, config.steps), total=config.steps - run.step, label="training denoiser"):
-        losses.append(_take_step(run, config, actions, step))
+        losses.append(_take_step(run, config, pool, step))
         run.step = step + 1
         if run.step % config.checkpoint_every == 0 or run.step == config.steps:
-            row = {
-                "step": run.step,
-                "loss": float(np.mean(losses)),
-                "held_out_loss": _check(run, checking, config.seed),
-            }
-            run.log.append(row)
+            run.log.append({"step": run.step, "loss": float(np.mean(losses)), **_check(run, checking, config.seed)})
             losses = []
             _save_progress(run, unfinished, identity)
             write_json_lines(log_path, run.log)
     run.denoiser.load_state_dict(run.average)
+    for parameter in run.denoiser.parameters():
+        parameter.data = parameter.data.half()
     facts = {
         "run": identity,
-        "seed": config.seed,
-        "steps": config.steps,
-        "batch": config.batch,
+        **{name: getattr(config, name) for name in ("seed", "steps", "batch", "size_jitter", "level_power")},
+        "held_out": list(config.held_out),
         "windows": {name: len(windows.previous) for name, windows in data.training.items()},
         "licences": {name: data.licences[name] for name in data.training},
     }
@@ -176,54 +139,26 @@ def train_denoiser(config: TrainingConfig) -> Path:
     return config.out
 
 
-def _actions(windows: Windows) -> Floats:
-    return actions_from_waypoints(windows.waypoints, windows.previous)
-
-
 def _identity(config: TrainingConfig) -> str:
     """Key of everything the weights depend on, without the places of files."""
     settings = asdict(config)
     for place in ("tracks", "out"):
         del settings[place]
-    files = {name: file_sha256(path) for name, path in find_track_files(config.tracks).items()}
-    return content_key(settings, files)
+    contents = {source.name: source.content() for source in find_track_sources(config.tracks)}
+    return content_key(settings, contents)
 
 
-def _start(config: TrainingConfig, actions: dict[str, Floats]) -> _Run:
+def _start(config: TrainingConfig, pool: WindowPool) -> _Run:
     torch.manual_seed(content_seed("denoiser weights", config.seed) % 2**63)
     denoiser = TrajectoryDenoiser(config.denoiser)
     if denoiser.preconditioner is not None:
         draw = np.random.default_rng(content_seed("denoiser gaussian", config.seed))
-        denoiser.preconditioner.fit(draw_windows(actions, 40_000, config.size_jitter, draw))
-    optimiser = torch.optim.AdamW(denoiser.parameters(), lr=config.learning_rate, betas=BETAS_ADAM, weight_decay=1e-4)
+        denoiser.preconditioner.fit(pool.draw(40_000, config.size_jitter, draw))
+    optimiser = torch.optim.AdamW(
+        denoiser.parameters(), lr=config.learning_rate, betas=BETAS_ADAM, weight_decay=config.weight_decay
+    )
     average = {name: tensor.clone() for name, tensor in denoiser.state_dict().items()}
     return _Run(denoiser, optimiser, average, [])
-
-
-def draw_windows(actions: dict[str, Floats], count: int, size_jitter: float, rng: np.random.Generator) -> Floats:
-    """Windows at random: a source with chance proportional to the root of its size, then a window of it.
-
-    The root keeps one long recording from drowning the others. Half of the windows are mirrored (left and right are
-    alike for a car), and all are scaled a little.
-
-    Args:
-        actions: (N, 16, 3) by source.
-        count: How many.
-        size_jitter: Largest relative change of size.
-        rng: Chance.
-
-    Returns:
-        (count, 16, 3) actions.
-    """
-    sizes = np.array([len(part) for part in actions.values()])
-    share = np.sqrt(sizes)
-    source = rng.choice(len(sizes), size=count, p=share / share.sum())
-    within = (rng.random(count) * sizes[source]).astype(np.int64)
-    stacked = np.concatenate(list(actions.values()))
-    drawn = stacked[np.concatenate([[0], np.cumsum(sizes)[:-1]])[source] + within]
-    drawn = drawn * np.where(rng.random(count) < 0.5, 1.0, -1.0)[:, None, None] ** np.array([0.0, 1.0, 1.0])
-    drawn[..., :2] *= rng.uniform(1 - size_jitter, 1 + size_jitter, count)[:, None, None]
-    return np.asarray(drawn)
 
 
 def _loss(denoiser: TrajectoryDenoiser, clean: Floats, noise: Floats, timesteps: Floats) -> Tensor:
@@ -245,11 +180,11 @@ def _loss(denoiser: TrajectoryDenoiser, clean: Floats, noise: Floats, timesteps:
     return (weight * along.square()).sum() / weight.sum()
 
 
-def _take_step(run: _Run, config: TrainingConfig, actions: dict[str, Floats], step: int) -> float:
+def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -> float:
     rng = np.random.default_rng(content_seed("denoiser step", config.seed, step))
     torch.manual_seed(content_seed("denoiser dropout", config.seed, step) % 2**63)
-    clean = draw_windows(actions, config.batch, config.size_jitter, rng)
-    timesteps = rng.integers(0, STEPS, config.batch).astype(np.float64)
+    clean = pool.draw(config.batch, config.size_jitter, rng)
+    timesteps = np.floor(STEPS * rng.random(config.batch) ** config.level_power)
     loss = _loss(run.denoiser, clean, rng.standard_normal(clean.shape), timesteps)
     rising = min((step + 1) / config.warmup, 1.0)
     rate = config.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / config.steps))
@@ -267,18 +202,23 @@ def _take_step(run: _Run, config: TrainingConfig, actions: dict[str, Floats], st
     return float(loss.detach())
 
 
-def _check(run: _Run, checking: list[Floats], seed: int) -> float | None:
-    """Loss of the averaged weights on held-out windows, with the same noise every time; ``None`` without any."""
+def _check(run: _Run, checking: list[Floats], seed: int) -> dict[str, float | None]:
+    """Losses of the averaged weights on held-out windows, with the same noise every time; ``None`` without any.
+
+    Over all noise levels, and over the smallest five, at which the rounds of refinement ask.
+    """
     if not checking:
-        return None
+        return {"held_out_loss": None, "held_out_loss_of_rounds": None}
     judge = TrajectoryDenoiser(run.denoiser.config).eval()
     judge.load_state_dict(run.average)
     rng = np.random.default_rng(content_seed("denoiser check", seed))
     clean = np.concatenate(checking)
-    clean = clean[rng.choice(len(clean), size=min(len(clean), 1024), replace=False)]
-    timesteps = rng.integers(0, STEPS, len(clean)).astype(np.float64)
+    clean = clean[rng.permutation(len(clean))[:CHECKED_WINDOWS]]
+    noise, evenly = rng.standard_normal(clean.shape), np.arange(len(clean), dtype=np.float64)
     with torch.inference_mode():
-        return float(_loss(judge, clean, rng.standard_normal(clean.shape), timesteps))
+        everywhere = float(_loss(judge, clean, noise, evenly % STEPS))
+        of_rounds = float(_loss(judge, clean, noise, evenly % LEVELS_OF_ROUNDS))
+    return {"held_out_loss": everywhere, "held_out_loss_of_rounds": of_rounds}
 
 
 def _save_progress(run: _Run, path: Path, identity: str) -> None:

@@ -16,6 +16,10 @@ from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 
 PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
+STATE_FOLDERS: Final = (
+    "attempts", "claims", "fragments", "maps", "surveys", "timing/attempts", "timing/rendering"
+)  # fmt: skip
+"""Where unfinished files may lie below the writer's own folder."""
 _LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")
 """Temporary files of a process that was killed while writing (`benchmark.storage.write_bytes`)."""
 
@@ -196,7 +200,7 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
 
 def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
     """Remove temporary files of killed processes."""
-    folders = [plan.root, plan.state, *(plan.state / name for name in ("attempts", "claims", "fragments", "maps"))]
+    folders = [plan.root, plan.state, *(plan.state / name for name in STATE_FOLDERS)]
     for variant in roots:
         root = plan.data_root(variant)
         folders += [plan.drawn_path(root), root / plan.version, root / "can_bus", *sorted(root.glob("maps/**/"))]

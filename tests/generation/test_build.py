@@ -12,39 +12,29 @@ from benchmark.errors import InputError
 from benchmark.protocols.exact import Exact
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
-from generation.attempts import SourceReference, candidates_of
-from generation.build import BuildSettings, build_split
-from generation.hyperparameters import HyperParameters
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from benchmark.workers import LocalProcesses
+from benchmark.workspace import is_finished
+from generation.build import BuildSettings, NothingSurvivedError, build_split
+from generation.candidates import NotTried
 from generation.solvable import log_replay_contacts
-from tests.hand_made import Car, scene_on_straight_road
+from tests.generation.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
+from tests.hand_made import Car
 
-HYPER = HyperParameters(candidates=24, rounds=2)
 
-
-def recorded(name: str, ahead_m: float) -> Scene:
-    cars = (Car(52.0 + ahead_m, 194.75, 9.0), Car(95.0, 198.25, 8.0), Car(45.0, 201.75, 8.0))
-    return replace(scene_on_straight_road(cars, seconds=8.0, name=name), cameras=())
+def few_cars(name: str, ahead_m: float) -> Scene:
+    return recorded(name, (Car(52.0 + ahead_m, 194.75, 9.0), Car(95.0, 198.25, 8.0), Car(45.0, 201.75, 8.0)))
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     root = tmp_path_factory.mktemp("recorded")
-    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
-    scenes = [recorded("scene-9901", 10.0), recorded("scene-9902", 2.0)]
-    keys = [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={}) for scene in scenes]
-    finish_data_set(plan, keys)
-    return open_data(root)
+    return write_source(root, few_cars("scene-9901", 10.0), few_cars("scene-9902", 2.0))
 
 
 def build(source: DataSet, out: Path, **changes: object) -> BuildSettings:
-    settings = replace(BuildSettings(out=out, hyper=HYPER, version="v1.0-mini"), **changes)  # type: ignore[arg-type]
+    settings = replace(CHEAP, out=out, **changes)  # type: ignore[arg-type]
     build_split(source, "adv", settings)
     return settings
-
-
-def contents(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +50,7 @@ def test_the_new_data_set_opens_and_has_an_adversary_in_each_scene(source: DataS
     assert sorted(report["written"]) == sorted(names)
     assert report["survived"] == len(names) == sum(row["kept"] for row in rows)
     assert report["tried"] == len(rows) == report["survived"] + sum(report["discarded"].values())
+    assert {row["written"] for row in rows} - {None} == set(names)
     for name in names:
         scene = data.scene(name)
         assert len(scene.adversaries) == 1
@@ -76,10 +67,34 @@ def test_the_recorded_ego_never_collides_under_the_exact_protocol(built: Path) -
         assert not outcomes.collision[outcomes.counted].any()
 
 
-@pytest.mark.slow
-def test_two_workers_write_the_same_bytes(source: DataSet, built: Path, tmp_path: Path) -> None:
-    build(source, tmp_path / "out", workers=2)
+@pytest.mark.parametrize("changes", [{"executor": LocalProcesses(2)}, {"together": 3}])
+def test_neither_workers_nor_batches_change_a_byte(
+    source: DataSet, built: Path, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    build(source, tmp_path / "out", **changes)
     assert contents(tmp_path / "out") == contents(built)
+
+
+def test_every_object_is_tried_or_has_a_reason(source: DataSet, built: Path) -> None:
+    rows = [json.loads(line) for line in (built / "candidates.jsonl").read_text().splitlines()]
+    assert [row["scene"] for row in rows] == ["scene-9901", "scene-9902"]
+    for row in rows:
+        assert row["tried"] + sum(row["not_tried"].values()) == row["objects"] == 3
+        assert row["not_tried"].keys() <= set(NotTried)
+        assert sum(vehicle["not_tried"] is None for vehicle in row["vehicles"]) == row["tried"]
+
+
+def test_the_summary_is_a_table_of_reasons(source: DataSet, built: Path) -> None:
+    report = build_split(source, "adv", replace(CHEAP, out=built))
+    lines = report.summary().splitlines()
+    assert lines[0] == f"2 scenes, {report.tried} vehicles tried, {len(report.written)} scenes written"
+    counts = {tuple(line.split()[:-1]): line.split()[-1] for line in lines[2:]}
+    assert len(counts) == len(lines) - 2
+    for reason, count in report.discarded.items():
+        assert ("discarded", str(count)) in {key for key, said in counts.items() if said == reason}
+    assert report.runtime is not None
+    assert report.runtime.attempts == report.tried
+    assert report.runtime.scenes == len(report.written)
 
 
 def test_a_half_finished_build_goes_on_to_the_same_bytes(source: DataSet, built: Path, tmp_path: Path) -> None:
@@ -95,12 +110,12 @@ def test_a_half_finished_build_goes_on_to_the_same_bytes(source: DataSet, built:
 
 
 def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_path: Path) -> None:
-    report = build_split(source, "adv", BuildSettings(out=tmp_path / "out", hyper=HYPER, dry_run=True))
+    report = build_split(source, "adv", replace(CHEAP, out=tmp_path / "out", dry_run=True))
     assert report.tried > 0
     assert report.finished_before == 0
     assert not (tmp_path / "out").exists()
     before = contents(built)
-    again = build_split(source, "adv", BuildSettings(out=built, hyper=HYPER, version="v1.0-mini", dry_run=True))
+    again = build_split(source, "adv", replace(CHEAP, out=built, dry_run=True))
     assert again.finished_before == again.tried
     assert contents(built) == before
 
@@ -109,7 +124,7 @@ def test_dry_run_counts_and_writes_nothing(source: DataSet, built: Path, tmp_pat
 def test_a_dry_run_claims_nothing_that_it_did_not_do(
     source: DataSet, tmp_path: Path, split: Literal["adv", "val-r"]
 ) -> None:
-    text = build_split(source, split, BuildSettings(out=tmp_path / "out", hyper=HYPER, dry_run=True)).summary()
+    text = build_split(source, split, replace(CHEAP, out=tmp_path / "out", dry_run=True)).summary()
     assert text.startswith(f"would build {split} from 2 scenes")
     assert "tried" not in text
     assert not (tmp_path / "out").exists()
@@ -137,9 +152,53 @@ def test_nothing_kept_is_a_sentence_with_the_reasons(source: DataSet, tmp_path: 
         build(source, tmp_path / "out", hyper=hyper)
 
 
+def test_a_build_that_finds_nothing_leaves_no_tables_of_an_earlier_one(
+    source: DataSet, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    build(source, out)
+    with pytest.raises(NothingSurvivedError) as raised:
+        build(source, out, hyper=replace(HYPER, close_gap_m=0.0))
+    assert "\n" not in str(raised.value)
+    assert raised.value.report.written == ()
+    assert json.loads((out / "report.json").read_text())["written"] == []
+    assert not is_finished(out)
+    with pytest.raises(InputError):
+        open_data(out)
+    build(source, out)
+    ours, theirs = contents(out), contents(built)
+    assert {name for name in ours if not name.startswith(".challenger/")} == {
+        name for name in theirs if not name.startswith(".challenger/")
+    }
+    assert all(ours[name] == data for name, data in theirs.items())
+
+
+def test_reports_never_lie_beside_the_tables_of_another_build(
+    source: DataSet, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    build(source, out)
+
+    def killed(*arguments: object, **options: object) -> list[str]:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as context:
+        context.setattr("generation.build.write_scenes", killed)
+        with pytest.raises(KeyboardInterrupt):
+            build(source, out, total=1)
+    assert not is_finished(out)
+    build(source, out)
+    assert contents(out) == contents(built)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"scenes": ("scene-0000",)}, "scene-0000"), ({"limit": 0}, "limit"), ({"source_split": "test"}, "test")],
+    [
+        ({"scenes": ("scene-0000",)}, "scene-0000"),
+        ({"limit": 0}, "limit"),
+        ({"source_split": "test"}, "test"),
+        ({"adversaries": 0}, "adversaries"),
+    ],
 )
 def test_bad_settings_are_sentences(source: DataSet, tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
@@ -160,10 +219,8 @@ def test_spoilt_state_is_made_again(source: DataSet, tmp_path: Path, folder: str
 def test_solvability_is_judged_as_the_exact_protocol_judges(source: DataSet, tmp_path: Path) -> None:
     """A car that crosses the recorded ego's path: the same agents touch it in memory and in the data set on disk."""
     cars = (Car(52.0, 198.25, 8.0), Car(75.0, 190.0, 4.0, np.pi / 2), Car(75.0, 185.0, 4.0, np.pi / 2))
-    scene = replace(scene_on_straight_road(cars, seconds=8.0, name="scene-9903"), cameras=())
-    plan = DataSetPlan(root=tmp_path / "crossing", split="val", version="v1.0-mini")
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
-    truths = open_data(tmp_path / "crossing").truth("scene-9903")
+    scene = recorded("scene-9903", cars)
+    truths = write_source(tmp_path / "crossing", scene).truth("scene-9903")
     expected = []
     for agent in range(3):
         alone = [only(truth, scene.agents.ids[agent]) for truth in truths]
@@ -193,8 +250,3 @@ def test_without_a_map_there_is_nothing_to_drive_on(source: DataSet, tmp_path: P
         expansion.unlink()
     with pytest.raises(InputError, match=r"no map expansion for scene-9901 \(2 of 2 scenes\)"):
         build(open_data(root), tmp_path / "out")
-
-
-def test_units_are_in_scene_order(source: DataSet) -> None:
-    units = candidates_of(SourceReference.of(source), ["scene-9902", "scene-9901"], HYPER, 0, workers=1)
-    assert [unit.scene_name for unit in units] == sorted((unit.scene_name for unit in units), reverse=True)

@@ -1,11 +1,22 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from benchmark.scene import Scene
-from generation.candidates import choose, drives_forward, initial_state, is_eligible, launch_frame
+from generation.candidates import (
+    NotTried,
+    choose,
+    draw,
+    drives_forward,
+    initial_state,
+    is_eligible,
+    launch_frame,
+    unfit,
+)
 from generation.hyperparameters import HyperParameters
 from generation.physics import DriverLimits
+from generation.survey import Survey, read_survey, survey
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters()
@@ -124,3 +135,55 @@ def test_a_car_that_drifts_backwards_starts_standing() -> None:
 
 def test_a_scene_without_agents_has_no_candidates() -> None:
     assert choose(scene_of(), HYPER, 0) == ()
+
+
+def test_every_reason_has_its_scene() -> None:
+    scene = scene_of(
+        NEAR,
+        Car(62.0, 201.75, 8.0, category="human.pedestrian.adult"),
+        Car(75.0, 205.25, 0.0),
+        Car(90.0, 194.75, 8.0),
+        Car(62.0, 212.0, 8.0),
+        Car(62.0, 201.75, -8.0, np.pi),
+        Car(38.0, 201.75, 8.0, category="vehicle.truck"),
+    )
+    scene = replace(scene, adversaries=(scene.agents.ids[6],))
+    assert [unfit(scene, agent, HYPER) for agent in range(7)] == [
+        None,
+        NotTried.NOT_FOUR_WHEELED,
+        NotTried.PARKED,
+        NotTried.NEVER_NEAR,
+        NotTried.OFF_ROAD,
+        NotTried.NO_LAUNCH,
+        NotTried.ALREADY_ADVERSARY,
+    ]
+    standing = scene_on_straight_road((Car(62.0, 194.75, 2.0),), seconds=12.0, ego_speed=0.0)
+    assert unfit(standing, 0, HYPER) is NotTried.EGO_STANDS
+
+
+def test_a_survey_accounts_for_every_object() -> None:
+    cars = [Car(30.0 + 5.0 * row, y, 8.0) for row in range(8) for y in (194.75, 201.75)]
+    scene = scene_of(*cars, Car(62.0, 208.0, 1.0, category="human.pedestrian.adult"))
+    for seed in range(3):
+        seen = survey(scene, HYPER, seed)
+        assert tuple(vehicle.agent for vehicle in seen.chosen) == choose(scene, HYPER, seed)
+        counts = seen.not_tried()
+        assert len(seen.chosen) + sum(counts.values()) == seen.objects == len(scene.agents)
+        assert counts[NotTried.NOT_FOUR_WHEELED] == 1
+        eligible = sum(is_eligible(scene, agent, HYPER) for agent in range(len(scene.agents)))
+        assert counts[NotTried.NOT_DRAWN] == eligible - 10 > 0
+        assert seen.row(())["tried"] == 10
+
+
+def test_a_survey_reads_back_or_is_made_again() -> None:
+    scene = scene_of(NEAR)
+    value = survey(scene, HYPER, 0).model_dump(mode="json")
+    assert read_survey(value, scene.name) == Survey.model_validate(value)
+    assert read_survey(value, "scene-0000") is None
+    damage: list[Any] = [None, [], {}, {**value, "objects": "many"}, {**value, "vehicles": [{}]}]
+    for damaged in damage:
+        assert read_survey(damaged, scene.name) is None
+
+
+def test_nobody_can_be_drawn_from_an_empty_hat() -> None:
+    assert draw(scene_of(), [], HYPER, 0) == ()

@@ -76,7 +76,7 @@ def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
 
 
 def test_exact_sampling_through_the_interface() -> None:
-    exact = TrajectoryPrior.load(bank=False, steps=4)
+    exact = TrajectoryPrior.load(None, SamplerSettings(steps=4), bank=False)
     sampled = exact.sample(8, CRUISING, rng())
     assert sampled.shape == (8, 16, 3)
     assert np.array_equal(sampled, exact.sample(8, CRUISING, rng()))
@@ -119,7 +119,7 @@ def test_mutation_makes_no_candidate_less_drivable(prior: TrajectoryPrior, speed
     assert (motion(candidates, previous).excess <= motion(start, previous).excess + 1e-6).all()
     unchanged = (candidates == start).all(axis=(1, 2)).mean()
     assert unchanged < 0.5
-    free = TrajectoryPrior.load(drivable=False).mutate(start, 5, previous, rng())
+    free = TrajectoryPrior.load(None, SamplerSettings(drivable=False)).mutate(start, 5, previous, rng())
     assert not (free == start).all(axis=(1, 2)).any()
 
 
@@ -143,9 +143,9 @@ def test_mutation_does_not_mind_wrapped_headings(prior: TrajectoryPrior) -> None
 def test_strided_mutation_is_close_to_the_reference_number_of_calls(prior: TrajectoryPrior) -> None:
     """The difference is small beside what two draws of the reference's process differ by."""
     start = prior.sample(128, CRUISING, rng())
-    full = TrajectoryPrior.load(mutation_steps=None)
-    reference, other = full.mutate(start, 5, CRUISING, rng(1)), full.mutate(start, 5, CRUISING, rng(2))
-    strided = prior.mutate(start, 5, CRUISING, rng(1))
+    two_calls = TrajectoryPrior.load(None, SamplerSettings(mutation_steps=2))
+    reference, other = prior.mutate(start, 5, CRUISING, rng(1)), prior.mutate(start, 5, CRUISING, rng(2))
+    strided = two_calls.mutate(start, 5, CRUISING, rng(1))
 
     def rms(difference: Floats) -> float:
         return float(np.sqrt((difference[..., :2] ** 2).sum(-1).mean()))
@@ -233,10 +233,10 @@ def test_bank_of_other_weights_is_refused(tmp_path: Path) -> None:
 def test_settings_are_part_of_the_fingerprint() -> None:
     kinds = [
         TrajectoryPrior.load(),
-        TrajectoryPrior.load(mutation_steps=None),
-        TrajectoryPrior.load(drivable=False),
+        TrajectoryPrior.load(None, SamplerSettings(mutation_steps=2)),
+        TrajectoryPrior.load(None, SamplerSettings(drivable=False)),
         TrajectoryPrior.load(bank=False),
-        TrajectoryPrior.load(dropout=True),
+        TrajectoryPrior.load(None, SamplerSettings(dropout=True)),
     ]
     assert len({kind.fingerprint for kind in kinds}) == len(kinds)
     assert kinds[0].fingerprint == TrajectoryPrior.load().fingerprint
@@ -257,7 +257,7 @@ def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
         with pytest.raises(InputError, match="candidates"):
             prior.mutate(wrong, 5, CRUISING, rng())
     with pytest.raises(InputError, match="denoising step"):
-        TrajectoryPrior.load(mutation_steps=0)
+        TrajectoryPrior.load(None, SamplerSettings(mutation_steps=0))
     for device in ("cuda:77", "toaster"):
         with pytest.raises(InputError, match="cannot compute on device"):
             TrajectoryPrior.load(device=device)

@@ -12,7 +12,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion.kinematics import motion
 from generation.diffusion.standardiser import actions_from_waypoints
-from generation.diffusion.tracks import TrackFile, cut_windows, find_track_files, read_tracks, smooth
+from generation.diffusion.track_sources import find_track_sources
+from generation.diffusion.tracks import TrackFile, cut_windows, read_tracks, smooth
 
 HZ = 10.0
 
@@ -144,8 +145,8 @@ def test_truncated_and_foreign_files_are_refused(tmp_path: Path) -> None:
         read_tracks(path)
     path.unlink()
     for folder in (tmp_path, tmp_path / "absent"):
-        with pytest.raises(InputError, match="pass the folder"):
-            find_track_files(folder)
+        with pytest.raises(InputError, match=r"pass (the|a) folder"):
+            find_track_sources(folder)
 
 
 def test_reversing_is_never_drivable() -> None:

@@ -1,0 +1,67 @@
+"""Units of work that worker processes import."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from benchmark.errors import InputError
+from benchmark.storage import content_key, read_json, read_kept_json, write_json
+
+
+def doubled(item: int) -> int:
+    return 2 * item
+
+
+def refused(item: int) -> int:
+    if item == 2:
+        raise InputError("item 2 is broken; leave it out")
+    return item
+
+
+def killed(item: int) -> int:
+    if item == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def long(item: int) -> int:
+    time.sleep(60.0)
+    return item
+
+
+def announced(folder: str) -> None:
+    """Say which process this is, then sleep."""
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(60.0)
+
+
+def kept_square(folder: Path, seconds: float, item: int) -> int:
+    """A resumable unit: its result is found by content key, computed where missing."""
+    if not is_kept(folder, item):
+        time.sleep(seconds)
+        write_json(_path(folder, item), {"item": item, "square": item**2})
+    return int(read_json(_path(folder, item))["square"])
+
+
+def is_kept(folder: Path, item: int) -> bool:
+    return read_kept_json(_path(folder, item)) is not None
+
+
+def _path(folder: Path, item: int) -> Path:
+    return folder / f"{content_key('square', item)}.json"
+
+
+def traced_square(folder: Path, item: int) -> int:
+    """`kept_square` that takes a while; says when it begins and on which Ray node."""
+    import ray
+
+    node = ray.get_runtime_context().get_node_id()
+    (folder / f"begun-{item}-{node}").touch()
+    return kept_square(folder, 0.2, item)
+
+
+def threads(_: int) -> int:
+    import torch
+
+    return torch.get_num_threads()
