@@ -41,17 +41,12 @@ def undisturbed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[
     out = tmp_path_factory.mktemp("undisturbed")
     for command in (generating(source, out), evaluating(source, out)):
         finish(command)
-    return without_times(out)
+    return bytes_below(out)
 
 
 def finish(command: list[str]) -> None:
     """Run a command to its end, in this process: starting another one takes longer than the work."""
     app(args=command, standalone_mode=False)
-
-
-def without_times(out: Path) -> dict[str, bytes]:
-    """Everything below a folder, hidden state as well; only how long planners took may differ."""
-    return bytes_below(out)
 
 
 def started(command: list[str]) -> subprocess.Popen[str]:
@@ -83,7 +78,7 @@ def test_killed_in_every_phase(source: Path, undisturbed: dict[str, bytes], tmp_
     finish(generating(source, tmp_path))
     kill_at(evaluating(source, tmp_path), tmp_path, made + 2)
     finish(evaluating(source, tmp_path))
-    assert without_times(tmp_path) == undisturbed
+    assert bytes_below(tmp_path) == undisturbed
 
 
 def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
@@ -97,4 +92,4 @@ def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path
         assert process.returncode == 0 or (process.returncode == 2 and refused), err
     assert 0 in codes
     expected = {name: data for name, data in undisturbed.items() if name.startswith("data/")}
-    assert without_times(tmp_path) == expected
+    assert bytes_below(tmp_path) == expected
