@@ -1,39 +1,46 @@
-"""Where the time of one adversary goes: diffusion, physics, scoring, the rest."""
+"""Where the processor time of one adversary goes: sampling, physics, scoring, the rest; the paper's beside it.
+
+The paper's seconds are for one scene of about 240 frames.
+"""
 
 import argparse
 import time
-from collections.abc import Callable
-from typing import Any
-
-import numpy as np
 
 from benchmark.workers import single_threaded
-from generation import adversary, refine
+from generation.adversary import Attempt, attempt
 from generation.candidates import choose
 from generation.diffusion.prior import TrajectoryPrior
 from generation.hyperparameters import HyperParameters
+from generation.profile import PAPER_S
 from generation.town import town_scene
 
+STAGES = ("sampling", "physics", "scoring", "other")
 
-class Stopwatch:
-    """Adds up the processor time of wrapped functions; the machine may be busy with other work."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self.calls: dict[str, int] = {}
+def evaluations(result: Attempt) -> int:
+    """Batches that were simulated and scored; the trace of a vehicle's last search has one entry for each."""
+    return sum(len(plan.best_scores) for plan in result.plans)
 
-    def timed(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The same function, with its time added under a name."""
 
-        def wrapper(*arguments: Any, **keywords: Any) -> Any:
-            start = time.process_time()
-            try:
-                return function(*arguments, **keywords)
-            finally:
-                self.seconds[name] = self.seconds.get(name, 0.0) + time.process_time() - start
-                self.calls[name] = self.calls.get(name, 0) + 1
+def report(result: Attempt, processor_s: float, wall_s: float) -> None:
+    """Stages of one attempt, each as a whole and for one evaluation."""
+    outcome = "kept" if result.discard is None else result.discard.value
+    count = evaluations(result)
+    print(
+        f"{result.scene_name} {result.agent_id[:8]}: {outcome}, {result.tries} tries, {len(result.poses)} frames, "
+        f"{len(result.plans)} plans, {count} evaluations; {wall_s:.2f} s by the clock"
+    )
+    print(f"  {'':<10}{'s':>9}{'share':>9}{'ms an evaluation':>18}{'paper, s':>11}")
+    for stage in STAGES:
+        seconds, paper = result.stage_seconds[stage], PAPER_S.get(stage)
+        line(stage, seconds, seconds / processor_s, count, paper)
+    line("all", processor_s, 1.0, count, sum(PAPER_S.get(stage, 0.0) for stage in STAGES))
 
-        return wrapper
+
+def line(stage: str, seconds: float, share: float, count: int, paper_s: float | None) -> None:
+    each = f"{1e3 * seconds / count:.1f}" if count else "-"
+    paper = "-" if paper_s is None else f"{paper_s:.2f}"
+    print(f"  {stage:<10}{seconds:>9.2f}{share:>9.0%}{each:>18}{paper:>11}")
 
 
 def main() -> None:
@@ -43,29 +50,16 @@ def main() -> None:
     parser.add_argument("--candidates", type=int, default=256)
     arguments = parser.parse_args()
     single_threaded()
-    hyper = HyperParameters(candidates=arguments.candidates)
-    prior = TrajectoryPrior.load()
-    scene = town_scene("val", arguments.scene)
-    watch = Stopwatch()
-    prior.sample = watch.timed("initial samples", prior.sample)  # type: ignore[method-assign]
-    prior.mutate = watch.timed("mutations", prior.mutate)  # type: ignore[method-assign]
-    for name in ("simulate", "score_terms", "verify", "_raster"):
-        setattr(adversary, name, watch.timed(name.strip("_"), getattr(adversary, name)))
-    refine.resample = watch.timed("resample", refine.resample)
-    for agent in choose(scene, hyper, 0)[: arguments.vehicles]:
-        watch.seconds.clear()
-        watch.calls.clear()
-        start, wall = time.process_time(), time.perf_counter()
-        result = adversary.attempt(scene, agent, 0, hyper, prior)
-        total, wall = time.process_time() - start, time.perf_counter() - wall
-        outcome = "kept" if result.kept else result.discard
-        print(f"{scene.name} vehicle {agent}: {outcome}, {len(result.poses)} frames, {len(result.plans)} plans")
-        print(f"  {'all':<16}{total:8.2f} s of processor time ({wall:.2f} s by the clock)")
-        for name, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1]):
-            calls = watch.calls[name]
-            print(f"  {name:<16}{seconds:8.2f} s in {calls:4d} calls, {1e3 * seconds / calls:7.1f} ms each")
-        rest = total - float(np.sum(list(watch.seconds.values())))
-        print(f"  {'the rest':<16}{rest:8.2f} s")
+    # One try, so that the trace counts every evaluation that took time.
+    hyper = HyperParameters(candidates=arguments.candidates, tries=1)
+    prior, scene = TrajectoryPrior.load(), town_scene("val", arguments.scene)
+    agents = choose(scene, hyper, 0)[: arguments.vehicles]
+    # The first use of everything pays for matrices that are kept.
+    attempt(scene, agents[0], 0, HyperParameters(candidates=4, rounds=1, tries=1), prior)
+    for agent in agents:
+        processor, wall = time.process_time(), time.perf_counter()
+        result = attempt(scene, agent, 0, hyper, prior)
+        report(result, time.process_time() - processor, time.perf_counter() - wall)
 
 
 if __name__ == "__main__":

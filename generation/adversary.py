@@ -5,7 +5,7 @@ Pure: the same scene, vehicle, seed, settings and prior give the same track, who
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from generation.candidates import in_canvas, initial_state, launch_frame
 from generation.hyperparameters import HyperParameters
 from generation.labels import ClosestApproach, Labels, closest_approach, describe, times_to_collision
 from generation.physics import MotionModel, VehicleState, rear_axle, simulate
-from generation.proposals import Diversify, Prior, Search, run_together
+from generation.proposals import Diversify, Prior, Search, Seconds, run_together
 from generation.ranking import challenge_score
 from generation.refine import Evaluated, NothingToDraw, Refinement, refine
 from generation.scoring import score_terms, surroundings
@@ -69,7 +69,8 @@ class Attempt:
         plans: Trace.
         scene: The adversarial scene, if kept.
         tries: Searches that were made; everything else is about the last one.
-        stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other. Not in the report.
+        stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other (everything else).
+            Not in the report.
         labels: What the adversary does, if kept.
     """
 
@@ -192,11 +193,17 @@ def attempts_together(
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or _packaged_diversify()
     searches = [_chances(scene, agent, seed, hyper, prior.fingerprint, diversify, model) for scene, agent in vehicles]
-    found, sampling = run_together(searches, prior)
+    found, spent = run_together(searches, prior)
     return [
-        replace(result, stage_seconds={"sampling": seconds, **result.stage_seconds})
-        for result, seconds in zip(found, sampling, strict=True)
+        replace(result, stage_seconds=_stage_seconds(result.stage_seconds, seconds))
+        for result, seconds in zip(found, spent, strict=True)
     ]
+
+
+def _stage_seconds(simulated_and_scored: Mapping[str, float], spent: Seconds) -> dict[str, float]:
+    """All of an attempt's seconds by stage; what a search does beside physics and scoring is ``other``."""
+    other = spent.search - sum(simulated_and_scored.values())
+    return {"sampling": spent.answers, "physics": 0.0, "scoring": 0.0, **simulated_and_scored, "other": other}
 
 
 def _chances(
@@ -209,7 +216,6 @@ def _chances(
     model: MotionModel,
 ) -> Search[Attempt]:
     """Searches for one vehicle until one is kept or there is no use in another."""
-    begun = time.process_time()
     blank = Attempt(scene.name, scene.agents.ids[agent], seed, None, None, np.zeros((0, 3)), 0.0, None, None, (), None)
     start = launch_frame(scene, agent, hyper)
     if start is None:
@@ -217,16 +223,14 @@ def _chances(
     if ego_already_collides(scene):
         return replace(blank, start=start, finding=Finding(Discard.ORIGINAL_COLLIDES))
     content = (scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior_fingerprint, ALGORITHM_VERSION)
-    stages = {"physics": 0.0, "scoring": 0.0, "other": time.process_time() - begun}
+    stages = {"physics": 0.0, "scoring": 0.0}
     result = blank
     for number in range(hyper.tries):
         rng = np.random.default_rng(content_seed(*content, number))
         hunt = _Hunt(scene, agent, start, hyper, diversify, model, rng, stages)
         poses, plans, gave_up = yield from hunt.run()
-        begun = time.process_time()
         driven = replace(blank, start=start, tries=number + 1, poses=poses, plans=plans, finding=gave_up)
         result = _judged(driven, hunt) if gave_up is None else driven
-        stages["other"] += time.process_time() - begun
         # A vehicle that the area loses drives the other way; it would be lost again.
         if result.kept or result.discard is Discard.LEAVES_AREA:
             break
@@ -253,7 +257,7 @@ def _judged(driven: Attempt, hunt: "_Hunt") -> Attempt:
 
 @dataclass(frozen=True, slots=True)
 class _Hunt:
-    """Planning frames of one adversary, one after the other; ``stages`` adds up processor seconds."""
+    """Planning frames of one adversary, one after the other; ``stages`` adds up seconds of physics and scoring."""
 
     scene: Scene
     agent: int
@@ -298,13 +302,11 @@ class _Hunt:
         return None if inside.all() else Finding(Discard.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
 
     def _plan(self, frame: int, state: VehicleState, track: Floats) -> Search[Refinement]:
-        begun = time.process_time()
         offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))
         raster = _raster(self.scene, frame, self.hyper.half_extent_m)
         around = surroundings(self.scene, self.agent, tuple(frame + offset for offset in offsets), raster)
         size = self.scene.agents.size[self.agent, :2]
         previous = self._previous(frame, state, track)
-        self.stages["other"] += time.process_time() - begun
 
         def evaluate(waypoints: Floats) -> Evaluated:
             begun = time.process_time()

@@ -8,9 +8,24 @@ from typing import Any, Self
 
 import numpy as np
 
+from benchmark.constants import FRAMES_PER_KEYFRAME
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.storage import content_key
+from generation.reference_path import WAYPOINTS
+
+CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
+"""Frames that a candidate lasts: 8 s at 12 Hz."""
+_AT_LEAST_1 = (
+    "candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries",
+    "shortest_drive_frames",
+)  # fmt: skip
+_POSITIVE = ("half_extent_m", "stopping_m_s2")
+_NOT_NEGATIVE = (
+    "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames", "staying_preference",
+    "init_scale", "corner_weight", "dac_weight", "cr_weight", "ac_weight", "road_and_collision_last_weight",
+    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight",
+)  # fmt: skip
 
 
 class CollisionReading(StrEnum):
@@ -165,15 +180,20 @@ class HyperParameters:
         return replace(self, **values)
 
     def __post_init__(self) -> None:
-        for name in ("candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries"):
+        for name in _AT_LEAST_1:
             if getattr(self, name) < 1:
                 raise InputError(f"hyper-parameter {name} must be at least 1, got {getattr(self, name)}")
-        for name in (
-            "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames",
-            "staying_preference",
-        ):  # fmt: skip
+        for name in _POSITIVE:
+            if not getattr(self, name) > 0:
+                raise InputError(f"hyper-parameter {name} must be positive, got {getattr(self, name)}")
+        for name in _NOT_NEGATIVE:
             if not getattr(self, name) >= 0:
                 raise InputError(f"hyper-parameter {name} must not be negative, got {getattr(self, name)}")
+        if self.horizon + self.lookahead_frames > CANDIDATE_FRAMES:
+            raise InputError(
+                f"hyper-parameters horizon and lookahead_frames must not be more than {CANDIDATE_FRAMES} together, the "
+                f"frames of a candidate, got {self.horizon} and {self.lookahead_frames}"
+            )
 
     @property
     def fingerprint(self) -> str:

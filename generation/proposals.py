@@ -70,7 +70,20 @@ Diversify = Callable[[Floats, np.random.Generator], Floats]
 """Spreads the speeds of an initial batch, which makes it diverse; the reference code does it, the paper is silent."""
 
 
-def run_together(searches: Sequence[Search[Found]], prior: Prior) -> tuple[list[Found], list[float]]:
+@dataclass(frozen=True, slots=True)
+class Seconds:
+    """Processor seconds of one search.
+
+    Attributes:
+        answers: That its requests took, an equal share of each call that was shared.
+        search: Of its own.
+    """
+
+    answers: float
+    search: float
+
+
+def run_together(searches: Sequence[Search[Found]], prior: Prior) -> tuple[list[Found], list[Seconds]]:
     """Run searches side by side until each has ended.
 
     Args:
@@ -78,13 +91,22 @@ def run_together(searches: Sequence[Search[Found]], prior: Prior) -> tuple[list[
         prior: Answers their requests, all that are open at a time in one call.
 
     Returns:
-        What each search returned, and the processor seconds that its answers took (an equal share of each call).
+        What each search returned, and how long each took.
     """
     found: dict[int, Found] = {}
-    seconds = [0.0] * len(searches)
+    answering, searching = [0.0] * len(searches), [0.0] * len(searches)
     waiting: dict[int, Request] = {}
-    for index, search in enumerate(searches):
-        _go_on(search, None, index, waiting, found)
+
+    def go_on(index: int, answer: Floats | None) -> None:
+        start = time.process_time()
+        try:
+            waiting[index] = next(searches[index]) if answer is None else searches[index].send(answer)
+        except StopIteration as end:
+            found[index] = end.value
+        searching[index] += time.process_time() - start
+
+    for index in range(len(searches)):
+        go_on(index, None)
     while waiting:
         asking, requests = list(waiting), list(waiting.values())
         start = time.process_time()
@@ -92,15 +114,7 @@ def run_together(searches: Sequence[Search[Found]], prior: Prior) -> tuple[list[
         share = (time.process_time() - start) / len(asking)
         waiting.clear()
         for index, answer in zip(asking, answers, strict=True):
-            seconds[index] += share
-            _go_on(searches[index], answer, index, waiting, found)
+            answering[index] += share
+            go_on(index, answer)
+    seconds = [Seconds(*both) for both in zip(answering, searching, strict=True)]
     return [found[index] for index in range(len(searches))], seconds
-
-
-def _go_on(
-    search: Search[Found], answer: Floats | None, index: int, waiting: dict[int, Request], found: dict[int, Found]
-) -> None:
-    try:
-        waiting[index] = next(search) if answer is None else search.send(answer)
-    except StopIteration as end:
-        found[index] = end.value

@@ -7,10 +7,10 @@ everything in those interpolated boxes too, with its real heading and with the h
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
+from benchmark.constants import PLAN_STEPS
 from benchmark.datasets.sample_truth import ego_future, planar_lidar_poses
-from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, to_global, yaw_of_quaternion
-from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
+from benchmark.geometry import Bools, Floats, boxes_overlap, to_global, yaw_of_quaternion
+from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, footprints_between, object_boxes
 from benchmark.scene import Scene
 
 
@@ -37,16 +37,11 @@ def log_replay_contacts(scene: Scene, agents: NDArray[np.int64] | None = None) -
 def _interpolated_annotations(scene: Scene, chosen: NDArray[np.int64]) -> tuple[Floats, Bools]:
     """Boxes (N, K - 1, 5, 5) and presence (N, K - 1, 5) every 0.1 s after each keyframe but the last."""
     notes = scene.annotations
-    pose = np.concatenate(
-        [notes.position[chosen, :, :2], yaw_of_quaternion(notes.rotation[chosen])[..., None]], axis=-1
-    )
-    fraction = np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
-    between = poses_between(pose[:, :-1, None], pose[:, 1:, None], fraction)
-    size = np.broadcast_to(notes.size[chosen, 1:, None, :2], (*between.shape[:-1], 2))
-    valid = notes.valid[chosen]
-    present = np.repeat((valid[:, :-1] & valid[:, 1:])[..., None], INSTANTS_PER_STEP, axis=-1)
-    present[..., -1] = valid[:, 1:]
-    return np.concatenate([between[..., :2], size, between[..., 2:]], axis=-1), present
+    yaw = yaw_of_quaternion(notes.rotation[chosen])[..., None]
+    boxes = np.concatenate([notes.position[chosen, :, :2], notes.size[chosen, :, :2], yaw], axis=-1)
+    between, present = object_boxes(boxes, notes.valid[chosen])
+    intervals = (len(chosen), len(scene.keyframes) - 1, INSTANTS_PER_STEP)
+    return between.reshape(*intervals, 5), present.reshape(intervals)
 
 
 def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
@@ -56,7 +51,7 @@ def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
     of each sample, whose headings are chords between waypoints.
     """
     pose = planar_lidar_poses(scene)
-    footprints = [(_footprint(pose), slice(0, len(pose) - 1))]
+    footprints = [(footprints_between(pose[:-1], pose[1:]), slice(0, len(pose) - 1))]
     for index in range(len(pose) - PLAN_STEPS):
         future, _ = ego_future(pose, index)
         boxes = ego_boxes(future[:, :2]).reshape(PLAN_STEPS, INSTANTS_PER_STEP, 5)
@@ -66,15 +61,6 @@ def _ego_footprints(scene: Scene) -> list[tuple[Floats, slice]]:
         boxes[..., 4] += frame[2]
         footprints.append((boxes, slice(index, index + PLAN_STEPS)))
     return footprints
-
-
-def _footprint(lidar_pose: Floats) -> Floats:
-    """(I, 5, 5) boxes between (I + 1, 3) poses of the lidar."""
-    fraction = np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
-    pose = poses_between(lidar_pose[:-1, None], lidar_pose[1:, None], fraction)
-    forward = np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
-    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], (*pose.shape[:-1], 2))
-    return np.concatenate([pose[..., :2] + EGO_BOX_FROM_LIDAR_M * forward, size, pose[..., 2:]], axis=-1)
 
 
 def _touching(ego: Floats, boxes: Floats, present: Bools) -> Bools:

@@ -158,23 +158,6 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
     )
 
 
-def manoeuvre_table(root: Path, *, split: str | None = None, version: str | None = None) -> tuple[ManoeuvreRow, ...]:
-    """Distribution of manoeuvres in a generated data set, from the labels in ``challenger.json``.
-
-    Args:
-        root: As `statistics`.
-        split: As `statistics`.
-        version: As `statistics`.
-
-    Returns:
-        One row a kind, the most frequent first; none if the data set has no labels.
-
-    Raises:
-        InputError: As `statistics`.
-    """
-    return _rows_of([found for part in _roots(root, split, version) for found in _labels_of(part)])
-
-
 def _roots(root: Path, split: str | None, version: str | None) -> list[_Root]:
     variants = [root / name for name in variant_folders(root)] if root.is_dir() else []
     return [_open(folder, split, version) for folder in variants or [root]]

@@ -4,12 +4,14 @@ import json
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 
 _CHUNK_CHARACTERS: Final = 1 << 20
+_LONGEST_ROW_CHARACTERS: Final = 1 << 24
+"""What cannot be decoded within so much is no row: the rest of a broken table is not read into memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,34 +99,45 @@ def table_rows(path: Path, *needed: str) -> Iterator[Row]:
 
 def _values(path: Path) -> Iterator[Any]:
     """Values of a JSON list, decoded as the file is read."""
-    decoder, text, at, opened = json.JSONDecoder(), "", 0, False
     try:
         with path.open(encoding="utf-8-sig") as stream:
-            while True:
-                at = _skipped(text, at, "," if opened else "")
-                if at < len(text) and not opened:
-                    if text[at] != "[":
-                        raise InputError(f"{path} must hold a JSON list of rows; make the table again")
-                    opened, at = True, at + 1
-                    continue
-                if text[at : at + 1] == "]":
-                    return
-                try:
-                    value, at = decoder.raw_decode(text, at)
-                except ValueError:
-                    chunk = stream.read(_CHUNK_CHARACTERS)
-                    if not chunk:
-                        raise
-                    text, at = text[at:] + chunk, 0
-                    continue
-                yield value
+            yield from _listed(stream, path)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not valid JSON ({error}); it may be truncated, fetch or make it again") from error
 
 
-def _skipped(text: str, at: int, between: str) -> int:
-    while at < len(text) and (text[at].isspace() or text[at] in between):
-        at += 1
-    return at
+def _listed(stream: TextIO, path: Path) -> Iterator[Any]:
+    """Values of a list; a `ValueError` where there is something other than values, commas and one end."""
+    decoder, text, at, wanted = json.JSONDecoder(), "", 0, "the list"
+    while True:
+        while at < len(text) and text[at].isspace():
+            at += 1
+        if at == len(text):
+            text, at = stream.read(_CHUNK_CHARACTERS), 0
+            if not text and wanted == "nothing more":
+                return
+            if not text:
+                raise ValueError(f"it ends where {wanted} should be")
+        elif wanted == "the list":
+            if text[at] != "[":
+                raise InputError(f"{path} must hold a JSON list of rows; make the table again")
+            at, wanted = at + 1, "the first row"
+        elif text[at] == "]" and wanted in ("the first row", "a comma"):
+            at, wanted = at + 1, "nothing more"
+        elif wanted == "a comma" and text[at] == ",":
+            at, wanted = at + 1, "a row"
+        elif wanted in ("a comma", "nothing more"):
+            raise ValueError(f"there is {text[at]!r} where {wanted} should be")
+        else:
+            try:
+                value, at = decoder.raw_decode(text, at)
+            except ValueError:
+                chunk = stream.read(_CHUNK_CHARACTERS)
+                if not chunk or len(text) - at > _LONGEST_ROW_CHARACTERS:
+                    raise
+                text, at = text[at:] + chunk, 0
+                continue
+            wanted = "a comma"
+            yield value

@@ -102,23 +102,36 @@ def ego_boxes(plans_lidar: Floats) -> Floats:
     poses = np.concatenate([plans, heading[..., None]], axis=-1)
     start = np.broadcast_to([0.0, 0.0, np.pi / 2], (*poses.shape[:-2], 1, 3))
     before = np.concatenate([start, poses[..., :-1, :]], axis=-2)
-    between = poses_between(before[..., None, :], poses[..., None, :], _fractions())
-    path = between.reshape(*poses.shape[:-2], PLAN_STEPS * INSTANTS_PER_STEP, 3)
-    yaw = path[..., 2]
-    center = path[..., :2] + EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    boxes = footprints_between(before, poses)
+    return boxes.reshape(*poses.shape[:-2], PLAN_STEPS * INSTANTS_PER_STEP, 5)
+
+
+def footprints_between(first: Floats, second: Floats) -> Floats:
+    """The ego's rectangle at the five instants of each interval between two poses, the first pose left out.
+
+    Args:
+        first: (..., 3) poses of the lidar, any frame.
+        second: (..., 3) poses of the lidar half a second later.
+
+    Returns:
+        (..., 5, 5) boxes: instants, then x, y, length, width, yaw.
+    """
+    poses = poses_between(first[..., None, :], second[..., None, :], _fractions())
+    yaw = poses[..., 2]
+    center = poses[..., :2] + EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], center.shape)
     return np.concatenate([center, size, yaw[..., None]], axis=-1)
 
 
 def object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:
-    """Objects at the 30 instants, and whether they are there.
+    """Objects at the five instants after each keyframe but the last, and whether they are there.
 
     Args:
-        boxes: (M, 7, 5) boxes at the keyframes 0..6.
-        annotated: (M, 7) where they are annotated.
+        boxes: (M, K, 5) boxes at the keyframes; 7 of them for a plan.
+        annotated: (M, K) where they are annotated.
 
     Returns:
-        (M, 30, 5) boxes, (M, 30) presence.
+        (M, 5 (K - 1), 5) boxes, (M, 5 (K - 1)) presence.
     """
     step = np.diff(boxes, axis=1)
     step[..., 4] = wrap_angle(step[..., 4])
@@ -127,7 +140,7 @@ def object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:
     between[:, :, -1] = boxes[:, 1:]
     present = np.repeat((annotated[:, :-1] & annotated[:, 1:])[..., None], INSTANTS_PER_STEP, axis=-1)
     present[..., -1] = annotated[:, 1:]
-    count = PLAN_STEPS * INSTANTS_PER_STEP
+    count = (boxes.shape[1] - 1) * INSTANTS_PER_STEP
     return between.reshape(len(boxes), count, 5), present.reshape(len(boxes), count)
 
 

@@ -18,7 +18,7 @@ NUPLAN_LICENCE: Final = "CC BY-NC-SA 4.0 (nuPlan; nuScenes terms of use)"
 LONGEST_GAP_S: Final = 0.3
 """Boxes come at 20 Hz; a detection that fails a few times is bridged."""
 PORTION_ROWS: Final = 100_000
-"""Poses that are in memory at a time, some 20 MB."""
+"""Poses that are read at a time, some 30 MB; up to twice as many are held."""
 FARTHEST_M: Final = 1e8
 """No map reaches so far; nuPlan's coordinates are UTM."""
 WAIT_FOR_LOCK_S: Final = 2.0

@@ -30,7 +30,6 @@ SHORTEST_CHORD_M: Final = 1e-6
 class _Group:
     """Candidates of one initial state, as the set has them."""
 
-    number: int
     members: NDArray[np.int64]
     state: VehicleState
     length_m: float
@@ -78,7 +77,7 @@ def _groups(stored: GoldenArrays, candidates: int) -> list[_Group]:
         if not length > 0.0:
             raise InputError(f"group {index} in {stored.path} has length {length:g} m; make the file again")
         state = VehicleState(np.array([x, y, heading]), float(speed))
-        found.append(_Group(int(index), np.flatnonzero(number == index), state, float(length)))
+        found.append(_Group(np.flatnonzero(number == index), state, float(length)))
     return found
 
 

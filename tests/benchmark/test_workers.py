@@ -90,6 +90,26 @@ def test_processes_give_what_one_process_gives(workers: int) -> None:
     assert list(executor.map(units_of_work.doubled, [], total=0, label="nothing")) == []
 
 
+PRODUCTS = """
+import hashlib
+import numpy
+from benchmark.workers import single_threaded
+single_threaded()
+chance = numpy.random.default_rng(0)
+for rows, inner, columns in ((96, 96, 256), (97, 17, 512), (100, 100, 100), (500, 500, 500)):
+    product = chance.standard_normal((rows, inner)) @ chance.standard_normal((inner, columns))
+    print(hashlib.sha256(product.tobytes()).hexdigest())
+"""
+
+
+def test_products_of_matrices_are_the_same_whatever_the_environment_says_of_threads() -> None:
+    said = set()
+    for threads in ("1", "2", "4"):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": threads}
+        said.add(subprocess.check_output([sys.executable, "-c", PRODUCTS], cwd=ROOT, env=environment, text=True))
+    assert len(said) == 1
+
+
 def test_no_workers_is_a_sentence() -> None:
     with pytest.raises(InputError, match="--workers must be at least 1, got 0"):
         LocalProcesses(0).map(units_of_work.doubled, [1], total=1, label="doubling")

@@ -1,14 +1,16 @@
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.geometry import boxes_overlap
+from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.storage import canonical_json
-from generation.adversary import Attempt, attempt, attempts_together, scene_identity
+from generation.adversary import Attempt, _Hunt, attempt, attempts_together, scene_identity
+from generation.candidates import in_canvas
 from generation.hyperparameters import HyperParameters
-from generation.physics import DriverLimits, MotionModel
+from generation.physics import DriverLimits, MotionModel, rear_axle
 from generation.solvable import log_replay_contacts
 from generation.verify import Discard, is_drivable_motion
 from tests.generation.driving_prior import DrivingPrior, unchanged
@@ -103,6 +105,44 @@ def test_planning_ends_where_the_adversary_leaves_the_area() -> None:
     assert len(result.poses) < 14 * 12 - result.start - HYPER.horizon
 
 
+def test_the_frame_at_which_the_area_is_left_is_named() -> None:
+    scene = scene_on_straight_road((Car(88.0, 205.25, 16.0, np.pi),), seconds=14.0)
+    hyper = replace(HYPER, tries=1)
+    for seed in range(3):
+        result = attempt(scene, 0, seed, hyper, DrivingPrior(), diversify=unchanged)
+        assert result.start is not None and result.finding is not None
+        inside = in_canvas(scene, result.poses[:, :2], hyper.half_extent_m, first=result.start)
+        assert result.finding.frame == result.start + int(np.argmin(inside))
+        assert not inside[-1] and inside[: -hyper.horizon].all()
+
+
+def test_contact_is_looked_for_at_the_frames_that_are_executed() -> None:
+    """Right behind a car that drives away there is room from the frame after the planning frame on, and not before."""
+    scene, frame = scene_on_straight_road((Car(60.0, 205.25, 0.0), Car(90.0, 194.75, 12.0)), seconds=9.0), 20
+    hunt = _Hunt(scene, 0, frame, HYPER, unchanged, MotionModel.si(), np.random.default_rng(0), {})
+    behind = scene.agents.position[1, frame + 1, :2] - [0.5 * (4.6 + 4.6) + 0.1, 0.0]
+    assert hunt._touched(frame, np.array([[*behind, 0.0]])) is None
+    assert hunt._touched(frame, np.array([[*(behind + [0.2, 0.0]), 0.0]])) == scene.agents.ids[1]
+
+
+def test_the_diffusion_model_is_told_where_the_vehicle_was_half_a_second_ago() -> None:
+    class Listening(DrivingPrior):
+        def sample(self, count: int, previous: Floats, rng: np.random.Generator) -> Floats:
+            told.append(previous)
+            return super().sample(count, previous, rng)
+
+    told: list[Floats] = []
+    scene = scene_on_straight_road(CARS, seconds=9.0)
+    result = attempt(scene, 0, 0, replace(HYPER, tries=1), Listening(), diversify=unchanged)
+    assert result.start is not None and len(told) > 2
+    length = float(scene.agents.size[0, 0])
+    recorded = np.column_stack([scene.agents.position[0, :, :2], scene.agents.yaw[0]])
+    driven = rear_axle(np.concatenate([recorded[: result.start], result.poses]), length)
+    for number, previous in enumerate(told):
+        now, ago = driven[result.start + 12 * number], driven[result.start + 12 * number - 6]
+        np.testing.assert_allclose(previous, [*to_local(ago[:2], now), wrap_angle(ago[2] - now[2])], atol=1e-9)
+
+
 def test_each_try_has_its_own_randomness_and_a_kept_one_is_the_last(kept: Attempt) -> None:
     assert kept.tries in (1, 2)
     far_from_kept = replace(HYPER, candidates=8, close_gap_m=0.0)
@@ -153,3 +193,20 @@ def test_attempts_side_by_side_are_as_if_alone() -> None:
         assert canonical_json(one.report()) == canonical_json(other.report())
         np.testing.assert_array_equal(one.poses, other.poses)
     assert set(together[0].stage_seconds) == {"sampling", "physics", "scoring", "other"}
+
+
+def test_stages_add_up_to_all_that_an_attempt_takes() -> None:
+    scene = scene_on_straight_road(CARS, seconds=9.0)
+    begun = time.process_time()
+    stages = attempt(scene, 0, 3, HYPER, DrivingPrior(), diversify=slowly).stage_seconds
+    spent = time.process_time() - begun
+    assert min(stages.values()) >= 0.0
+    assert 0.9 * spent <= sum(stages.values()) <= spent
+
+
+def slowly(waypoints: Floats, rng: np.random.Generator) -> Floats:
+    """No spread at all, after 50 ms of work."""
+    until = time.process_time() + 0.05
+    while time.process_time() < until:
+        pass
+    return unchanged(waypoints, rng)

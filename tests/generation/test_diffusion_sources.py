@@ -1,6 +1,7 @@
 """nuPlan databases and nuScenes roots as sources of tracks."""
 
 import sqlite3
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from generation.diffusion.kinematics import motion
 from generation.diffusion.nuplan import NUPLAN_LICENCE, read_nuplan
 from generation.diffusion.resampling import even_tracks
 from generation.diffusion.track_sources import Recording, TrackSource, find_track_sources, source_windows
+from generation.diffusion.tracks import TrackFile
 from generation.diffusion.window_pool import load_track_data
 from tests.generation.nuplan_database import CLOUD_HZ, EGO_HZ, UTM_M, write_nuplan
 from tests.generation.test_diffusion_tracks import drive, write_tracks
@@ -254,3 +256,25 @@ def test_even_tracks_never_leave_the_recorded_line(seconds: list[float], gap: fl
     assert (
         sum((len(track) - 1) / 10 for track in tracks) <= max(np.ptp(sound), 0.0) + 1e-6 if len(sound) else not tracks
     )
+
+
+class Portions(TrackSource):
+    """Three portions of 47, 60 and 81 windows, no two alike."""
+
+    def read(self) -> Iterator[TrackFile]:
+        for count in (47, 60, 81):
+            time = np.arange(85 + count) / 10.0
+            along = (3.0 + 0.01 * count) * time + 0.05 * time**2
+            track = np.column_stack([along, np.zeros_like(time), np.zeros_like(time)])
+            yield TrackFile(self.name, "made up", (track,), 10.0)
+
+
+def test_a_thinned_source_is_every_so_many_th_window_of_the_whole() -> None:
+    source = Portions("made", Recording.NUPLAN, ())
+    whole, _ = source_windows(source, 0.1)
+    assert len(whole.previous) == 47 + 60 + 81
+    for limit in (100, 50, 20):
+        thinned, _ = source_windows(source, 0.1, limit)
+        every = round(len(whole.previous) / len(thinned.previous))
+        assert len(thinned.previous) <= limit
+        np.testing.assert_array_equal(thinned.waypoints, whole.waypoints[::every])

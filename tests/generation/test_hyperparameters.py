@@ -1,7 +1,9 @@
+import numpy as np
 import pytest
 
 from benchmark.errors import InputError
-from generation.hyperparameters import CollisionReading, HyperParameters
+from generation.hyperparameters import CANDIDATE_FRAMES, CollisionReading, HyperParameters
+from generation.physics import MotionModel, VehicleState, simulate
 
 
 def test_settings_change_by_text() -> None:
@@ -22,6 +24,12 @@ def test_settings_change_by_text() -> None:
         ("parked=yes", "true or false"),
         ("collision_reading=exact", "one of geometry, literal, half"),
         ("candidates=0", "at least 1"),
+        ("shortest_drive_frames=0", "at least 1"),
+        ("stopping_m_s2=0", "must be positive"),
+        ("half_extent_m=-50", "must be positive"),
+        ("init_scale=-1", "must not be negative"),
+        ("road_and_collision_last_weight=-1", "must not be negative"),
+        ("lookahead_frames=85", "not be more than 96 together"),
         ("__class__=3", "NAME=VALUE"),
     ],
 )
@@ -36,3 +44,11 @@ def test_the_paper_alone_looks_one_second_ahead_and_keeps_no_air() -> None:
     assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.0, 0.0, 1, 0.0)
     table = (paper.dac_weight, paper.cr_weight, paper.ac_weight, paper.temperature, paper.rounds, paper.horizon)
     assert table == (5.0, 10.0, 1.0, 1.0, 5, 12)
+
+
+def test_the_longest_look_ahead_is_as_long_as_a_candidate() -> None:
+    longest = HyperParameters(lookahead_frames=CANDIDATE_FRAMES - 12, lookahead_stride=1)
+    assert longest.scored_frames[-1] == CANDIDATE_FRAMES
+    state = VehicleState(np.zeros(3), 5.0)
+    waypoints = np.zeros((2, 16, 3))
+    assert simulate(waypoints, state, 4.0, steps=CANDIDATE_FRAMES, model=MotionModel.si()).finite.all()

@@ -372,3 +372,11 @@ def test_whatever_the_tracks_there_are_labels_in_json(
     labels = describe(replace(wild, agents=replace(wild.agents, valid=valid)), 0, start)
     assert json.loads(json.dumps(labels.as_json(), allow_nan=False)) == labels.as_json()
     assert valid[0, labels.closest.frame] and labels.closest.frame >= start
+
+
+def test_after_the_recording_the_ego_goes_on_as_fast_as_at_its_end() -> None:
+    seconds = np.arange(25) / 12.0
+    ego = np.column_stack([8.0 * seconds, np.zeros(25), np.full(25, 4.0), np.full(25, 2.0), np.zeros(25)])
+    standing = np.tile([ego[-1, 0] + 2.0 + 40.0 + 2.0, 0.0, 4.0, 2.0, 0.0], (25, 1))
+    met = encounter(ego, standing, seconds, np.ones(25, dtype=np.bool_), 0)
+    np.testing.assert_allclose(met.reach_s, 5.0 + seconds[-1] - seconds, atol=1e-6)

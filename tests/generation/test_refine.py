@@ -10,7 +10,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.hyperparameters import HyperParameters
 from generation.physics import SimulatedMotion
-from generation.proposals import run_together
+from generation.proposals import Mutation, run_together
 from generation.refine import Evaluated, NothingToDraw, Refinement, refine, resample
 from generation.scoring import Terms
 from tests.generation.driving_prior import DrivingPrior, unchanged
@@ -84,6 +84,16 @@ def test_the_reference_forgets_all_but_the_last_round() -> None:
     hyper = HyperParameters(candidates=2, rounds=2, init_scale=0.0, best_of_all_rounds=False)
     found = refined(lambda waypoints: at_distance(waypoints, next(calls)), hyper)
     assert (found.round, found.chosen) == (2, 1)
+
+
+def test_every_round_asks_for_less_and_less_noise() -> None:
+    asking = refine(unchanged, to_a_target, PREVIOUS, HYPER, np.random.default_rng(0))
+    request, levels = next(asking), []
+    with pytest.raises(StopIteration):
+        while True:
+            levels.append(request.noise_level if isinstance(request, Mutation) else None)
+            request = asking.send(DrivingPrior().answer([request])[0])
+    assert levels == [None, 5, 4, 3, 2, 1]
 
 
 def test_searches_side_by_side_are_as_if_alone() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.scene import Scene
+from generation.candidates import in_canvas
 from generation.hyperparameters import HyperParameters
 from generation.labels import Side, closest_approach, side_of, times_to_collision
 from generation.physics import DriverLimits
@@ -55,6 +56,14 @@ def test_a_close_clean_track_is_kept() -> None:
 )
 def test_each_fault_has_its_reason(scene: Scene, reason: Discard) -> None:
     assert verdict(scene) is reason
+
+
+def test_the_first_frame_outside_the_area_is_named() -> None:
+    scene = with_track(x=52.0, y=194.75, speed=17.0)
+    finding = verify(scene, 0, START, HYPER, DriverLimits())
+    out = np.flatnonzero(~in_canvas(scene, scene.agents.position[0, :, :2], HYPER.half_extent_m))
+    assert out[0] > START
+    assert finding is not None and finding.frame == out[0]
 
 
 def test_motion_that_no_driver_could_drive_is_discarded() -> None:
