@@ -1,4 +1,4 @@
-"""Data sets in nuScenes format, through the unmodified devkit."""
+"""Data sets in nuScenes format, through the devkit, one scene at a time."""
 
 import functools
 from collections import OrderedDict
@@ -10,13 +10,14 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.datasets.annotated import read_objects
 from benchmark.datasets.can_bus import CanBus
+from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.observations import observations_of_scene
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.sensors import read_cameras, read_lidar
 from benchmark.datasets.split_names import read_splits, scenes_of_split
-from benchmark.datasets.tables import Row, Tables, check_tables, find_version, read_tables
+from benchmark.datasets.tables import Row, find_version
 from benchmark.datasets.timeline import read_timeline, samples_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -40,12 +41,13 @@ class NuScenesData:
         name: Shown in tables.
     """
 
-    def __init__(self, nusc: Any, root: Path, version: str, name: str) -> None:
+    def __init__(self, tables: OpenTables, root: Path, version: str, name: str) -> None:
         self.root = root
         self.version = version
         self.name = name
-        self._nusc = nusc
-        self._rows: dict[str, Row] = {row["name"]: row for row in nusc.scene}
+        self._tables = tables
+        self._rows: dict[str, Row] = {row["name"]: row for row in tables.rows("scene")}
+        self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
         self._splits = read_splits(root, version)
         self._provenance = _read_provenance(root / version / "challenger.json", set(self._rows))
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
@@ -69,7 +71,7 @@ class NuScenesData:
         """
         root = Path(root)
         version = find_version(root, version)
-        return cls(_load(root, version), root, version, name or root.resolve().name)
+        return cls(open_tables(root, version), root, version, name or root.resolve().name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
@@ -131,8 +133,11 @@ class NuScenesData:
         Raises:
             InputError: As `scene`.
         """
-        scene, samples = self.scene(name), samples_of_scene(self._nusc, self._row(name))
-        yield from observations_of_scene(self._nusc, self.root, scene, samples, CanBus.read(self.root, name))
+        scene, row = self.scene(name), self._row(name)
+        nusc = self._tables.of_scene(row)
+        yield from observations_of_scene(
+            nusc, self.root, scene, samples_of_scene(nusc, row), CanBus.read(self.root, name)
+        )
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """What really happened, one truth a sample, in time order.
@@ -146,7 +151,8 @@ class NuScenesData:
         Raises:
             InputError: As `scene`.
         """
-        samples = samples_of_scene(self._nusc, self._row(name))
+        row = self._row(name)
+        samples = samples_of_scene(self._tables.of_scene(row), row)
         return truth_of_scene(self.scene(name), [sample["token"] for sample in samples])
 
     def has_map(self, name: str) -> bool:
@@ -163,9 +169,7 @@ class NuScenesData:
     def fingerprint(self) -> str:
         """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits."""
         if self._fingerprint is None:
-            rows = self._nusc.sample_data
-            images = (row["filename"] for row in rows if row["is_key_frame"] and row["sensor_modality"] == "camera")
-            self._fingerprint = fingerprint_of(self.root, self.version, images)
+            self._fingerprint = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
         return self._fingerprint
 
     def provenance(self) -> dict[str, Any] | None:
@@ -179,11 +183,10 @@ class NuScenesData:
         return self._rows[name]
 
     def _log(self, row: Row) -> Row:
-        log: Row = self._nusc.get("log", row["log_token"])
-        return log
+        return self._logs[row["log_token"]]
 
     def _read_scene(self, row: Row) -> Scene:
-        nusc, log = self._nusc, self._log(row)
+        nusc, log = self._tables.of_scene(row), self._log(row)
         samples = samples_of_scene(nusc, row)
         timeline = read_timeline(nusc, samples)
         agents, annotations = read_objects(nusc, samples, timeline.keyframes)
@@ -223,32 +226,6 @@ class NuScenesData:
 @functools.lru_cache(maxsize=2)
 def _reopened(root: str, version: str, name: str) -> NuScenesData:
     return NuScenesData.open(Path(root), version=version, name=name)
-
-
-def _load(root: Path, version: str) -> Any:
-    """The devkit's object. It crashes on broken tables, so the tables are then read again to say what is wrong."""
-    from nuscenes.nuscenes import NuScenes
-
-    try:
-        nusc = NuScenes(version=version, dataroot=str(root), verbose=False)
-    except Exception as error:
-        tables = read_tables(root / version)
-        _check(tables, root, version)
-        raise InputError(
-            f"nuscenes-devkit cannot open {root / version} ({type(error).__name__}: {error}); correct the tables"
-        ) from error
-    _check({table: getattr(nusc, table) for table in nusc.table_names if hasattr(nusc, table)}, root, version)
-    return nusc
-
-
-def _check(tables: Tables, root: Path, version: str) -> None:
-    check_tables(tables, root / version)
-    for row in tables["map"]:
-        if not (root / str(row["filename"])).is_file():
-            raise InputError(
-                f"map mask {root / str(row['filename'])} of map.json is missing; the devkit needs the file (any small "
-                "PNG does)"
-            )
 
 
 def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:

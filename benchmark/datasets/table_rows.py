@@ -1,17 +1,12 @@
 """Tables read row by row and counted, without the devkit: only tokens are held in memory."""
 
-import json
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TextIO
 
+from benchmark.datasets.stored_rows import PassOverRows
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-
-_CHUNK_CHARACTERS: Final = 1 << 20
-_LONGEST_ROW_CHARACTERS: Final = 1 << 24
-"""What cannot be decoded within so much is no row: the rest of a broken table is not read into memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,52 +87,15 @@ def table_rows(path: Path, *needed: str) -> Iterator[Row]:
         InputError: If the file is absent, not a JSON list of objects, or a row lacks a field.
     """
     for number, row in enumerate(_values(path)):
-        if not isinstance(row, dict) or not all(isinstance(row.get(field), str) for field in needed):
+        if not all(isinstance(row.get(field), str) for field in needed):
             raise InputError(f"{path} row {number} is not an object with {' and '.join(needed)}; make the table again")
         yield row
 
 
-def _values(path: Path) -> Iterator[Any]:
-    """Values of a JSON list, decoded as the file is read."""
+def _values(path: Path) -> Iterator[Row]:
+    """Rows of a JSON list, decoded as the file is read."""
     try:
-        with path.open(encoding="utf-8-sig") as stream:
-            yield from _listed(stream, path)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+        for batch in PassOverRows(path).batches():
+            yield from batch
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({error}); it may be truncated, fetch or make it again") from error
-
-
-def _listed(stream: TextIO, path: Path) -> Iterator[Any]:
-    """Values of a list; a `ValueError` where there is something other than values, commas and one end."""
-    decoder, text, at, wanted = json.JSONDecoder(), "", 0, "the list"
-    while True:
-        while at < len(text) and text[at].isspace():
-            at += 1
-        if at == len(text):
-            text, at = stream.read(_CHUNK_CHARACTERS), 0
-            if not text and wanted == "nothing more":
-                return
-            if not text:
-                raise ValueError(f"it ends where {wanted} should be")
-        elif wanted == "the list":
-            if text[at] != "[":
-                raise InputError(f"{path} must hold a JSON list of rows; make the table again")
-            at, wanted = at + 1, "the first row"
-        elif text[at] == "]" and wanted in ("the first row", "a comma"):
-            at, wanted = at + 1, "nothing more"
-        elif wanted == "a comma" and text[at] == ",":
-            at, wanted = at + 1, "a row"
-        elif wanted in ("a comma", "nothing more"):
-            raise ValueError(f"there is {text[at]!r} where {wanted} should be")
-        else:
-            try:
-                value, at = decoder.raw_decode(text, at)
-            except ValueError:
-                chunk = stream.read(_CHUNK_CHARACTERS)
-                if not chunk or len(text) - at > _LONGEST_ROW_CHARACTERS:
-                    raise
-                text, at = text[at:] + chunk, 0
-                continue
-            wanted = "a comma"
-            yield value
+        raise InputError(f"{path} is not a JSON list of rows ({error}); it may be truncated, make it again") from error

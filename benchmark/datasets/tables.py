@@ -174,10 +174,55 @@ def check_tables(tables: Tables, folder: Path) -> None:
             _column(tables[table], field, path)
     _require_scenes(tables["scene"], folder)
     for link in (*_LINKS, *_LIST_LINKS):
-        _require_known(tables, link, tokens, folder)
+        _require_known(tables[link[0]], link, tokens, folder)
     for table, field, length in _VECTORS:
         _require_finite(tables[table], field, length, folder / f"{table}.json")
     _require_maps(tables, folder)
+
+
+def check_shared_tables(tables: Tables, folder: Path) -> dict[str, set[str]]:
+    """What `check_tables` checks within the tables that are given, among them scene, log and map.
+
+    Args:
+        tables: Rows by table name.
+        folder: Version folder, for messages.
+
+    Returns:
+        Tokens by table name.
+
+    Raises:
+        InputError: For the first fault, naming file and token.
+    """
+    tokens = {table: _tokens(rows, folder / f"{table}.json") for table, rows in tables.items()}
+    for table, rows in tables.items():
+        check_rows(table, rows, tokens, folder)
+    _require_scenes(tables["scene"], folder)
+    _require_maps(tables, folder)
+    return tokens
+
+
+def check_rows(table: str, rows: list[Row], tokens: Mapping[str, set[str]], folder: Path) -> None:
+    """What `check_tables` checks of rows by themselves, whatever other rows their table has.
+
+    Args:
+        table: Name of the table.
+        rows: Some of its rows, or all.
+        tokens: Tokens of other tables by name; links to tables that are not among them are not checked.
+        folder: Version folder, for messages.
+
+    Raises:
+        InputError: For the first fault, naming file and token.
+    """
+    path = folder / f"{table}.json"
+    _tokens(rows, path)
+    for field in _REQUIRED[table]:
+        _column(rows, field, path)
+    for link in (*_LINKS, *_LIST_LINKS):
+        if link[0] == table and link[2] in tokens:
+            _require_known(rows, link, tokens, folder)
+    for of_table, field, length in _VECTORS:
+        if of_table == table:
+            _require_finite(rows, field, length, path)
 
 
 def _tokens(rows: Any, path: Path) -> set[str]:
@@ -208,14 +253,14 @@ def _linked(row: Row, field: str) -> list[str]:
     return [value if isinstance(value, str) else repr(value) for value in values]
 
 
-def _require_known(tables: Tables, link: tuple[str, str, str], tokens: Mapping[str, set[str]], folder: Path) -> None:
+def _require_known(rows: list[Row], link: tuple[str, str, str], tokens: Mapping[str, set[str]], folder: Path) -> None:
     table, field, target = link
-    known = tokens[target] | ({""} if field == "next" else set())
-    for row in tables[table]:
-        if row[field].__class__ is str and row[field] in known:
+    known, may_be_empty = tokens[target], field == "next"
+    for row in rows:
+        if row[field].__class__ is str and (row[field] in known or (may_be_empty and not row[field])):
             continue
         for linked in _linked(row, field):
-            if linked not in known:
+            if linked not in known and not (may_be_empty and not linked):
                 raise InputError(
                     f"{folder / f'{table}.json'} row {row['token']}: {field} {linked} is not in {target}.json; the "
                     "tables do not belong together or are incomplete"

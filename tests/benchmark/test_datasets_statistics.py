@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.datasets import table_rows as reading
+from benchmark.datasets import stored_rows as reading
 from benchmark.datasets.statistics import PUBLISHED_ADV_NUSC, statistics
 from benchmark.datasets.table_rows import TableCounts, count_rows, table_rows
 from benchmark.errors import InputError
@@ -165,17 +165,17 @@ ROW = '{"token": "a", "scene_token": "b"}'
 @pytest.mark.parametrize(
     ("table", "content", "sentence"),
     [
-        ("sample", '[{"token": "a", "scene_token": "b"}, {"token"', "not valid JSON"),
-        ("sample", '[{"token": "a", "scene_token": "b"}', "not valid JSON"),
-        ("sample", "", "not valid JSON"),
-        ("sample", "[{}{}]".replace("{}", ROW), "not valid JSON .*a comma should be"),
-        ("sample", "[{},,{}]".replace("{}", ROW), "not valid JSON"),
-        ("sample", "[{},]".replace("{}", ROW), "not valid JSON"),
-        ("sample", "[{}] [{}]".replace("{}", ROW), "not valid JSON .*nothing more should be"),
-        ("sample", "[" * 100_000, "not valid JSON"),
-        ("sample", '{"token": "a"}', "must hold a JSON list"),
+        ("sample", '[{"token": "a", "scene_token": "b"}, {"token"', "not a JSON list of rows"),
+        ("sample", '[{"token": "a", "scene_token": "b"}', "not a JSON list of rows"),
+        ("sample", "", "not a JSON list of rows"),
+        ("sample", "[{}{}]".replace("{}", ROW), "not a JSON list of rows .*no comma"),
+        ("sample", "[{},,{}]".replace("{}", ROW), "not a JSON list of rows"),
+        ("sample", "[{},]".replace("{}", ROW), "not a JSON list of rows"),
+        ("sample", "[{}] [{}]".replace("{}", ROW), "not a JSON list of rows .*more than one"),
+        ("sample", "[" * 100_000, "not a JSON list of rows"),
+        ("sample", '{"token": "a"}', "not a JSON list of rows"),
         ("sample", '[{"token": "a"}]', "row 0 is not an object with scene_token and token"),
-        ("sample", "[17]", "row 0 is not an object"),
+        ("sample", "[17]", "not a JSON list of rows"),
         ("ego_pose", '[{"token": 5}]', "row 0 is not an object"),
         ("scene", '[{"token": "a", "name": null}]', "row 0 is not an object"),
     ],
@@ -191,7 +191,7 @@ def test_broken_tables_are_one_sentence(tmp_path: Path, table: str, content: str
 def test_bytes_that_are_no_text_are_one_sentence(tmp_path: Path) -> None:
     tiny(tmp_path).write()
     (tmp_path / VERSION / "sample.json").write_bytes(b'[{"token": "\xff"}]')
-    with pytest.raises(InputError, match="not valid JSON"):
+    with pytest.raises(InputError, match="not a JSON list of rows"):
         statistics(tmp_path)
 
 
@@ -241,7 +241,7 @@ def test_reading_row_by_row_gives_what_reading_at_once_gives(
     path = tmp_path_factory.mktemp("rows") / "sample.json"
     path.write_text(json.dumps(rows, indent=indent, ensure_ascii=ascii_only) + "\n", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reading, "_CHUNK_CHARACTERS", chunk)
+        patch.setattr(reading, "_CHUNK_BYTES", chunk)
         assert list(table_rows(path)) == json.loads(path.read_text(encoding="utf-8"))
 
 

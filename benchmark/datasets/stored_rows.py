@@ -1,0 +1,191 @@
+"""Rows of one table that stay in its file: read once from end to end, then again where they are wanted."""
+
+import codecs
+import json
+import os
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.datasets.tables import Row
+from benchmark.errors import InputError
+
+_CHUNK_BYTES: Final = 1 << 20
+_LONGEST_ROW_CHARACTERS: Final = 1 << 24
+"""What cannot be decoded within so much is no row: the rest of a broken table is not read into memory."""
+_BATCH_ROWS: Final = 4096
+_READ_THROUGH_BYTES: Final = 1 << 14
+"""Rows that lie nearer to each other than this are read in one piece."""
+_SPACE: Final = " \t\n\r"
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRows:
+    """Where the rows of a table are.
+
+    Attributes:
+        path: The table.
+        stamp: Of the file as it was when the places were noted.
+        starts: (N,) first byte of each row.
+        lengths: (N,) bytes.
+    """
+
+    path: Path
+    stamp: tuple[int, ...]
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int32]
+
+    def read(self, numbers: NDArray[np.int64]) -> list[Row]:
+        """Rows by number.
+
+        Args:
+            numbers: (M,) increasing numbers of rows.
+
+        Returns:
+            M rows.
+
+        Raises:
+            InputError: If the file cannot be read or has changed.
+        """
+        starts = self.starts[numbers]
+        ends = starts + self.lengths[numbers]
+        pieces = np.split(np.arange(len(numbers)), np.flatnonzero(starts[1:] > ends[:-1] + _READ_THROUGH_BYTES) + 1)
+        rows: list[Row] = []
+        try:
+            with self.path.open("rb") as stream:
+                if _stamp(stream) != self.stamp:
+                    raise InputError(f"{self.path} has changed since it was opened; run the command again")
+                for piece in pieces if len(numbers) else ():
+                    first = int(starts[piece[0]])
+                    stream.seek(first)
+                    data = stream.read(int(ends[piece[-1]]) - first)
+                    places = zip((starts[piece] - first).tolist(), (ends[piece] - first).tolist(), strict=True)
+                    rows += [json.loads(data[start:end]) for start, end in places]
+        except OSError as error:
+            raise InputError(f"cannot read {self.path}: {error.strerror or error}") from error
+        return rows
+
+
+class PassOverRows:
+    """One pass over a table, batch by batch.
+
+    Args:
+        path: The table.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stamp: tuple[int, ...] = ()
+        self._starts, self._lengths = array("q"), array("i")
+
+    def batches(self) -> Iterator[list[Row]]:
+        """The rows in their order.
+
+        Yields:
+            Some thousand rows.
+
+        Raises:
+            InputError: If the file cannot be read.
+            ValueError: If it is not a JSON list of objects; what is wrong is left to `tables.check_tables`.
+        """
+        batch: list[Row] = []
+        try:
+            with self._path.open("rb") as stream:
+                self._stamp = _stamp(stream)
+                for start, length, row in _objects(stream):
+                    self._starts.append(start)
+                    self._lengths.append(length)
+                    batch.append(row)
+                    if len(batch) == _BATCH_ROWS:
+                        yield batch
+                        batch = []
+        except OSError as error:
+            raise InputError(f"cannot read {self._path}: {error.strerror or error}") from error
+        if batch:
+            yield batch
+
+    def stored(self) -> StoredRows:
+        """Where the rows are; call it after the pass."""
+        starts, lengths = np.array(self._starts, dtype=np.int64), np.array(self._lengths, dtype=np.int32)
+        return StoredRows(self._path, self._stamp, starts, lengths)
+
+
+def _stamp(stream: IO[bytes]) -> tuple[int, ...]:
+    """What tells whether a file is still the one that it was."""
+    status = os.fstat(stream.fileno())
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
+class _Text:
+    """Text of a file, decoded as it is read, with the place in bytes of the character that is next."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._decoded = codecs.getincrementaldecoder("utf-8")()
+        self.ended = False
+        self.text, self.at, self.byte = "", 0, 0
+
+    def more(self) -> None:
+        """Read on; forget what was passed."""
+        chunk = self._stream.read(_CHUNK_BYTES)
+        self.ended = not chunk
+        self.text, self.at = self.text[self.at :] + self._decoded.decode(chunk, final=self.ended), 0
+
+    def passed(self, end: int) -> int:
+        """Go on to a character; gives the number of bytes passed."""
+        count = end - self.at if self.text.isascii() else len(self.text[self.at : end].encode())
+        self.at, self.byte = end, self.byte + count
+        return count
+
+    def next(self) -> str:
+        """The next character that is no space, or nothing at the end."""
+        while True:
+            end = self.at
+            while end < len(self.text) and self.text[end] in _SPACE:
+                end += 1
+            self.passed(end)
+            if end < len(self.text) or self.ended:
+                return self.text[end : end + 1]
+            self.more()
+
+
+def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
+    """First byte, bytes and value of each object of a JSON list, as strict as `json.load`."""
+    text, decoder = _Text(stream), json.JSONDecoder()
+    if text.next() != "[":
+        raise ValueError("not a JSON list")
+    text.passed(text.at + 1)
+    mark = text.next()
+    while mark != "]":
+        if mark != "{":
+            raise ValueError("not a list of objects")
+        start = text.byte
+        value, end = _object(text, decoder)
+        yield start, text.passed(end), value
+        mark = text.next()
+        if mark == ",":
+            text.passed(text.at + 1)
+            mark = text.next()
+            if mark != "{":
+                raise ValueError("no object after a comma")
+        elif mark != "]":
+            raise ValueError("no comma after an object")
+    text.passed(text.at + 1)
+    if text.next():
+        raise ValueError("more than one JSON value")
+
+
+def _object(text: _Text, decoder: json.JSONDecoder) -> tuple[Any, int]:
+    """The object that begins here, and the character where it ends."""
+    while True:
+        try:
+            return decoder.raw_decode(text.text, text.at)
+        except ValueError:
+            if text.ended or len(text.text) - text.at > _LONGEST_ROW_CHARACTERS:
+                raise
+            text.more()
