@@ -153,24 +153,29 @@ def generate_command(
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from generation.build import BuildSettings
 
-    source = _open_source(data, tables, workers)
+    _require_generated(split)
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
+    hyper = _hyper_parameters(preset, shortcuts, changes)
+    under_test = _planner_under_test(surrogate, surrogate_checkpoint, seed, workers)
+    drawing, place = _renderer(renderer, size), executor_of(executor, address, workers)
+    # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
+    source = _open_source(data, tables, workers)
     settings = BuildSettings(
         out=_workspace(out).split_root(source.name, split),
-        hyper=_hyper_parameters(preset, shortcuts, changes),
+        hyper=hyper,
         prior=_prior(preset, denoiser, device, calls, dropout=dropout),
         source_split=source_split,
         scenes=name_list(scenes),
         limit=limit,
         adversaries=adversaries,
-        surrogate=_planner_under_test(surrogate, surrogate_checkpoint, seed, workers),
+        surrogate=under_test,
         per_scene=per_scene,
         total=top,
         layout=layout.value,
-        renderer=_renderer(renderer, size),
+        renderer=drawing,
         frames=frames.value,
         seed=seed,
-        executor=executor_of(executor, address, workers),
+        executor=place,
         together=together,
         dry_run=dry_run,
     )
@@ -214,20 +219,22 @@ def ablate_command(
     from generation.ablation import ablate, ablation_estimate
     from generation.build import BuildSettings
 
-    source = _open_source(data, tables, workers)
     planner = _planner_under_test(model, checkpoint, seed, workers)
     assert planner is not None
+    hyper = _hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes)
+    drawing, place = _renderer(RendererName.SCHEMATIC, size), executor_of(executor, address, workers)
+    source = _open_source(data, tables, workers)
     settings = BuildSettings(
         out=out / "ablation" / source.name / file_name(planner.factory.facts.name),
-        hyper=_hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes),
+        hyper=hyper,
         prior=_prior(preset, denoiser, device, None, dropout=False),
         source_split=source_split,
         scenes=name_list(scenes),
         limit=limit,
-        renderer=_renderer(RendererName.SCHEMATIC, size),
+        renderer=drawing,
         frames="keyframes",
         seed=seed,
-        executor=executor_of(executor, address, workers),
+        executor=place,
         together=together,
     )
     if dry_run:
@@ -640,9 +647,13 @@ def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "Data
 def _generate(source: "DataSet", split: str, settings: "BuildSettings") -> "BuildReport":
     from generation.build import build_split
 
+    _require_generated(split)
+    return build_split(source, cast(Literal["adv", "val-r"], split), settings)
+
+
+def _require_generated(split: str) -> None:
     if split not in ("adv", "val-r"):
         raise InputError(f"cannot generate split {split!r}; the splits that can be generated are val-r and adv")
-    return build_split(source, cast(Literal["adv", "val-r"], split), settings)
 
 
 def _show_runs(data_name: str, records: "Sequence[RunRecord]", *, allow_partial: bool, json_output: bool) -> None:

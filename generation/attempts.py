@@ -7,7 +7,7 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -27,6 +27,8 @@ from generation.verify import verify
 
 PriorFactory = Callable[[], Prior]
 """Gives the same prior in any process. Must be picklable."""
+_HASH: Final = "sha256"
+"""Field of kept work that says what the others must hash to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,19 +199,19 @@ def surveyed(
         The survey.
     """
     path = search.survey_path(scene_name, earlier)
-    kept = read_survey(read_kept_json(path), scene_name)
+    kept = read_survey(_kept_work(path), scene_name)
     if kept is not None:
         return kept
     found = survey(read(), search.hyper, search.seed)
     if keep:
-        write_json(path, found.model_dump(mode="json"), indent=None)
+        _keep_work(path, found.model_dump(mode="json"))
     return found
 
 
 def kept_attempt(search: Search, unit: Unit) -> StoredAttempt | None:
     """A finished attempt, or ``None`` where there is none or it is damaged."""
     try:
-        stored = StoredAttempt.model_validate(read_kept_json(search.path(unit)))
+        stored = StoredAttempt.model_validate(_kept_work(search.path(unit)))
     except ValidationError:
         # A damaged file is unfinished work: it is made again.
         return None
@@ -267,9 +269,27 @@ def _attempted(search: Search, work: Sequence[tuple[Scene, Unit]]) -> list[Store
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
         # Before the attempt: whoever finds the attempt finds its time as well.
         write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
-        write_json(search.path(unit), stored.model_dump(mode="json"), indent=None)
+        _keep_work(search.path(unit), stored.model_dump(mode="json"))
         kept.append(stored)
     return kept
+
+
+def _keep_work(path: Path, value: dict[str, Any]) -> None:
+    """Keep finished work with its own hash, by which damage of any kind is noticed."""
+    write_json(path, {**value, _HASH: content_key(value)}, indent=None)
+
+
+def _kept_work(path: Path) -> dict[str, Any] | None:
+    """What `_keep_work` wrote, or ``None`` if it is absent or not exactly that."""
+    value = read_kept_json(path)
+    if not isinstance(value, dict):
+        return None
+    written = value.pop(_HASH, None)
+    try:
+        return value if content_key(value) == written else None
+    except ValueError:
+        # NaN and infinity are not JSON, although Python reads them: nothing here writes them.
+        return None
 
 
 def _undisturbed(result: Attempt, unit: Unit, hyper: HyperParameters) -> Attempt:

@@ -220,8 +220,7 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
             report,
         )
     chosen.take_over(plan)
-    keys = _write(source, plan, chosen.jobs, settings)
-    notes = [settings.timing / "rendering" / f"{key}.timing.json" for key in keys]
+    notes = _write(source, plan, chosen.jobs, settings)
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
 
 
@@ -234,8 +233,8 @@ def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSetti
     report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
     with only_writer(settings.out):
         publish_reports(settings.out, _report_files(report, Harvest(), []))
-        _write(source, _plan(source, "val-r", settings), jobs, settings)
-    return report
+        notes = _write(source, _plan(source, "val-r", settings), jobs, settings)
+    return replace(report, runtime=runtime_table([], notes))
 
 
 def _unchanged(scene: Scene) -> Scene:
@@ -256,10 +255,12 @@ def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
     )
 
 
-def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[str]:
-    keys = write_scenes(plan, jobs, source.scene, settings.executor, timing=settings.timing / "rendering")
+def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
+    """Render, write and finish a data set; returns the notes on how long rendering took."""
+    timing = settings.timing / "rendering"
+    keys = write_scenes(plan, jobs, source.scene, settings.executor, timing=timing)
     finish_data_set(plan, keys)
-    return keys
+    return [timing / f"{key}.timing.json" for key in keys]
 
 
 def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain]) -> dict[str, bytes]:

@@ -3,17 +3,19 @@
 import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.roots import variant_folders
 from benchmark.scene import Scene
 from benchmark.storage import canonical_json, write_bytes, writing_to
 from benchmark.workers import Executor
 from generation.nuscenes_writer import DataSetPlan, write_scene
 from generation.nuscenes_writer.finish import PROVENANCE
 from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.scenes import read_state
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,7 @@ def write_scenes(
     Raises:
         InputError: If a scene cannot be written, or workers are lost.
     """
+    _leave_other_layout(plan)
     # Variants of one recording after each other: it is read once.
     order = sorted(range(len(jobs)), key=lambda index: (jobs[index].source_scene, index))
 
@@ -123,6 +126,25 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
     unfinish(root)
     for name, data in files.items():
         write_bytes(root / name, data)
+
+
+def _leave_other_layout(plan: DataSetPlan) -> None:
+    """Take away what an earlier build wrote in the other layout: whoever opens the folder would read that one."""
+    if not plan.state.is_dir():
+        return
+    suffixed = plan.layout == "suffixed"
+    roots = [plan.root / name for name in variant_folders(plan.root)] if suffixed else [plan.root]
+    tables = [root / plan.version / f"{table}.json" for root in roots for table in (*NUSCENES_TABLES, "splits")]
+    left = [table for table in tables if table.exists()]
+    if not left:
+        return
+    other = replace(plan, layout="per-variant" if suffixed else "suffixed")
+    claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
+    sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
+    # The tables go last: a killed command finds by them that there is something to take away.
+    for path in (*(root / plan.version / PROVENANCE for root in roots), *sensor_files, *left):
+        with writing_to(path):
+            path.unlink(missing_ok=True)
 
 
 def unfinish(root: Path) -> None:

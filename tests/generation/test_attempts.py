@@ -124,6 +124,37 @@ def test_a_survey_is_made_once(tmp_path: Path) -> None:
     assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"start": None}, {"start": -5}, {"poses": []}, {"poses": [[float("nan"), 0.0, 0.0]]}, {"kept": False},
+        {"challenge": float("inf")}, {"report": {}}, {"discard": "nonsense"}, {"schema_version": 99}, {"sha256": None},
+    ],
+)  # fmt: skip
+def test_an_attempt_that_is_not_as_it_was_written_is_made_again(tmp_path: Path, change: dict[str, object]) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)[:1]
+    path = search.path(units[0])
+    made = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    whole = path.read_bytes()
+    path.write_text(json.dumps({**json.loads(whole), **change}))
+    assert kept_attempt(search, units[0]) is None
+    assert attempts(search, units, lambda unit: SCENE, LocalProcesses(1)) == made
+    assert path.read_bytes() == whole
+    assert attempts(search, units, lambda unit: SCENE, Forbidden()) == made
+
+
+def test_a_survey_that_is_not_as_it_was_written_is_made_again(tmp_path: Path) -> None:
+    search = search_in(tmp_path)
+    found = surveyed(search, SCENE.name, (), lambda: SCENE, keep=True)
+    path = search.survey_path(SCENE.name, ())
+    whole = json.loads(path.read_text())
+    twice = whole["vehicles"] * 2
+    for name, value in (("vehicles", []), ("vehicles", twice), ("objects", -4), ("objects", float("nan"))):
+        path.write_text(json.dumps({**whole, name: value}))
+        assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+        assert json.loads(path.read_text()) == whole
+
+
 def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
     stored = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]

@@ -135,6 +135,8 @@ def test_originals_are_written_for_val_r(source: DataSet, tmp_path: Path) -> Non
     assert report.written == ("scene-9901", "scene-9902")
     data = open_data(tmp_path / "out")
     assert data.scene("scene-9901").adversaries == ()
+    assert report.runtime is not None
+    assert (report.runtime.attempts, report.runtime.scenes) == (0, 2)
 
 
 def test_ranking_limits_hold_and_best_comes_first(source: DataSet, tmp_path: Path) -> None:
@@ -189,6 +191,23 @@ def test_reports_never_lie_beside_the_tables_of_another_build(
     assert not is_finished(out)
     build(source, out)
     assert contents(out) == contents(built)
+
+
+def test_a_change_of_layout_leaves_nothing_of_the_other_one(source: DataSet, built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    build(source, out, layout="per-variant", total=1)
+    build(source, out)
+    assert open_data(out).scene_names("adv") == open_data(built).scene_names("adv")
+    assert tables_and_sensor_files(out) == tables_and_sensor_files(built)
+    build(source, out, layout="per-variant")
+    fresh = build(source, tmp_path / "fresh", layout="per-variant").out
+    assert open_data(out).scene_names("adv") == open_data(fresh).scene_names("adv")
+    assert tables_and_sensor_files(out) == tables_and_sensor_files(fresh)
+
+
+def tables_and_sensor_files(root: Path) -> dict[str, bytes]:
+    """What a reader or a person finds, but for plain maps, which are the same in every layout."""
+    return {name: data for name, data in contents(root).items() if not {"maps", ".challenger"} & set(Path(name).parts)}
 
 
 @pytest.mark.parametrize(

@@ -151,3 +151,11 @@ def test_a_surrogate_that_never_fails_leaves_nothing(source: DataSet, tmp_path: 
     with pytest.raises(NothingSurvivedError, match="surrogate-does-not-fail"):
         build_split(source, "adv", settings)
     assert not is_finished(out)
+
+
+def test_the_surrogate_never_drives_scenes_of_another_layout(source: DataSet, built: Path, tmp_path: Path) -> None:
+    settings = replace(CHEAP, out=tmp_path / "out", surrogate=FAST)
+    build_split(source, "adv", replace(settings, layout="per-variant", limit=1))
+    report = build_split(source, "adv", settings)
+    assert set(report.written) == set(open_data(built).scene_names("adv"))
+    assert set(open_data(settings.out).scene_names("adv")) == set(report.written)
