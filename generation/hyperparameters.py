@@ -16,6 +16,8 @@ from generation.reference_path import WAYPOINTS
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
+MOST_CANDIDATES = 65536
+"""Beyond this a batch fills the memory of a worker."""
 _AT_LEAST_1 = (
     "candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries",
     "shortest_drive_frames",
@@ -173,7 +175,7 @@ class HyperParameters:
             name, equals, text = assignment.partition("=")
             name, text = name.strip(), text.strip()
             if name not in kinds or not equals:
-                near = get_close_matches(name, kinds, n=1)
+                near = get_close_matches(name, kinds, n=1) if name not in kinds else []
                 hint = f"did you mean {near[0]}?" if near else "names are the fields of generation.hyperparameters"
                 raise InputError(f"{assignment!r} is not NAME=VALUE of a hyper-parameter; {hint}")
             values[name] = _parsed(name, text, kinds[name])
@@ -189,6 +191,8 @@ class HyperParameters:
         for name in _NOT_NEGATIVE:
             if not getattr(self, name) >= 0:
                 raise InputError(f"hyper-parameter {name} must not be negative, got {getattr(self, name)}")
+        if self.candidates > MOST_CANDIDATES:
+            raise InputError(f"hyper-parameter candidates must be at most {MOST_CANDIDATES}, got {self.candidates}")
         if self.horizon + self.lookahead_frames > CANDIDATE_FRAMES:
             raise InputError(
                 f"hyper-parameters horizon and lookahead_frames must not be more than {CANDIDATE_FRAMES} together, the "

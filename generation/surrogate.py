@@ -149,7 +149,7 @@ def require_all_planned(record: RunRecord) -> None:
         raise InputError(
             f"{record.planner} raised on {record.summary.failed} of {record.summary.samples} samples, so it cannot be "
             f"said which scenes it copes with; the tracebacks are in {record.directory / 'samples.jsonl'}, correct the "
-            "planner and run the same command again"
+            "planner, or have images drawn if it needs them, and run the same command again"
         )
 
 

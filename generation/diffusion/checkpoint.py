@@ -101,9 +101,10 @@ def _read_state_dict(path: Path) -> dict[str, Tensor]:
             warnings.simplefilter("ignore", UserWarning)
             loaded = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        reason = (str(error).splitlines() or ["it is empty"])[0]
+        # What PyTorch says goes on with advice to load it unsafely, so only the kind of error is passed on.
         raise InputError(
-            f"{path} is not a plain state dict ({reason}); a checkpoint may hold tensors only, nothing that runs code"
+            f"{path} is not a plain state dict ({type(error).__name__}: empty, damaged, or more than tensors); a "
+            "checkpoint may hold tensors only, nothing that runs code"
         ) from error
     if not isinstance(loaded, dict) or not all(isinstance(tensor, Tensor) for tensor in loaded.values()):
         raise InputError(f"{path} is not a bare state dict of tensors; the published ig360_adv.ckpt is one")

@@ -292,7 +292,7 @@ class TrajectoryPrior:
 def _device(name: str) -> torch.device:
     try:
         device = torch.device(name)
-        torch.empty(1, device=device)
+        torch.ones(1, device=device).cpu()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         raise InputError(
             f"this machine cannot compute on device {name!r}; use cpu, or cuda where there is a GPU"

@@ -97,7 +97,16 @@ def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool
 def read_state(path: Path) -> dict[str, Any] | None:
     """A fragment or a claim, or ``None`` where there is none or it is damaged: what it stood for is written again."""
     value = read_kept_json(path)
-    return value if isinstance(value, dict) and {"key", "name", "variant", "files"} <= value.keys() else None
+    if not isinstance(value, dict) or not {"key", "name", "variant", "files"} <= value.keys():
+        return None
+    typed = isinstance(value["key"], str) and isinstance(value["name"], str) and type(value["variant"]) is int
+    listed = isinstance(value["files"], list | dict) and all(map(_stays_inside, value["files"]))
+    return value if typed and listed else None
+
+
+def _stays_inside(path: Any) -> bool:
+    """Whether a stored path names something below the data root: files that claims name are removed."""
+    return isinstance(path, str) and not Path(path).is_absolute() and ".." not in Path(path).parts
 
 
 def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]) -> None:

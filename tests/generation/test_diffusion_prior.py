@@ -258,7 +258,7 @@ def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
             prior.mutate(wrong, 5, CRUISING, rng())
     with pytest.raises(InputError, match="denoising step"):
         TrajectoryPrior.load(None, SamplerSettings(mutation_steps=0))
-    for device in ("cuda:77", "toaster"):
+    for device in ("cuda:77", "toaster", "meta"):
         with pytest.raises(InputError, match="cannot compute on device"):
             TrajectoryPrior.load(device=device)
 

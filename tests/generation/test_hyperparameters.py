@@ -24,6 +24,8 @@ def test_settings_change_by_text() -> None:
         ("parked=yes", "true or false"),
         ("collision_reading=exact", "one of geometry, literal, half"),
         ("candidates=0", "at least 1"),
+        ("candidates=1000000000", "at most 65536"),
+        ("candidates", "NAME=VALUE of a hyper-parameter; names are"),
         ("shortest_drive_frames=0", "at least 1"),
         ("stopping_m_s2=0", "must be positive"),
         ("half_extent_m=-50", "must be positive"),

@@ -1,6 +1,7 @@
 """Interrupted, repeated, changed and refused writing."""
 
 import contextlib
+import json
 import multiprocessing
 import os
 import shutil
@@ -104,6 +105,24 @@ def test_a_damaged_or_missing_image_is_drawn_again(tmp_path: Path, undisturbed: 
     images[-1].write_bytes(images[-1].read_bytes()[:-20])
     finish_data_set(plan, [write_one(plan, name) for name in NAMES])
     assert contents(tmp_path) == undisturbed
+
+
+@pytest.mark.parametrize(
+    "damage", [{"files": None}, {"variant": []}, {"key": {}}, {"files": ["../kept.txt"]}, {"files": ["ABSOLUTE"]}]
+)
+def test_a_damaged_claim_is_made_again_and_removes_nothing_outside(
+    tmp_path: Path, undisturbed: dict[str, str], damage: dict[str, object]
+) -> None:
+    root, outside = tmp_path / "root", tmp_path / "kept.txt"
+    outside.write_text("somebody else's")
+    plan = write_root(root, [brief_scene(name) for name in NAMES])
+    path = plan.claim_path(0, NAMES[0])
+    if damage.get("files") == ["ABSOLUTE"]:
+        damage = {"files": [str(outside)]}
+    path.write_text(json.dumps({**json.loads(path.read_text()), **damage}))
+    finish_data_set(plan, [write_one(plan, name) for name in NAMES])
+    assert contents(root) == undisturbed
+    assert outside.exists()
 
 
 def test_adding_and_removing_scenes(tmp_path: Path, undisturbed: dict[str, str]) -> None:
