@@ -88,15 +88,11 @@ def test_nothing_is_lost_when_a_node_dies_half_way(cluster: Any, executor: RayCl
     there.mkdir()
     items = range(30)
     node = cluster.add_node(num_cpus=1, object_store_memory=80 * 2**20)
-    results = executor.map(partial(units_of_work.traced_square, there), items, total=30, label="squaring")
+    traced = partial(units_of_work.traced_square, there, node.node_id, 8)
+    results = executor.map(traced, items, total=30, label="squaring")
     given_back = [next(results) for _ in range(8)]
-
-    def begun_on_node() -> set[str]:
-        begun = (path.name.split("-") for path in there.glob(f"begun-*-{node.node_id}"))
-        return {item for _, item, _ in begun}
-
-    deadline_s = time.perf_counter() + 30.0
-    while not (running := [item for item in begun_on_node() if not units_of_work.is_kept(there, int(item))]):
+    deadline_s = time.perf_counter() + 60.0
+    while not (running := units_of_work.begun_on(there, node.node_id, 8)):
         assert time.perf_counter() < deadline_s
         time.sleep(0.01)
     cluster.remove_node(node, allow_graceful=False)

@@ -52,13 +52,28 @@ def _path(folder: Path, item: int) -> Path:
     return folder / f"{content_key('square', item)}.json"
 
 
-def traced_square(folder: Path, item: int) -> int:
-    """`kept_square` that takes a while; says when it begins and on which Ray node."""
+def traced_square(folder: Path, dying: str, since: int, item: int) -> int:
+    """`kept_square` that says when it begins and on which Ray node.
+
+    From unit ``since`` on, the dying node never finishes one, and the others wait until it has begun one: however
+    slowly it starts, it dies at work.
+    """
     import ray
 
     node = ray.get_runtime_context().get_node_id()
     (folder / f"begun-{item}-{node}").touch()
-    return kept_square(folder, 0.2, item)
+    deadline_s = time.perf_counter() + 90.0
+    while item >= since and time.perf_counter() < deadline_s:
+        if node != dying and begun_on(folder, dying, since):
+            break
+        time.sleep(0.05)
+    return kept_square(folder, 0.0, item)
+
+
+def begun_on(folder: Path, node: str, since: int) -> list[int]:
+    """Units from ``since`` on that were begun on a node."""
+    begun = (int(path.name.split("-")[1]) for path in folder.glob(f"begun-*-{node}"))
+    return [item for item in begun if item >= since]
 
 
 def threads(_: int) -> int:

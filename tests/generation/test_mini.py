@@ -10,11 +10,10 @@ ONE = TownSettings(val_scenes=1, width=64, height=40, frames="keyframes")
 def test_other_settings_are_not_taken_for_finished_work(tmp_path: Path) -> None:
     build_town(tmp_path, ONE, workers=1)
     first = open_data(tmp_path)
-    assert len(first.scene_names()) == 1
+    assert [first.scene(name).cameras[0].width for name in first.scene_names()] == [64]
     build_town(tmp_path, replace(ONE, width=80), workers=1)
     second = open_data(tmp_path)
-    widths = [data.scene(data.scene_names()[0]).cameras[0].width for data in (first, second)]
-    assert widths == [64, 80]
+    assert [second.scene(name).cameras[0].width for name in second.scene_names()] == [80]
 
 
 def test_finished_work_is_left_alone(tmp_path: Path) -> None:
