@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.registry import BUILT_IN, planner, planner_factory
+from adapters.registry import BLIND, BUILT_IN, planner, planner_factory
 from benchmark.errors import InputError
 from benchmark.planning import PrivilegedPlanner
 
@@ -17,6 +17,11 @@ def test_every_built_in_planner_is_built_under_its_own_name() -> None:
         assert planner(name).name == name
     privileged = {name for name in BUILT_IN if isinstance(planner(name), PrivilegedPlanner)}
     assert privileged == {"log-replay", "idm"}
+
+
+def test_only_built_in_planners_are_known_to_be_blind() -> None:
+    assert BLIND
+    assert set(BUILT_IN) >= BLIND
 
 
 def test_a_strangers_class_gets_the_arguments_it_takes(tmp_path: Path) -> None:
