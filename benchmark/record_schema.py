@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records`."""
 
 Waypoints = list[list[float]]
@@ -24,6 +24,7 @@ class PlannerFacts(_Row):
         code_sha256: Of its source files.
         settings: Its own settings.
         seed: Its seed.
+        native_protocol: Protocol of the planner's own repository, if it has one.
     """
 
     name: str
@@ -32,6 +33,19 @@ class PlannerFacts(_Row):
     code_sha256: str | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
     seed: int = 0
+    native_protocol: str | None = None
+
+
+class SceneFacts(_Row):
+    """What the data set says of a scene beside its samples.
+
+    Attributes:
+        source: Name of the recorded scene that it was made from; its own name if it is a recording.
+        manoeuvre: What its first adversary does, if it has one and labels.
+    """
+
+    source: str
+    manoeuvre: str | None = None
 
 
 class DataFacts(_Row):
@@ -49,11 +63,13 @@ class RunFacts(_Row):
         schema_version: Version of the record's format.
         scenes: Scenes that ran, in order.
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
+        scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
         config: Resolved settings of the run.
-        environment: Packages, processor, commit.
+        environment: Packages, processor, commit: where the planner ran.
+        rescored: The same of the last `challenger-bench rescore`, if the plans were judged anew since.
         files: SHA-256 of the other files of the record.
     """
 
@@ -63,11 +79,13 @@ class RunFacts(_Row):
     split: str
     scenes: list[str]
     scenes_in_split: int
+    scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     status: Literal["complete", "partial"]
     protocols: dict[str, int]
     seed: int
     config: dict[str, Any]
     environment: dict[str, Any]
+    rescored: dict[str, Any] | None = None
     files: dict[str, str]
 
 
@@ -99,6 +117,22 @@ class OutcomeRow(_Row):
     facts: dict[str, Any]
 
 
+class DiagnosisRow(_Row):
+    """Why a colliding plan collides (`benchmark.diagnosis`).
+
+    Attributes:
+        cause: The verdict.
+        reason: Which of the rule's cases it is.
+        hit: Instance that is touched first.
+        first_contact_s: When.
+    """
+
+    cause: Literal["misforecasting", "misplanning", "not attributable"]
+    reason: str
+    hit: str
+    first_contact_s: float
+
+
 class SampleRow(_Row):
     """One line of ``samples.jsonl``.
 
@@ -116,6 +150,9 @@ class SampleRow(_Row):
         plan: The plan, or null.
         error: Traceback, or null.
         outcomes: Verdicts by protocol.
+        diagnosis: Why the plan collides, or null where it does not under ``exact``.
+        disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
+            (`benchmark.disagreement`).
     """
 
     scene: str
@@ -131,6 +168,8 @@ class SampleRow(_Row):
     plan: PlanRow | None
     error: str | None
     outcomes: dict[str, OutcomeRow]
+    diagnosis: DiagnosisRow | None = None
+    disagreements: dict[str, str] = Field(default_factory=dict)
 
 
 class RateRow(_Row):
@@ -153,6 +192,8 @@ class ProtocolSummary(_Row):
         incomplete: Samples that were planned but that the protocol does not count.
         scenes_failed: Scenes with a counted sample that collides.
         scenes_decided: Scenes of which that can be said (see `scene_failures`).
+        mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same
+            protocol; null for protocols without such a mask and in records of schema 1.
     """
 
     version: int
@@ -161,6 +202,7 @@ class ProtocolSummary(_Row):
     incomplete: int
     scenes_failed: int
     scenes_decided: int
+    mask_removed_steps: int | None = None
 
 
 class Summary(_Row):

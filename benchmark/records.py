@@ -226,7 +226,16 @@ def load_record(directory: Path) -> RunRecord:
 
 
 Upgrade = Callable[[dict[str, Any], list[Any], dict[str, Any]], tuple[dict[str, Any], list[Any], dict[str, Any]]]
-UPGRADES: dict[int, Upgrade] = {}
+
+
+def _from_schema_1(
+    run: dict[str, Any], rows: list[Any], summary: dict[str, Any]
+) -> tuple[dict[str, Any], list[Any], dict[str, Any]]:
+    """Schema 2 only adds fields, and those have defaults that say "unknown"."""
+    return {**run, "schema": 2}, rows, {**summary, "schema": 2}
+
+
+UPGRADES: dict[int, Upgrade] = {1: _from_schema_1}
 """From a schema to the next one: run, rows and summary in, the same out. Old records load for ever."""
 
 

@@ -2,7 +2,11 @@
 
 from benchmark.errors import InputError
 from benchmark.protocols.contract import CollisionProtocol, Outcomes
+from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
+from benchmark.protocols.sparsedrive import SparseDrive
+from benchmark.protocols.uniad import UniAD
+from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
 
 __all__ = ["PROTOCOLS", "CollisionProtocol", "Outcomes", "protocol", "register"]
 
@@ -41,4 +45,12 @@ def protocol(name: str) -> CollisionProtocol:
     return PROTOCOLS[name]
 
 
-register(Exact())
+for definition in (
+    Exact(),
+    UniAD(),
+    VAD("vad", COUNTED_32),
+    VAD("vad-23", COUNTED_23),
+    SparseDrive(),
+    DiffusionDrive(),
+):
+    register(definition)

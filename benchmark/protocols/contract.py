@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
+from benchmark.protocols.stacked import StackedTruths
 from benchmark.truth import SampleTruth
 
 
@@ -34,6 +35,17 @@ class Outcomes:
 
     def __len__(self) -> int:
         return len(self.counted)
+
+    def step(self, name: str) -> NDArray[Any]:
+        """A further column.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            (S, 6) values; no samples have every column.
+        """
+        return self.steps[name] if len(self) else np.zeros((0, PLAN_STEPS), dtype=np.bool_)
 
     def as_rows(self) -> list[dict[str, Any]]:
         """One JSON object for each sample; a displacement that does not exist is null."""
@@ -81,10 +93,40 @@ class CollisionProtocol(Protocol):
     Attributes:
         name: Column name; two protocols never share one.
         version: Raised whenever a verdict or an average may change.
+        counts_incomplete: Whether samples count whose recording ends before 3 s.
     """
 
-    name: str
-    version: int
+    @property
+    def name(self) -> str:
+        """Column name."""
+
+    @property
+    def version(self) -> int:
+        """Raised whenever a verdict or an average may change."""
+
+    @property
+    def counts_incomplete(self) -> bool:
+        """Whether samples count whose recording ends before 3 s."""
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Which objects can be hit at which step; what tells a missed object from a missed contact.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """How the protocol turns the ego at each waypoint.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints, metres.
+
+        Returns:
+            (S, 6) radians.
+        """
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans against what really happened.

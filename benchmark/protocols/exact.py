@@ -25,6 +25,7 @@ from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M,
 from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, wrap_angle
 from benchmark.planning import chord_headings
 from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.stacked import StackedTruths
 from benchmark.truth import SampleTruth
 
 INSTANTS_PER_STEP = 5
@@ -38,6 +39,29 @@ class Exact:
 
     name = "exact"
     version = 1
+    counts_incomplete = False
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Everything that is annotated at the step.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        return truths.annotated[:, 1:]
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Chords between the neighbouring waypoints, held where the car hardly moves.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return chord_headings(plans_lidar, start_heading_rad=np.pi / 2)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.

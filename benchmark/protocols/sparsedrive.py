@@ -1,0 +1,145 @@
+"""The ``sparsedrive`` protocol: collision and L2 as SparseDrive's own evaluation counts them.
+
+Definition:
+
+* Objects are all that are annotated at the future keyframe of the step with at least one lidar point on them there, of
+  every category, at any distance.
+* The ego is the 4.084 m x 1.85 m rectangle, centre 0.5 m ahead of the waypoint along the plan's heading: straight ahead
+  at all steps if the first and the last waypoint are less than 0.5 m apart, else the direction from the waypoint before
+  to the waypoint after (from the last but one to the last at the end). Polygons that touch collide.
+* ``before_mask`` is a step at which it collides; ``recorded`` is the same for the recorded waypoints with the same rule
+  for their heading; ``collision`` (``obj_box_col``, what papers quote) is the first without the second. The official
+  ``obj_col`` is ``recorded`` itself, not a property of the plan.
+* A value at 1, 2 or 3 s is the mean over the steps up to there, of collisions and of displacements. Samples without six
+  recorded future keyframes do not count.
+
+Known faults: a plan of a nearly standing car that jitters turns the box at will; one that turns back and ends where it
+began keeps looking ahead; reversing puts the box 0.5 m behind. Objects without a lidar point vanish, so an adversary
+written with a count of 0 cannot be hit. Nothing is checked between the waypoints.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.truth import SampleTruth
+
+STANDING_M = 0.5
+"""First and last waypoint closer than this: the heading is taken as straight ahead."""
+
+
+class SparseDrive:
+    """See the module's docstring.
+
+    Attributes:
+        name: ``sparsedrive``, or the name of a protocol that is the same.
+    """
+
+    version = 1
+    counts_incomplete = False
+
+    def __init__(self, name: str = "sparsedrive") -> None:
+        self.name = name
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Objects with a lidar point at the step.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        return truths.annotated[:, 1:] & truths.has_lidar_points[:, 1:]
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Central differences of the waypoints, or straight ahead throughout.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        # The official code holds waypoints in single precision.
+        plans = np.asarray(plans_lidar).astype(np.float32)
+        standing = np.linalg.norm(plans[:, -1] - plans[:, 0], axis=-1) < STANDING_M
+        path = np.concatenate([np.zeros((len(plans), 1, 2)), plans], axis=1)
+        ahead = np.concatenate([path[:, 2:], path[:, -1:]], axis=1)
+        step = ahead - path[:, :-1]
+        return np.where(standing[:, None], np.pi / 2, np.arctan2(step[..., 1], step[..., 0]))
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the columns ``before_mask`` and ``recorded``.
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        stacked = stack(truths)
+        objects = self.counted_objects(stacked)
+        on_plan, on_recorded = (
+            waypoint_contacts(stacked, objects, waypoints, self.headings(waypoints)) & stacked.ego_future_valid
+            for waypoints in (plans, stacked.ego_future[..., :2])
+        )
+        return Outcomes(
+            collision=on_plan & ~on_recorded,
+            l2=displacement(plans, stacked),
+            valid=stacked.ego_future_valid,
+            counted=stacked.ego_future_valid.all(axis=-1),
+            steps={"before_mask": on_plan, "recorded": on_recorded},
+        )
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """Means over the steps up to each horizon.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision``, ``collision_before_mask`` and ``l2``, each (S, 3).
+        """
+        columns = {
+            "collision": outcomes.collision,
+            "collision_before_mask": outcomes.step("before_mask"),
+            "l2": outcomes.l2,
+        }
+        return {
+            name: np.stack([values[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()], axis=1)
+            for name, values in columns.items()
+        }
+
+
+def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats, heading_rad: Floats) -> Bools:
+    """Whether the ego's rectangle touches a counted object at each waypoint.
+
+    Args:
+        truths: S samples with M objects.
+        objects: (M, 6) which objects count.
+        plans_lidar: (S, 6, 2) waypoints, metres.
+        heading_rad: (S, 6) heading at each.
+
+    Returns:
+        (S, 6) verdicts.
+    """
+    ahead = EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
+    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], ahead.shape)
+    ego = np.concatenate([plans_lidar + ahead, size, heading_rad[..., None]], axis=-1)
+    which, step = np.nonzero(objects)
+    mine, theirs = ego[truths.sample_of[which], step], truths.boxes[which, step + 1]
+    # Two boxes can only touch if the circles around them do.
+    offset = theirs[:, :2] - mine[:, :2]
+    reach = 0.5 * (np.hypot(theirs[:, 2], theirs[:, 3]) + np.hypot(EGO_LENGTH_M, EGO_WIDTH_M)) + 1e-6
+    near = (offset**2).sum(axis=-1) <= reach**2
+    hit = boxes_overlap(mine[near], theirs[near])
+    contact = np.zeros(plans_lidar.shape[:2], dtype=np.bool_)
+    contact[truths.sample_of[which[near][hit]], step[near][hit]] = True
+    return contact

@@ -1,0 +1,188 @@
+"""The ``vad`` protocol: collision and L2 as VAD's own evaluation counts them ("ST-P3 metric").
+
+Definition:
+
+* Objects are those annotated *now* with a lidar or radar point on them, less than 15 m to the side and 30 m ahead or
+  behind, of the ten detection classes, and in VAD's list of category *indices*; each is followed until the first
+  keyframe at which it is not annotated, with the size it has now.
+* They are drawn on a grid of 200 x 200 half-metre cells whose first row is far ahead, corners rounded to the nearest
+  node. The ego is a block of 8 x 4 cells that is never turned, rounded towards zero and squeezed into the grid.
+* ``before_mask``, ``recorded`` and ``collision`` (``obj_box_col``) as for ``uniad``. ``obj_col`` asks for one cell.
+* Values at 1, 2 and 3 s are means over the steps up to there (of collisions and of displacements). Samples without six
+  recorded future keyframes do not count.
+
+The indices mean what the data set's ``category.json`` lists at them. With the table of 32 entries (alphabetical, since
+lidarseg) they are all pedestrians and all vehicles: this is ``vad``. With the first table of 23 entries they are cars,
+police officers, construction workers, construction vehicles, trailers, barriers and cones: this is ``vad-23``. Nobody
+can tell from the code which one the published numbers used.
+
+Known faults: a car that is farther than 30 m now, or that appears later, cannot be hit. The ego stands about 0.5 m too
+far left of what it is compared with. A turning ego is not turned. ``obj_col`` looks 25 m ahead and 25 m to the left of
+the ego because of a wrong offset and means nothing.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import CATEGORIES, HORIZON_STEPS, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, box_corners
+from benchmark.protocols import raster
+from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.uniad import VEHICLES
+from benchmark.truth import SampleTruth
+
+SIDE_M, AHEAD_M = 15.0, 30.0
+"""Half the range in which an object must be now."""
+
+DETECTED: Final = VEHICLES | {
+    "human.pedestrian.adult",
+    "human.pedestrian.child",
+    "human.pedestrian.construction_worker",
+    "human.pedestrian.police_officer",
+    "movable_object.barrier",
+    "movable_object.trafficcone",
+}
+"""Categories that become one of the ten detection classes; the others are dropped before the indices are looked at."""
+
+COUNTED_32: Final = frozenset(name for name in DETECTED if name.startswith(("human.", "vehicle.")))
+"""What the indices 2..8 and 14..23 mean in the table of 32 entries, of those that are detected."""
+
+COUNTED_23: Final = frozenset(
+    {
+        "human.pedestrian.police_officer",
+        "human.pedestrian.construction_worker",
+        "vehicle.car",
+        "vehicle.construction",
+        "vehicle.trailer",
+        "movable_object.barrier",
+        "movable_object.trafficcone",
+    }
+)
+"""What the same indices mean in the first table of 23 entries, of those that are detected."""
+assert set(CATEGORIES) >= DETECTED >= COUNTED_23
+
+
+class VAD:
+    """See the module's docstring.
+
+    Attributes:
+        name: ``vad`` or ``vad-23``.
+        categories: Which categories count.
+    """
+
+    version = 1
+    counts_incomplete = False
+
+    def __init__(self, name: str, categories: frozenset[str]) -> None:
+        self.name, self.categories = name, categories
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Objects near now, of a counted category, until their first gap.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        now = truths.boxes[:, 0]
+        near = (np.abs(now[:, 0]) < SIDE_M) & (np.abs(now[:, 1]) < AHEAD_M) & truths.has_points[:, 0]
+        followed = np.logical_and.accumulate(truths.annotated, axis=1)[:, 1:]
+        return np.asarray(followed & (near & truths.of_categories(self.categories))[:, None])
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Straight ahead at every step.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return np.full(plans_lidar.shape[:-1], np.pi / 2)
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        stacked = stack(truths)
+        plan, recorded = _block(plans), _block(stacked.ego_future[..., :2])
+        point, inside = _point(plans)
+        objects, steps = np.nonzero(self.counted_objects(stacked))
+        place_of = stacked.sample_of[objects] * PLAN_STEPS + steps
+        boxes = stacked.boxes[objects, steps + 1]
+        boxes[:, 2:4] = stacked.boxes[objects, 0, 2:4]
+        groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, point)]
+        near = raster.may_reach(boxes, place_of, groups, (EXTENT_M - boxes[:, 1]) / CELL_M)
+        found = raster.occupied(polygons(boxes[near]), place_of[near], groups)
+        on_plan, on_recorded, at_point = (hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found)
+        return Outcomes(
+            collision=on_plan & ~on_recorded,
+            l2=displacement(plans, stacked),
+            valid=stacked.ego_future_valid,
+            counted=stacked.ego_future_valid.all(axis=-1),
+            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
+        )
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """Means over the steps up to each horizon.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+        """
+        return {
+            "collision": _means(outcomes.collision),
+            "collision_before_mask": _means(outcomes.step("before_mask")),
+            "obj_col": _means(outcomes.step("obj_col")),
+            "l2": np.stack([outcomes.l2[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()], axis=1),
+        }
+
+
+def polygons(boxes: Floats) -> NDArray[np.int32]:
+    """Corners on the grid, row 0 far ahead, halves to the even node.
+
+    Args:
+        boxes: (N, 5) boxes.
+
+    Returns:
+        (N, 4, 2) column and row of each corner.
+    """
+    nodes = np.round((box_corners(boxes) * [1.0, -1.0] + EXTENT_M) / CELL_M)
+    return np.asarray(nodes, np.int32)
+
+
+def _means(verdicts: Bools) -> Floats:
+    """Shares of colliding steps; the official code divides in single precision, which is kept."""
+    steps = HORIZON_STEPS.values()
+    shares = [verdicts[:, :count].sum(axis=1).astype(np.float32) / np.float32(count) for count in steps]
+    return np.asarray(np.stack(shares, axis=1), np.float64)
+
+
+def _block(waypoints: Floats) -> Cells:
+    cells = raster.ego_cells(waypoints)
+    cells[..., 0] = CELLS - cells[..., 0]
+    return raster.truncated(cells)
+
+
+def _point(waypoints: Floats) -> tuple[Cells, Bools]:
+    """The cell that ``obj_col`` looks at, (S, 6, 1, 2), and whether it is on the grid."""
+    # The offset is half the grid's quarter: 24.875 m where 49.75 m would be meant.
+    offset = 0.5 * (EXTENT_M - 0.5 * CELL_M)
+    cells = np.trunc((offset + np.stack([-waypoints[..., 1], waypoints[..., 0]], axis=-1)) / CELL_M)
+    inside = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
+    return raster.truncated(cells)[..., None, :], inside
