@@ -5,6 +5,9 @@ equations 1-3, with two of its authors' own corrections: a car that is faster th
 (Treiber and Kesting, "Traffic Flow Dynamics", 2013, improved model), and a gap that is small but does not close is no
 emergency (Kesting, Treiber and Helbing 2010, enhanced model, with leaders that keep their speed). Without
 them it brakes so hard behind a close leader that the car behind hits it. Traffic lights and right of way are not seen.
+
+What it expects of the others (`adapters.obstacles`) it gives as forecasts, one mode each, so that its collisions can be
+diagnosed. They include those behind, which it expects to drive on and does not plan for.
 """
 
 from dataclasses import asdict, dataclass
@@ -12,21 +15,24 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from adapters.lane_path import Path, lane_path, straight_path
-from adapters.obstacles import Obstacles, obstacles_along
+from adapters.obstacles import Obstacles, expected_centres, obstacles_along
 from benchmark.constants import (
     EGO_CENTER_FROM_REAR_AXLE_M,
     EGO_LENGTH_M,
     PLAN_STEP_S,
     PLAN_STEPS,
 )
-from benchmark.geometry import Floats, to_local
-from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.geometry import Floats, to_local, wrap_angle
+from benchmark.planning import Forecasts, Observation, Plan, PlanFrame, SceneInfo
 from benchmark.scene import Scene
 
 _SUBSTEPS = 5
 _DT = PLAN_STEP_S / _SUBSTEPS
 _SECONDS = _DT * np.arange(PLAN_STEPS * _SUBSTEPS)
 _HORIZON_S = PLAN_STEP_S * PLAN_STEPS
+_STEP_SECONDS = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
+_MILLIMETRES = 3
+"""Decimals of forecasts: a record holds thirty of them a sample, and more digits say nothing."""
 _EXPONENT = 4
 """How acceleration falls off towards the wanted speed."""
 
@@ -87,7 +93,7 @@ class IntelligentDriver:
             observation: Ego motion, command and time.
 
         Returns:
-            Waypoints of the rear axle, ego frame.
+            Waypoints of the rear axle, ego frame, and where it expects the others.
 
         Raises:
             RuntimeError: If no scene was revealed.
@@ -110,7 +116,8 @@ class IntelligentDriver:
             foresight_s=self._driver.foresight_s,
         )
         travelled = drive(path, speed, obstacles, self._driver)
-        return Plan(to_local(path.at(travelled), pose), PlanFrame.EGO)
+        centres = expected_centres(path, boxes, velocity, _STEP_SECONDS, foresight_s=self._driver.foresight_s)
+        return Plan(to_local(path.at(travelled), pose), PlanFrame.EGO, forecasts=_forecasts(boxes, centres, pose))
 
 
 def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings) -> Floats:
@@ -197,6 +204,16 @@ def _others_now(scene: Scene, observation: Observation, sight_m: float) -> tuple
             known = agents.valid[rows, start] & agents.valid[rows, end]
             velocity = np.where(known[:, None], moved / (seconds[end] - seconds[start]), velocity)
     return np.column_stack([here, agents.boxes[rows, frame, 2:]]), velocity
+
+
+def _forecasts(boxes: Floats, centres: Floats, pose: Floats) -> Forecasts:
+    """Present boxes (A, 5) and expected centres (A, 6, 2), both global, as forecasts of one mode in the ego frame."""
+    local = np.column_stack([to_local(boxes[:, :2], pose), boxes[:, 2:4], wrap_angle(boxes[:, 4] - pose[2])])
+    return Forecasts(
+        boxes=np.round(local, _MILLIMETRES),
+        trajectories=np.round(to_local(centres, pose), _MILLIMETRES)[:, None],
+        scores=np.ones((len(boxes), 1)),
+    )
 
 
 def _last(scene: Scene) -> int:

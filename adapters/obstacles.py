@@ -6,7 +6,7 @@ import numpy as np
 
 from adapters.lane_path import Path
 from benchmark.constants import EGO_WIDTH_M
-from benchmark.geometry import Floats, wrap_angle
+from benchmark.geometry import Bools, Floats, wrap_angle
 
 _CROSSING_RAD = np.deg2rad(40.0)
 _ONCOMING_RAD = np.deg2rad(135.0)
@@ -25,6 +25,25 @@ class Obstacles:
     rear: Floats
     front: Floats
     speed: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Expectation:
+    """Where others are expected beside a path at K instants.
+
+    Attributes:
+        crossing: (A,) whether it crosses the path.
+        ahead: (A,) whether it can be met at all.
+        heading: (A,) heading of the path beside it now.
+        along: (A, K) arc length.
+        left: (A, K) metres to the left of the path.
+    """
+
+    crossing: Bools
+    ahead: Bools
+    heading: Floats
+    along: Floats
+    left: Floats
 
 
 def obstacles_along(
@@ -46,6 +65,43 @@ def obstacles_along(
     Returns:
         The obstacles at each instant.
     """
+    expected = _expectation(path, boxes, velocity, seconds, foresight_s)
+    # A box is turned to the path as now, unless it goes straight on where the path does not.
+    heading_there = np.where(expected.crossing[:, None], path.heading_at(expected.along), expected.heading[:, None])
+    half_along, half_across = _half_extents(boxes, heading_there)
+    inside = np.abs(expected.left) - half_across < 0.5 * EGO_WIDTH_M + side_margin_m
+    # What lies before the start or beyond the end of the path has no place beside it.
+    inside &= expected.ahead[:, None] & (expected.along > 0.0) & (expected.along < path.arc_length[-1])
+    return Obstacles(
+        rear=np.where(inside, expected.along - half_along, np.inf),
+        front=np.where(inside, expected.along + half_along, np.inf),
+        speed=_turned_by(velocity[:, None], heading_there)[0],
+    )
+
+
+def expected_centres(path: Path, boxes: Floats, velocity: Floats, seconds: Floats, *, foresight_s: float) -> Floats:
+    """Where others are expected, by the rules of `obstacles_along`, in the plane instead of along the path.
+
+    Args:
+        path: The ego's path; beyond its ends it goes straight on.
+        boxes: (A, 5) present boxes, global.
+        velocity: (A, 2) m/s, global.
+        seconds: (K,) instants from now.
+        foresight_s: For how long what goes along the path is expected to keep moving sideways.
+
+    Returns:
+        (A, K, 2) centres, global, metres.
+    """
+    now_and_then = np.concatenate([[0.0], seconds])
+    expected = _expectation(path, boxes, velocity, now_and_then, foresight_s)
+    beside = _beside(path, expected.along, expected.left)
+    # A point far from a bend is not quite where its place beside the path is; its motion is taken, from where it is.
+    following = boxes[:, None, :2] + beside[:, 1:] - beside[:, :1]
+    straight = boxes[:, None, :2] + velocity[:, None] * seconds[:, None]
+    return np.where(expected.crossing[:, None, None], straight, following)
+
+
+def _expectation(path: Path, boxes: Floats, velocity: Floats, seconds: Floats, foresight_s: float) -> _Expectation:
     along, left = path.project(boxes[:, :2])
     heading = path.heading_at(along)
     direction = np.arctan2(velocity[:, 1], velocity[:, 0])
@@ -58,19 +114,22 @@ def obstacles_along(
     sideways_s = np.where(oncoming[:, None], 0.0, np.minimum(seconds, foresight_s))
     straight = boxes[:, None, :2] + velocity[:, None] * seconds[:, None]
     straight_along, straight_left = path.project(straight)
-    along = np.where(crossing[:, None], straight_along, along[:, None] + forward[:, None] * seconds)
-    left = np.where(crossing[:, None], straight_left, left[:, None] + sideways[:, None] * sideways_s)
-    # A box is turned to the path as now, unless it goes straight on where the path does not.
-    heading_there = np.where(crossing[:, None], path.heading_at(along), heading[:, None])
-    half_along, half_across = _half_extents(boxes, heading_there)
-    inside = np.abs(left) - half_across < 0.5 * EGO_WIDTH_M + side_margin_m
-    # What lies before the start or beyond the end of the path has no place beside it.
-    inside &= ahead[:, None] & (along > 0.0) & (along < path.arc_length[-1])
-    return Obstacles(
-        rear=np.where(inside, along - half_along, np.inf),
-        front=np.where(inside, along + half_along, np.inf),
-        speed=_turned_by(velocity[:, None], heading_there)[0],
+    return _Expectation(
+        crossing=crossing,
+        ahead=ahead,
+        heading=heading,
+        along=np.where(crossing[:, None], straight_along, along[:, None] + forward[:, None] * seconds),
+        left=np.where(crossing[:, None], straight_left, left[:, None] + sideways[:, None] * sideways_s),
     )
+
+
+def _beside(path: Path, along: Floats, left: Floats) -> Floats:
+    """(..., 2) points beside a path; the inverse of `Path.project`."""
+    on_path = np.clip(along, 0.0, path.arc_length[-1])
+    heading = np.interp(on_path, path.arc_length, path.heading)
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    to_the_left = np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
+    return np.asarray(path.at(on_path) + (along - on_path)[..., None] * direction + left[..., None] * to_the_left)
 
 
 def _turned_by(velocity: Floats, heading: Floats) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.evaluate import EvalSettings
 from benchmark.geometry import Floats
-from benchmark.plan_rows import code_sha256
+from benchmark.plan_rows import code_sha256, known_native
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records import PlannerFacts
 from benchmark.storage import file_sha256
@@ -144,6 +144,7 @@ def plan_file_factory(
     scenes: tuple[str, ...] | None = None,
     limit: int | None = None,
     name: str | None = None,
+    native: str | None = None,
 ) -> PlanFileFactory:
     """The planner of a plan file, checked against the samples it is for.
 
@@ -154,13 +155,15 @@ def plan_file_factory(
         scenes: Only these scenes will be evaluated; the whole split by default.
         limit: Only the first so many of them.
         name: Shown in tables; the file's name without its ending by default.
+        native: Protocol of the repository that the planner comes from, if it is known here.
 
     Returns:
         A factory for `benchmark.evaluate.evaluate`.
 
     Raises:
-        InputError: If the file is malformed or its rows do not match the samples.
+        InputError: If the file is malformed, its rows do not match the samples, or the native protocol is unknown.
     """
+    known_native(native, f"plan file {path}")
     plans = read_plan_file(path)
     plans.require(data, split, EvalSettings(scenes=scenes, limit=limit).chosen(data, split))
     facts = PlannerFacts(
@@ -169,6 +172,7 @@ def plan_file_factory(
         weights_sha256=None,
         code_sha256=code_sha256(PlanFilePlanner),
         settings={"plans_sha256": file_sha256(path)},
+        native_protocol=native,
     )
     return PlanFileFactory(path, facts)
 

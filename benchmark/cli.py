@@ -27,6 +27,7 @@ from benchmark.cli_options import (
     OutOption,
     Preset,
     PresetOption,
+    RecordsOption,
     RendererName,
     ScenesOption,
     SeedOption,
@@ -257,11 +258,22 @@ def eval_command(
     out: OutOption = OUT,
     tables: TablesOption = None,
     plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
+    native: Annotated[
+        str | None, typer.Option(help="With --plans: the protocol of the repository that the planner comes from.")
+    ] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     allow_partial: Annotated[
         bool, typer.Option("--allow-partial", help="Print rates even where the planner failed on samples.")
+    ] = False,
+    protocol: Annotated[
+        list[str] | None,
+        typer.Option(help="Tables to print: a protocol, native or all; may be repeated. Records always hold all."),
+    ] = None,
+    explain_protocols: Annotated[
+        bool,
+        typer.Option("--explain-protocols", help="Where each protocol differs from exact, why, and pictures of it."),
     ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
@@ -274,6 +286,9 @@ def eval_command(
 
     if not model and plans is None:
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
+    if native is not None and plans is None:
+        raise InputError("--native belongs to --plans; planners that --model names say it themselves")
+    shown = _protocols_to_show(protocol)
     source = _open_source(data, tables, workers)
     dataset = _open_split(source, split, out, workers)
     settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=worker_count(workers))
@@ -281,31 +296,70 @@ def eval_command(
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
-        factories.append(plan_file_factory(plans, dataset, split, scenes=settings.chosen(dataset, split)))
+        chosen = settings.chosen(dataset, split)
+        factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native))
     if dry_run:
         count = len(settings.chosen(dataset, split))
         typer.echo(f"would run {', '.join(factory.facts.name for factory in factories)} on {count} scenes of {split}")
         return
     run_root = _workspace(out).run_root()
     records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
-    _show_runs(source.name, records, allow_partial=allow_partial, json_output=json_output)
+    if explain_protocols:
+        _explain(source.name, dataset, records, _workspace(out), json_output=json_output)
+    _show_runs(source.name, records, shown, allow_partial=allow_partial, json_output=json_output)
+
+
+@app.command("rescore")
+def rescore_command(
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    records: RecordsOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Judge the stored plans of run records anew under every protocol, without running a planner."""
+    from benchmark.protocols import PROTOCOLS
+    from benchmark.rescoring import rescore_all
+
+    source = _open_source(data, tables, workers)
+    space = _workspace(out)
+    folders = records or [space.run_root()]
+    results = [
+        result
+        for folder in folders
+        for result in rescore_all(folder, lambda split: space.open_split(source, split), source.name, tuple(PROTOCOLS))
+    ]
+    if json_output:
+        print_json([{"directory": str(result.directory), "says": result.sentence} for result in results])
+    else:
+        for result in results:
+            typer.echo(f"{result.directory}: {result.sentence}")
+    raise typer.Exit(1 if any(result.failed for result in results) else 0)
 
 
 @app.command("transfer")
 def transfer_command(
     split: SplitOption = "adv",
     out: OutOption = OUT,
-    records: Annotated[Path | None, typer.Option(help="Folder of run records, if not <out>/runs.")] = None,
-    protocol: Annotated[str, typer.Option(help="Whose verdicts count.")] = "exact",
+    records: RecordsOption = None,
+    protocol: Annotated[str, typer.Option(help="Whose verdicts count; native: of each planner's own.")] = "exact",
     data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Write a heat map to this .png or .svg file.")] = None,
     json_output: JsonOption = False,
 ) -> None:
     """Who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
+    from benchmark.labels import labelled
     from benchmark.transfer import transfer
     from leaderboard.collision import in_table_order
-    from leaderboard.transfer import transfer_table
+    from leaderboard.heat_map import write_heat_map
+    from leaderboard.transfer import agreement_table, transfer_table
 
-    found = [record for record in _records(out, records) if record.run.split == split and record.covers_split]
+    known = [record for record in labelled(_records(out, records)) if record.run.split == split]
+    found = [record for record in known if record.covers_split]
+    for record in known:
+        if not record.covers_split:
+            typer.echo(f"left out: {record.directory} holds a part of the split only", err=True)
     names = sorted({record.run.data.name for record in found})
     wanted = [data] if data is not None else names
     matrices = {
@@ -315,20 +369,25 @@ def transfer_command(
     }
     if not matrices:
         raise InputError(
-            f"no complete run records of split {split!r} below {records or out / 'runs'}"
+            f"no complete run records of split {split!r} below {', '.join(map(str, records or [out / 'runs']))}"
             f"{'' if data is None else f' for data set {data!r}'}; run challenger-bench eval --split {split} first"
         )
+    if figure is not None:
+        if len(matrices) > 1:
+            raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
+        write_heat_map(next(iter(matrices.values())), figure)
     if json_output:
         print_json({name: asdict(matrix) for name, matrix in matrices.items()})
         return
     for name, matrix in matrices.items():
         typer.echo(transfer_table(name, matrix).plain())
+        typer.echo(agreement_table(name, matrix).plain())
 
 
 @app.command("leaderboard")
 def leaderboard_command(
     out: OutOption = OUT,
-    records: Annotated[Path | None, typer.Option(help="Folder of run records, if not <out>/runs.")] = None,
+    records: RecordsOption = None,
     to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Only say whether the written tables are current.")] = False,
     json_output: JsonOption = False,
@@ -364,8 +423,10 @@ def verify_command(
         from generation.verification.physics import verify_physics as verify
     elif what is Verifiable.SCORING:
         from generation.verification.scoring import verify_scoring as verify
-    else:
+    elif what is Verifiable.DENOISER:
         from generation.verification.denoiser import verify_denoiser as verify
+    else:
+        from benchmark.protocols.verification import verify_protocols as verify
     checks = verify(golden)
     if json_output:
         print_json([check.as_json() for check in checks])
@@ -656,9 +717,42 @@ def _require_generated(split: str) -> None:
         raise InputError(f"cannot generate split {split!r}; the splits that can be generated are val-r and adv")
 
 
-def _show_runs(data_name: str, records: "Sequence[RunRecord]", *, allow_partial: bool, json_output: bool) -> None:
-    """Print the table of runs; a run that failed on samples is an error unless allowed, and then said."""
-    from leaderboard.collision import collision_table
+def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:
+    """What ``--protocol`` asks for; ``None`` is the default: exact, and the planners' own where they have one."""
+    from benchmark.protocols import PROTOCOLS, protocol
+
+    if names is None:
+        return None
+    if "all" in names:
+        return tuple(PROTOCOLS)
+    return tuple(dict.fromkeys(name if name == "native" else protocol(name).name for name in names))
+
+
+def _explain(
+    data_name: str, dataset: "DataSet", records: "Sequence[RunRecord]", space: "Workspace", *, json_output: bool
+) -> None:
+    """Where protocols differ from exact on these runs: the table, and a picture of the clearest case of each cause."""
+    from benchmark.case_pictures import explain
+    from leaderboard.disagreement import disagreement_table
+
+    split = records[0].run.split
+    folder = space.out / "explained" / data_name / split
+    pictures = explain(records, dataset, folder)
+    typer.echo(disagreement_table(data_name, split, records).plain(), err=json_output)
+    for picture in pictures:
+        typer.echo(f"{picture.path}: {picture.sentence}", err=json_output)
+
+
+def _show_runs(
+    data_name: str,
+    records: "Sequence[RunRecord]",
+    protocols: tuple[str, ...] | None,
+    *,
+    allow_partial: bool,
+    json_output: bool,
+) -> None:
+    """Print the tables of runs; a run that failed on samples is an error unless allowed, and then said."""
+    from leaderboard.collision import collision_table, native_table
 
     partial = [record for record in records if not record.complete]
     if json_output:
@@ -669,8 +763,10 @@ def _show_runs(data_name: str, records: "Sequence[RunRecord]", *, allow_partial:
         print_json(rows)
     shown = records if allow_partial else [record for record in records if record.complete]
     if not json_output and shown:
-        for protocol in sorted({name for record in shown for name in record.summary.protocols}):
-            typer.echo(collision_table(data_name, protocol, shown).plain())
+        own = any(record.run.planner.native_protocol for record in shown)
+        for name in protocols or (("exact", "native") if own else ("exact",)):
+            table = native_table(data_name, shown) if name == "native" else collision_table(data_name, name, shown)
+            typer.echo(table.plain())
     for record in partial:
         typer.echo(
             f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples "
@@ -682,10 +778,12 @@ def _show_runs(data_name: str, records: "Sequence[RunRecord]", *, allow_partial:
         raise typer.Exit(1)
 
 
-def _records(out: Path, folder: Path | None) -> "list[RunRecord]":
+def _records(out: Path, folders: list[Path] | None) -> "list[RunRecord]":
+    """Every record below the folders, each once."""
     from benchmark.records import find_records
 
-    return find_records(folder or _workspace(out).run_root())
+    found = [record for folder in folders or [_workspace(out).run_root()] for record in find_records(folder)]
+    return list({record.directory.resolve(): record for record in found}.values())
 
 
 def _workspace(out: Path) -> "Workspace":

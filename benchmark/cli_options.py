@@ -40,6 +40,7 @@ class Verifiable(StrEnum):
     PHYSICS = "physics"
     SCORING = "scoring"
     DENOISER = "denoiser"
+    PROTOCOLS = "protocols"
 
 
 class Preset(StrEnum):
@@ -63,6 +64,10 @@ TablesOption = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
 SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
 ScenesOption = Annotated[str | None, typer.Option("--scenes", help="Only these scenes, separated by commas.")]
+RecordsOption = Annotated[
+    list[Path] | None,
+    typer.Option("--records", help="Folder of run records, if not <out>/runs; may be repeated, and name single runs."),
+]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
 WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]

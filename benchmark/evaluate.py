@@ -126,6 +126,7 @@ def evaluate(
         "split": split,
         "scenes": list(scenes),
         "scenes_in_split": len(every_scene),
+        "scene_facts": data.scene_facts(scenes),
         "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }

@@ -16,9 +16,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.planning import Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.planning import Forecasts, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.protocols import PROTOCOLS
 from benchmark.records import PlannerFacts
 from benchmark.scene import Scene
 from benchmark.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
@@ -77,13 +79,14 @@ def facts_of(planner: Planner) -> PlannerFacts:
     """Identity of a planner that was built by hand.
 
     Args:
-        planner: The planner; optional attributes ``weights_sha256``, ``settings`` and ``seed`` are taken over.
+        planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
+            taken over.
 
     Returns:
         Its identity, with the hash of its class's source files.
 
     Raises:
-        InputError: If its settings are not plain values.
+        InputError: If its settings are not plain values, or its native protocol is not known.
     """
     settings = dict(getattr(planner, "settings", {}))
     try:
@@ -99,7 +102,26 @@ def facts_of(planner: Planner) -> PlannerFacts:
         code_sha256=code_sha256(type(planner)),
         settings=settings,
         seed=int(getattr(planner, "seed", 0)),
+        native_protocol=known_native(getattr(planner, "native_protocol", None), f"planner {planner.name!r}"),
     )
+
+
+def known_native(name: str | None, whose: str) -> str | None:
+    """Check the name of a planner's native protocol.
+
+    Args:
+        name: Protocol of the repository that the planner comes from, if there is one.
+        whose: The planner, as the message names it.
+
+    Returns:
+        The name.
+
+    Raises:
+        InputError: If there is no such protocol.
+    """
+    if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
+        raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
+    return name
 
 
 @cache
@@ -128,7 +150,7 @@ def code_sha256(planner_class: type) -> str | None:
 
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
-    """Content key of one scene's plan rows. Protocols are not part of it: they judge kept plans again.
+    """Content key of one scene's plan rows. No protocol is part of it: protocols judge kept plans again.
 
     Args:
         fingerprint: Of the data set.
@@ -139,7 +161,8 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
     Returns:
         The key.
     """
-    return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, facts.model_dump(mode="json"))
+    who = facts.model_dump(mode="json", exclude={"native_protocol"})
+    return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
 
 
 def rows_path(directory: Path, scene: str) -> Path:
@@ -240,24 +263,40 @@ def _row(observation: Observation, plan: dict[str, Any] | None, error: str | Non
 
 
 def _plan_json(plan: Plan) -> dict[str, Any]:
-    """The plan as it was given; refuses numbers that JSON does not have."""
-    forecasts = plan.forecasts
-    parts: dict[str, Floats | None] = {
-        "waypoints": plan.waypoints,
-        "modes": plan.modes,
-        "mode_scores": plan.mode_scores,
+    """The plan as it was given; refuses shapes that `Plan` does not have and numbers that JSON does not have."""
+    modes, scores, forecasts = plan.modes, plan.mode_scores, plan.forecasts
+    count = len(scores if modes is None else modes) if scores is not None else 0
+    return {
+        "frame": plan.frame.value,
+        "waypoints": np.asarray(plan.waypoints, float).tolist(),
+        "modes": None if modes is None else _numbers(modes, (len(modes), PLAN_STEPS, 2), "modes"),
+        "mode_scores": None if scores is None else _numbers(scores, (count,), "mode scores"),
+        "forecasts": None if forecasts is None else _forecasts_json(forecasts),
     }
-    for part, values in parts.items():
-        if values is not None and not np.isfinite(values).all():
-            raise ValueError(f"a plan's {part} must be finite numbers")
-    found: dict[str, Any] = {name: None if v is None else np.asarray(v, float).tolist() for name, v in parts.items()}
-    found["forecasts"] = None
-    if forecasts is not None:
-        arrays = {"boxes": forecasts.boxes, "trajectories": forecasts.trajectories, "scores": forecasts.scores}
-        if not all(np.isfinite(values).all() for values in arrays.values()):
-            raise ValueError("a plan's forecasts must be finite numbers")
-        found["forecasts"] = {name: np.asarray(values, float).tolist() for name, values in arrays.items()}
-    return {"frame": plan.frame.value, **found}
+
+
+def _forecasts_json(forecasts: Forecasts) -> dict[str, Any]:
+    parts = {"boxes": forecasts.boxes, "trajectories": forecasts.trajectories, "scores": forecasts.scores}
+    if not any(map(len, parts.values())):
+        # Nobody is expected: arrays of any empty shape say so.
+        return {name: [] for name in parts}
+    agents, modes = len(forecasts.boxes), np.shape(forecasts.trajectories)[1]
+    if not modes:
+        raise ValueError("a plan's forecasts need at least one mode for each agent")
+    shapes = {"boxes": (agents, 5), "trajectories": (agents, modes, PLAN_STEPS, 2), "scores": (agents, modes)}
+    written = {name: _numbers(values, shapes[name], f"forecast {name}") for name, values in parts.items()}
+    if not (np.asarray(forecasts.boxes, float)[:, 2:4] > 0.0).all():
+        raise ValueError("a plan's forecast boxes need a length and a width above zero")
+    return written
+
+
+def _numbers(values: Floats, shape: tuple[int, ...], part: str) -> Any:
+    array = np.asarray(values, float)
+    if array.shape != shape:
+        raise ValueError(f"a plan's {part} have the shape {array.shape}, not {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"a plan's {part} must be finite numbers")
+    return array.tolist()
 
 
 def _loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:

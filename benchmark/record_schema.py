@@ -193,7 +193,7 @@ class ProtocolSummary(_Row):
         scenes_failed: Scenes with a counted sample that collides.
         scenes_decided: Scenes of which that can be said (see `scene_failures`).
         mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same
-            protocol; null for protocols without such a mask and in records of schema 1.
+            protocol; null for protocols without such a mask, where no sample was planned, and in records of schema 1.
     """
 
     version: int

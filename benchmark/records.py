@@ -1,13 +1,13 @@
 """Run records: one directory for one planner on one split, from which everything downstream is computed.
 
 ``run.json`` says what ran, ``samples.jsonl`` holds one row a sample, ``summary.json`` holds the rates and is derived
-from the rows alone. ``run.json`` is written last and names the hashes of the other two: a directory either is a record
-or is not.
+from the rows alone. ``run.json`` names the hashes of the other two, and the three are replaced together
+(`benchmark.record_files`): a directory either is a record or is not.
 ``timing.json`` beside them is not part of the record: everything else is the same bytes on every run.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,13 @@ from pydantic import ValidationError
 
 from benchmark.errors import InputError
 from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols import protocol as definition_of
 from benchmark.rates import rates
+from benchmark.record_files import RUN_FILE, read_files, replace_files
 from benchmark.record_schema import (
     SCHEMA,
     DataFacts,
+    DiagnosisRow,
     OutcomeRow,
     PlannerFacts,
     PlanRow,
@@ -27,13 +30,14 @@ from benchmark.record_schema import (
     RateRow,
     RunFacts,
     SampleRow,
+    SceneFacts,
     Summary,
 )
-from benchmark.storage import file_sha256, read_json, read_json_lines, write_json, write_json_lines
 
 __all__ = [
     "SCHEMA",
     "DataFacts",
+    "DiagnosisRow",
     "OutcomeRow",
     "PlanRow",
     "PlannerFacts",
@@ -42,15 +46,20 @@ __all__ = [
     "RunFacts",
     "RunRecord",
     "SampleRow",
+    "SceneFacts",
     "Summary",
     "find_records",
     "load_record",
+    "protocol_of",
     "scene_failures",
     "summarise",
     "write_record",
 ]
 
-RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
+NATIVE = "native"
+"""What the planner's own protocol is called where a protocol is asked for."""
+NO_NATIVE = "exact"
+"""Who judges planners that have no protocol of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,17 +71,19 @@ class RunRecord:
         run: What ran.
         rows: One for each sample, by scene and time.
         summary: Rates.
+        label: What tells this version of the planner from others (`benchmark.labels`), if there are others.
     """
 
     directory: Path
     run: RunFacts
     rows: tuple[SampleRow, ...]
     summary: Summary
+    label: str | None = None
 
     @property
     def planner(self) -> str:
-        """Name of the planner."""
-        return self.run.planner.name
+        """Name of the planner in tables."""
+        return self.label or self.run.planner.name
 
     @property
     def complete(self) -> bool:
@@ -84,23 +95,61 @@ class RunRecord:
         """Whether all scenes of the split ran."""
         return len(self.run.scenes) == self.run.scenes_in_split
 
+    @property
+    def native_protocol(self) -> str:
+        """Protocol of the planner's own repository; ``exact`` where it has none."""
+        return self.run.planner.native_protocol or NO_NATIVE
 
-def summarise(rows: Sequence[SampleRow], versions: Mapping[str, int], *, seed: int) -> Summary:
+    @property
+    def stale_protocols(self) -> tuple[str, ...]:
+        """Known protocols that judged the rows in another version than the present one."""
+        judged = self.run.protocols
+        return tuple(name for name in PROTOCOLS if name in judged and judged[name] != PROTOCOLS[name].version)
+
+    @property
+    def missing_protocols(self) -> tuple[str, ...]:
+        """Known protocols that never judged the rows."""
+        return tuple(name for name in PROTOCOLS if name not in self.run.protocols)
+
+
+def protocol_of(record: RunRecord, name: str) -> str:
+    """The protocol that a name means for a record.
+
+    Args:
+        record: The record.
+        name: A protocol, or ``native``.
+
+    Returns:
+        The name, ``native`` replaced by the record's own.
+    """
+    return record.native_protocol if name == NATIVE else name
+
+
+def summarise(
+    rows: Sequence[SampleRow],
+    versions: Mapping[str, int],
+    *,
+    seed: int,
+    scene_facts: Mapping[str, SceneFacts] | None = None,
+) -> Summary:
     """Rates of every protocol from the rows.
 
     Args:
         rows: One for each sample.
         versions: Protocols to summarise with the version that judged the rows.
         seed: Seed of the intervals.
+        scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them,
+            because ten variants of one recording are not ten recordings. Scenes without facts stand for themselves.
 
     Returns:
         The summary.
     """
     planned = [row for row in rows if row.status == "ok"]
-    scenes = [row.scene for row in planned]
+    sources = {name: facts.source for name, facts in (scene_facts or {}).items()}
+    scenes = [sources.get(row.scene, row.scene) for row in planned]
     protocols = {}
     for name, version in versions.items():
-        outcomes = Outcomes.from_rows([row.outcomes[name].model_dump() for row in planned])
+        outcomes = Outcomes.from_rows([vars(row.outcomes[name]) for row in planned])
         found = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
         decided = [failed for failed in scene_failures(rows, name).values() if failed is not None]
         protocols[name] = ProtocolSummary(
@@ -113,6 +162,7 @@ def summarise(rows: Sequence[SampleRow], versions: Mapping[str, int], *, seed: i
             incomplete=int((~outcomes.counted).sum()),
             scenes_failed=sum(decided),
             scenes_decided=len(decided),
+            mask_removed_steps=_removed_by_mask(outcomes),
         )
     return Summary(
         schema=SCHEMA,
@@ -121,6 +171,14 @@ def summarise(rows: Sequence[SampleRow], versions: Mapping[str, int], *, seed: i
         coverage=len(planned) / len(rows) if rows else 0.0,
         protocols=protocols,
     )
+
+
+def _removed_by_mask(outcomes: Outcomes) -> int | None:
+    """Steps that collide before the exclusion and not after it, among those that enter the rates."""
+    if not {"before_mask", "recorded"} <= set(outcomes.steps):
+        return None
+    removed = outcomes.steps["before_mask"] & outcomes.steps["recorded"]
+    return int((removed & outcomes.valid & outcomes.counted[:, None]).sum())
 
 
 def scene_failures(rows: Sequence[SampleRow], protocol: str) -> dict[str, bool | None]:
@@ -133,28 +191,34 @@ def scene_failures(rows: Sequence[SampleRow], protocol: str) -> dict[str, bool |
     Returns:
         Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample, or no contact but the
         planner raised on a sample that could have shown one.
+
+    Raises:
+        InputError: If the protocol is unknown or did not judge the rows.
     """
+    counts_incomplete = definition_of(protocol).counts_incomplete
     by_scene: dict[str, list[SampleRow]] = {}
     for row in rows:
+        if row.status == "ok" and protocol not in row.outcomes:
+            raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
         by_scene.setdefault(row.scene, []).append(row)
-    return {scene: _fails(by_scene[scene], protocol) for scene in sorted(by_scene)}
+    return {scene: _fails(by_scene[scene], protocol, counts_incomplete) for scene in sorted(by_scene)}
 
 
-def _fails(rows: Sequence[SampleRow], protocol: str) -> bool | None:
+def _fails(rows: Sequence[SampleRow], protocol: str, counts_incomplete: bool) -> bool | None:
     counted = [row.outcomes[protocol] for row in rows if row.status == "ok" and row.outcomes[protocol].counted]
     if any(any(outcome.collision) for outcome in counted):
         return True
-    unknown = any(row.status == "failed" and row.complete for row in rows)
+    unknown = any(row.status == "failed" and (row.complete or counts_incomplete) for row in rows)
     return None if unknown or not counted else False
 
 
 def write_record(
     directory: Path, facts: Mapping[str, Any], rows: Sequence[SampleRow], versions: Mapping[str, int], *, seed: int
 ) -> RunRecord:
-    """Write a record, ``run.json`` last.
+    """Write a record in place of the one that is there, if any.
 
     Args:
-        directory: Run directory.
+        directory: Run directory; nobody else may write to it (`benchmark.storage.only_writer`).
         facts: `RunFacts` less status, protocols, seed and files.
         rows: One for each sample.
         versions: Protocol versions by name.
@@ -168,23 +232,30 @@ def write_record(
     """
     if not rows:
         raise InputError(f"there are no samples to write to {directory}: the chosen scenes have none")
-    summary = summarise(rows, versions, seed=seed)
-    write_json_lines(directory / ROWS_FILE, [row.model_dump(mode="json") for row in rows])
-    write_json(directory / SUMMARY_FILE, summary.model_dump(mode="json", by_alias=True))
+    summary = summarise(rows, versions, seed=seed, scene_facts=facts.get("scene_facts"))
     run = RunFacts(
         schema=SCHEMA,
         status="complete" if summary.failed == 0 else "partial",
         protocols=dict(versions),
         seed=seed,
-        files={name: file_sha256(directory / name) for name in (ROWS_FILE, SUMMARY_FILE)},
+        files={},
         **facts,
     )
-    write_json(directory / RUN_FILE, run.model_dump(mode="json", by_alias=True))
-    return RunRecord(directory, run, tuple(rows), summary)
+
+    def run_naming(files: dict[str, str]) -> dict[str, Any]:
+        return {**run.model_dump(mode="json", by_alias=True), "files": files}
+
+    written = replace_files(
+        directory,
+        run_naming,
+        [row.model_dump(mode="json") for row in rows],
+        summary.model_dump(mode="json", by_alias=True),
+    )
+    return RunRecord(directory, run.model_copy(update={"files": written}), tuple(rows), summary)
 
 
 def load_record(directory: Path) -> RunRecord:
-    """Read a record, of this or an earlier schema.
+    """Read a record, of this or an earlier schema, judged by present or earlier protocols.
 
     Args:
         directory: Run directory.
@@ -195,27 +266,9 @@ def load_record(directory: Path) -> RunRecord:
     Raises:
         InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
     """
-    facts = read_json(directory / RUN_FILE)
-    if not isinstance(facts, dict) or type(facts.get("schema")) is not int or not isinstance(facts.get("files"), dict):
-        raise InputError(f"{directory / RUN_FILE} is not a run record: it has no schema number or no hashes of files")
-    if facts["schema"] > SCHEMA:
-        raise InputError(
-            f"{directory} has record schema {facts['schema']}, this version reads up to {SCHEMA}; upgrade "
-            "challenger-bench"
-        )
-    if facts["schema"] not in {SCHEMA, *UPGRADES}:
-        raise InputError(f"{directory} has record schema {facts['schema']}, which never existed; run eval again")
-    raw_rows, raw_summary = read_json_lines(directory / ROWS_FILE), read_json(directory / SUMMARY_FILE)
-    for name in (ROWS_FILE, SUMMARY_FILE):
-        if file_sha256(directory / name) != facts["files"].get(name):
-            raise InputError(
-                f"{directory / name} does not belong to the {RUN_FILE} beside it (an interrupted or edited run); run "
-                "the same eval command again"
-            )
-    for schema in range(facts["schema"], SCHEMA):
-        facts, raw_rows, raw_summary = UPGRADES[schema](facts, raw_rows, raw_summary)
+    raw_run, raw_rows, raw_summary = read_files(directory)
     try:
-        run = RunFacts.model_validate(facts)
+        run = RunFacts.model_validate(raw_run)
         rows = tuple(SampleRow.model_validate(row) for row in raw_rows)
         summary = Summary.model_validate(raw_summary)
     except ValidationError as error:
@@ -223,20 +276,6 @@ def load_record(directory: Path) -> RunRecord:
         place = ".".join(str(part) for part in first["loc"])
         raise InputError(f"{directory} is not a valid run record: {error.title} {place}: {first['msg']}") from error
     return RunRecord(directory, run, rows, summary)
-
-
-Upgrade = Callable[[dict[str, Any], list[Any], dict[str, Any]], tuple[dict[str, Any], list[Any], dict[str, Any]]]
-
-
-def _from_schema_1(
-    run: dict[str, Any], rows: list[Any], summary: dict[str, Any]
-) -> tuple[dict[str, Any], list[Any], dict[str, Any]]:
-    """Schema 2 only adds fields, and those have defaults that say "unknown"."""
-    return {**run, "schema": 2}, rows, {**summary, "schema": 2}
-
-
-UPGRADES: dict[int, Upgrade] = {1: _from_schema_1}
-"""From a schema to the next one: run, rows and summary in, the same out. Old records load for ever."""
 
 
 def find_records(root: Path) -> list[RunRecord]:

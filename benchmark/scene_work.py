@@ -3,17 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from benchmark.constants import PLAN_STEPS
+from benchmark.judging import judge
 from benchmark.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key
-from benchmark.planning import Plan, PlanFrame, Planner
-from benchmark.protocols import protocol
+from benchmark.planning import Planner
 from benchmark.records import PlannerFacts, SampleRow
 from benchmark.storage import content_key
-from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -72,7 +68,7 @@ def work_here(run: Run, data: "DataSet", planner: Planner, scene: str) -> SceneR
     """
     key = scene_key(run.fingerprint, run.split, scene, run.planner)
     planned = plan_scene(planner, data, scene, rows_path(run.directory, scene), key, fresh=run.fresh)
-    return SceneResult(scene, _judged(planned.rows, data.truth(scene), run.protocols), planned.seconds)
+    return SceneResult(scene, judge(planned.rows, data.truth(scene), run.protocols), planned.seconds)
 
 
 _in_this_process: dict[str, tuple["DataSet", Planner]] = {}
@@ -103,36 +99,3 @@ def reopen_root(root: Path, version: str, name: str) -> "DataSet":
     from benchmark.datasets.roots import open_data
 
     return open_data(root, version=version, name=name)
-
-
-def _judged(rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...], protocols: tuple[str, ...]) -> list[SampleRow]:
-    """Put what really happened and the verdicts beside the plans; a sample without a plan gets no verdict."""
-    tokens = [truth.sample_token for truth in truths]
-    if [row["sample_token"] for row in rows] != tokens:
-        raise ValueError(f"observations and truth of {truths[0].scene} do not have the same samples")
-    planned = [index for index, row in enumerate(rows) if row["plan"] is not None]
-    plans = [_in_lidar(rows[index]["plan"], truths[index]) for index in planned]
-    outcomes: list[dict[str, Any]] = [{} for _ in rows]
-    for name in protocols:
-        judged = protocol(name).evaluate(
-            [truths[index] for index in planned], np.array(plans).reshape(-1, PLAN_STEPS, 2)
-        )
-        for index, outcome in zip(planned, judged.as_rows()):
-            outcomes[index][name] = outcome
-    return [
-        SampleRow(
-            **row,
-            command=int(truth.command),
-            lidar_ahead_m=truth.lidar_ahead_m,
-            complete=truth.complete,
-            recorded_future=[
-                pose.tolist() if valid else None for pose, valid in zip(truth.ego_future, truth.ego_future_valid)
-            ],
-            outcomes=outcome,
-        )
-        for row, truth, outcome in zip(rows, truths, outcomes)
-    ]
-
-
-def _in_lidar(plan: dict[str, Any], truth: SampleTruth) -> Any:
-    return Plan(np.array(plan["waypoints"]), PlanFrame(plan["frame"])).waypoints_in_lidar(truth.lidar_ahead_m)

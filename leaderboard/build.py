@@ -1,24 +1,27 @@
 """From run records to the files of a leaderboard; the same records give the same bytes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from urllib.parse import quote
 
 from benchmark.errors import InputError
 from benchmark.records import RunRecord
 from benchmark.storage import file_name, write_bytes, writing_to
-from benchmark.transfer import transfer
-from leaderboard.collision import collision_table, in_table_order, published_table
+from leaderboard.collision import published_table
+from leaderboard.contents import DataSetTables, data_set_tables
+from leaderboard.heat_map import heat_map
 from leaderboard.selection import one_run_each
-from leaderboard.tables import Table
-from leaderboard.transfer import transfer_table
+from leaderboard.tables import Table, escape_markdown
 
-Files = dict[str, str]
-"""Text of each file by its path below the leaderboard's folder."""
-TABLES_FOLDER = "tables"
-"""Holds one folder for each data set and nothing else, so that what is no longer made there can be told."""
+Files = dict[str, bytes]
+"""Bytes of each file by its path below the leaderboard's folder."""
+TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
+"""Hold one folder for each data set and nothing else, so that what is no longer made there can be told."""
+OURS = (".tex", ".csv", ".md", ".png")
 
 
-def leaderboard_tables(records: Sequence[RunRecord]) -> list[tuple[str, Table]]:
+def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
     """Every table that the records allow.
 
     Args:
@@ -26,8 +29,7 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[tuple[str, Table]]:
             count.
 
     Returns:
-        Pairs of data set name and table: collision by protocol, then transfer by split; the published numbers last,
-        under the name ``published``.
+        The tables of each data set, by its name.
 
     Raises:
         InputError: If there are no records, two records of one planner and split would share a row, or records of one
@@ -35,40 +37,42 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[tuple[str, Table]]:
     """
     if not records:
         raise InputError("there are no run records to make tables of; run challenger-bench eval first")
-    tables: list[tuple[str, Table]] = []
     chosen = one_run_each(records)
-    for data_name in sorted({record.run.data.name for record in chosen}):
-        runs = [record for record in chosen if record.run.data.name == data_name]
-        protocols = sorted({name for record in runs for name in record.summary.protocols})
-        tables += [(data_name, collision_table(data_name, name, runs)) for name in protocols]
-        tables += [(data_name, table) for table in _transfer_tables(data_name, runs, protocols)]
-    return [*tables, ("published", published_table())]
+    return [
+        data_set_tables(name, [record for record in chosen if record.run.data.name == name])
+        for name in sorted({record.run.data.name for record in chosen})
+    ]
 
 
 def leaderboard_files(records: Sequence[RunRecord]) -> Files:
-    """The leaderboard as text.
+    """The leaderboard's files.
 
     Args:
         records: See `leaderboard_tables`.
 
     Returns:
-        ``README.md`` with all tables and, per table, LaTeX and CSV: ours below ``tables/<data set>/``, the published
-        numbers apart from them below ``published/``.
+        ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX and CSV,
+        and per other protocol a page, below ``tables/<data set>/``; heat maps below ``figures/<data set>/``; the
+        published numbers apart from ours below ``published/``.
     """
-    files: Files = {}
+    found, published = leaderboard_tables(records), published_table()
+    text: dict[str, str] = _table_files("published", [published])
     sections = ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
-    *ours, (_, published) = leaderboard_tables(records)
-    placed = [(f"{TABLES_FOLDER}/{file_name(data_name)}", table) for data_name, table in ours]
-    for folder, table in [*placed, ("published", published)]:
-        files[f"{folder}/{file_name(table.name)}.tex"] = table.latex()
-        files[f"{folder}/{file_name(table.name)}.csv"] = table.csv()
-        sections.append(table.markdown())
-    files["README.md"] = "\n".join(sections)
-    return files
+    sections += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
+    files: Files = {}
+    for data_set in found:
+        folder = file_name(data_set.data_name)
+        text |= _table_files(f"{TABLES_FOLDER}/{folder}", data_set.tables)
+        text |= {_page(folder, name): _page_text(data_set, name) for name in data_set.others}
+        for name, matrix in data_set.matrices.items():
+            files[_picture(folder, name)] = heat_map(matrix, ".png")
+        sections += _section(data_set, folder)
+    text["README.md"] = "\n".join([*sections, "## Published", "", published.markdown()])
+    return files | {name: content.encode() for name, content in text.items()}
 
 
 def write_leaderboard(records: Sequence[RunRecord], folder: Path) -> list[Path]:
-    """Write the leaderboard; tables of an earlier one that the records no longer give are removed.
+    """Write the leaderboard; what an earlier one had and the records no longer give is removed.
 
     Args:
         records: See `leaderboard_tables`.
@@ -78,8 +82,8 @@ def write_leaderboard(records: Sequence[RunRecord], folder: Path) -> list[Path]:
         The files written.
     """
     files = leaderboard_files(records)
-    for name, text in files.items():
-        write_bytes(folder / name, text.encode())
+    for name, content in files.items():
+        write_bytes(folder / name, content)
     for path in _left_over(files, folder):
         with writing_to(path):
             path.unlink()
@@ -97,32 +101,60 @@ def stale_files(records: Sequence[RunRecord], folder: Path) -> list[str]:
         One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
     """
     found, files = [], leaderboard_files(records)
-    for name, text in files.items():
+    for name, content in files.items():
         path = folder / name
         if not path.is_file():
             found.append(f"{path} is missing")
-        elif path.read_bytes() != text.encode():
+        elif path.read_bytes() != content:
             found.append(f"{path} differs from what the run records say")
-    return [*found, *(f"{path} is a table that the run records no longer give" for path in _left_over(files, folder))]
-
-
-def _left_over(files: Files, folder: Path) -> list[Path]:
-    """Tables in a leaderboard's folder that are not among its files."""
-    tables = sorted((folder / TABLES_FOLDER).glob("*/*"))
     return [
-        path for path in tables if path.suffix in (".tex", ".csv") and path.relative_to(folder).as_posix() not in files
+        *found,
+        *(f"{path} is a table or figure that the run records no longer give" for path in _left_over(files, folder)),
     ]
 
 
-def _transfer_tables(data_name: str, runs: Sequence[RunRecord], protocols: Sequence[str]) -> list[Table]:
-    tables = []
-    for split in sorted({record.run.split for record in runs}):
-        for protocol in protocols:
-            same = [
-                record
-                for record in in_table_order(runs)
-                if record.run.split == split and protocol in record.run.protocols and record.covers_split
-            ]
-            if len(same) > 1:
-                tables.append(transfer_table(data_name, transfer(same, protocol=protocol)))
-    return tables
+def _section(data_set: DataSetTables, folder: str) -> list[str]:
+    """A data set in ``README.md``; what is said below one table is not said again below the next."""
+    said: set[str] = set()
+
+    def shown(table: Table) -> str:
+        new = tuple(note for note in table.notes if note not in said)
+        said.update(new)
+        return replace(table, notes=new).markdown()
+
+    lines = [f"## {escape_markdown(data_set.data_name)}", ""]
+    lines += [*(f"- {escape_markdown(note)}" for note in data_set.notes), ""] if data_set.notes else []
+    for table in data_set.front:
+        lines.append(shown(table))
+        if table.name in data_set.matrices:
+            lines += [f"![{escape_markdown(table.title)}]({quote(_picture(folder, table.name))})", ""]
+    if data_set.others:
+        links = [f"[{escape_markdown(name)}]({quote(_page(folder, name))})" for name in data_set.others]
+        lines += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
+        lines += [shown(collision) for collision, *_ in data_set.others.values()]
+    return lines
+
+
+def _page_text(data_set: DataSetTables, protocol: str) -> str:
+    heading = f"# {escape_markdown(data_set.data_name)}: protocol {escape_markdown(protocol)}"
+    return "\n".join([heading, "", *(table.markdown() for table in data_set.others[protocol])])
+
+
+def _table_files(folder: str, tables: Sequence[Table]) -> dict[str, str]:
+    named = {f"{folder}/{file_name(table.name)}": table for table in tables}
+    latex = {f"{name}.tex": table.latex() for name, table in named.items()}
+    return latex | {f"{name}.csv": table.csv() for name, table in named.items()}
+
+
+def _page(folder: str, protocol: str) -> str:
+    return f"{TABLES_FOLDER}/{folder}/{file_name(protocol)}.md"
+
+
+def _picture(folder: str, table_name: str) -> str:
+    return f"{FIGURES_FOLDER}/{folder}/{file_name(table_name)}.png"
+
+
+def _left_over(files: Files, folder: Path) -> list[Path]:
+    """Tables and figures in a leaderboard's folder that are not among its files."""
+    found = [path for place in (TABLES_FOLDER, FIGURES_FOLDER) for path in sorted((folder / place).glob("*/*"))]
+    return [path for path in found if path.suffix in OURS and path.relative_to(folder).as_posix() not in files]

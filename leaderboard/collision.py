@@ -1,15 +1,25 @@
 """Table 1 of the paper: collision rate over 1, 2 and 3 seconds, by planner and split, ours and the published ones."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from benchmark.rates import HORIZONS
 from benchmark.records import ProtocolSummary, RunRecord
+from benchmark.significance import registered_version, source_of_scenes
 from leaderboard.published import INCREASE, SOURCE, TABLE_1
-from leaderboard.tables import UNDEFINED, Table, metres, percent, percent_interval
+from leaderboard.tables import UNDEFINED, Table, interval, metres, number, percent
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
 PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
+STALE_MARK = "‡"
+FEW_SCENES = 20
+"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
+FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
+RATES_NOTE = (
+    "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
+    "agree. Increase: (adv − val) / val of the averages, as the paper computes it; beside it the same over val-r."
+)
+BEFORE_MASK = "collision_before_mask"
 
 
 def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table:
@@ -18,37 +28,48 @@ def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord])
     Args:
         data_name: Name of the data set, for the title.
         protocol: Protocol of every number in the table.
-        records: Runs on this data set; those without the protocol are left out.
+        records: Runs on this data set; those without the protocol are named below the table.
 
     Returns:
-        One row per planner and split: rates with the 95 % scene-bootstrap interval of their average, the paper's
-        increase (adv - val) / val of the averages, L2, and what was counted.
+        One row per planner and split: rates with the 95 % scene-bootstrap interval of their average, what the
+        protocol's exclusion of recorded collisions removed (where it has one), the paper's increases of the averages,
+        L2, and what was counted.
     """
     runs = [record for record in in_table_order(records) if protocol in record.summary.protocols]
-    baseline = {
-        record.planner: _average(record.summary.protocols[protocol]) for record in runs if record.run.split == "val"
-    }
-    rows = [_row(record, protocol, baseline.get(record.planner)) for record in runs]
     versions = sorted({record.summary.protocols[protocol].version for record in runs})
-    return Table(
-        name=f"collision-{protocol}",
-        title=f"{data_name}: collision rate (%) and L2 (m), protocol {protocol} "
+    return _table(
+        f"collision-{protocol}",
+        f"{data_name}: collision rate (%) and L2 (m), protocol {protocol} "
         f"(version {', '.join(str(version) for version in versions)})",
-        columns=(
-            "planner",
-            "split",
-            *(f"col. {horizon}" for horizon in HORIZONS),
-            "95 % of avg",
-            "increase",
-            *(f"L2 {horizon}" for horizon in HORIZONS),
-            "samples",
-            "scenes",
-            "scenes failed",
-            "coverage",
+        in_table_order(records),
+        lambda record: protocol,
+        notes=(RATES_NOTE,),
+    )
+
+
+def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
+    """The paper's Table 1: every planner under the protocol of its own repository.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        records: Runs on this data set.
+
+    Returns:
+        One row per planner and split that says whose protocol it is; planners without one of their own come after the
+        others, under ``exact``.
+    """
+    ordered = sorted(in_table_order(records), key=lambda record: record.run.planner.native_protocol is None)
+    return _table(
+        "collision-native",
+        f"{data_name}: collision rate (%) and L2 (m), each planner under its own protocol",
+        ordered,
+        lambda record: record.native_protocol,
+        notes=(
+            "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
+            "protocols are not comparable. The last rows, under exact, are planners without a repository of their own.",
+            RATES_NOTE,
         ),
-        rows=tuple(rows),
-        notes=_notes(runs),
-        text_columns=2,
+        names_protocol=True,
     )
 
 
@@ -95,22 +116,96 @@ def increase_over(baseline: float | None, rate: float | None) -> float | None:
     return (rate - baseline) / baseline
 
 
+def times(value: float | None) -> str:
+    """An increase as the paper prints it, or a dash."""
+    return UNDEFINED if value is None else f"{number(value, 1)}×"
+
+
+def recordings(record: RunRecord) -> int:
+    """How many recorded scenes a run's scenes come from: what its intervals rest on."""
+    return len(set(source_of_scenes(record).values()))
+
+
+def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
+    """What has to be said of runs that are not whole.
+
+    Args:
+        records: Runs.
+
+    Returns:
+        One sentence for each run with failed samples and each run of a part of its split.
+    """
+    notes = []
+    for record in records:
+        who = f"{record.planner} on {record.run.split}"
+        if not record.complete:
+            summary = record.summary
+            notes.append(
+                f"{who}: {summary.failed} samples failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{summary.samples} samples."
+            )
+        if not record.covers_split:
+            notes.append(f"{who}: {len(record.run.scenes)} of {record.run.scenes_in_split} scenes of the split.")
+    return notes
+
+
+def _table(
+    name: str,
+    title: str,
+    records: Sequence[RunRecord],
+    judge_of: Callable[[RunRecord], str],
+    *,
+    notes: Sequence[str],
+    names_protocol: bool = False,
+) -> Table:
+    """Rows of all records that have their judge's verdicts, in the order given."""
+    runs = [record for record in records if judge_of(record) in record.summary.protocols]
+    averages = {(run.planner, run.run.split): _average(run.summary.protocols[judge_of(run)]) for run in runs}
+    has_mask = any(BEFORE_MASK in run.summary.protocols[judge_of(run)].columns for run in runs)
+    rows = []
+    for run in runs:
+        judge = judge_of(run)
+        baselines = [averages.get((run.planner, split)) for split in ("val", "val-r")]
+        name_cells = (_name(run, judge), run.run.split, *((judge,) if names_protocol else ()))
+        rows.append((*name_cells, *_numbers(run, run.summary.protocols[judge], baselines, has_mask=has_mask)))
+    return Table(
+        name=name,
+        title=title,
+        columns=(
+            *("planner", "split", *(("protocol",) if names_protocol else ())),
+            *(f"col. {horizon}" for horizon in HORIZONS),
+            "95 % of avg",
+            *(("avg before mask", "steps masked") if has_mask else ()),
+            *("increase", "over val-r"),
+            *(f"L2 {horizon}" for horizon in HORIZONS),
+            *("samples", "scenes", "scenes failed", "coverage"),
+        ),
+        rows=tuple(rows),
+        notes=(*notes, *_notes(records, judge_of, has_mask=has_mask)),
+        text_columns=3 if names_protocol else 2,
+    )
+
+
+def _name(record: RunRecord, judge: str) -> str:
+    name = marked(record.planner, privileged=record.run.planner.privileged)
+    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
+
+
 def _average(summary: ProtocolSummary) -> float | None:
     return summary.columns["collision"]["avg"].value
 
 
-def _row(record: RunRecord, protocol: str, baseline: float | None) -> tuple[str, ...]:
-    summary = record.summary.protocols[protocol]
+def _numbers(
+    record: RunRecord, summary: ProtocolSummary, baselines: Sequence[float | None], *, has_mask: bool
+) -> tuple[str, ...]:
     collision, l2 = summary.columns["collision"], summary.columns["l2"]
     average = collision["avg"]
-    increase = increase_over(baseline, average.value) if record.run.split == "adv" else None
-    interval = None if average.low is None or average.high is None else (average.low, average.high)
+    adversarial = record.run.split == "adv"
     return (
-        marked(record.planner, privileged=record.run.planner.privileged),
-        record.run.split,
         *(percent(collision[horizon].value) for horizon in HORIZONS),
-        percent_interval(interval),
-        UNDEFINED if increase is None else f"{increase:.1f}×",
+        interval(average.low, average.high, scale=100.0),
+        *(_mask_cells(summary) if has_mask else ()),
+        *(times(increase_over(baseline, average.value) if adversarial else None) for baseline in baselines),
         *(metres(l2[horizon].value) for horizon in HORIZONS),
         str(summary.counted),
         str(len(record.run.scenes)),
@@ -119,19 +214,31 @@ def _row(record: RunRecord, protocol: str, baseline: float | None) -> tuple[str,
     )
 
 
-def _notes(runs: Sequence[RunRecord]) -> tuple[str, ...]:
-    notes = [
-        "Brackets: 95 % bootstrap interval over scenes. Increase: (adv − val) / val of the averages, as the paper "
-        "computes it."
-    ]
-    if any(record.run.planner.privileged for record in runs):
+def _mask_cells(summary: ProtocolSummary) -> tuple[str, str]:
+    if BEFORE_MASK not in summary.columns:
+        return UNDEFINED, UNDEFINED
+    removed = summary.mask_removed_steps
+    return percent(summary.columns[BEFORE_MASK]["avg"].value), UNDEFINED if removed is None else str(removed)
+
+
+def _notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_mask: bool) -> list[str]:
+    notes = []
+    if has_mask:
+        notes.append(
+            "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
+            "average without that exclusion; masked: how many colliding steps it removed."
+        )
+    if any(record.run.planner.privileged for record in records):
         notes.append(PRIVILEGED_NOTE)
-    for record in runs:
-        if not record.complete:
-            notes.append(f"{record.planner} on {record.run.split}: {record.summary.failed} samples failed.")
-        if not record.covers_split:
+    if any(recordings(record) < FEW_SCENES for record in records):
+        notes.append(FEW_NOTE)
+    for record in records:
+        judge, who = judge_of(record), f"{record.planner} on {record.run.split}"
+        if judge not in record.summary.protocols:
+            notes.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
+        elif judge in record.stale_protocols:
             notes.append(
-                f"{record.planner} on {record.run.split}: {len(record.run.scenes)} of {record.run.scenes_in_split} "
-                "scenes of the split."
+                f"{STALE_MARK} {who}: judged by version {record.run.protocols[judge]} of protocol {judge}, now "
+                f"{registered_version(judge)}; run challenger-bench rescore."
             )
-    return tuple(notes)
+    return [*notes, *completeness_notes(records)]

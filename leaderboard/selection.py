@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 
 from benchmark.errors import InputError
+from benchmark.labels import labelled
 from benchmark.records import RunRecord
 
 
 def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
-    """The record that stands for each planner on each split of each data set.
+    """The record that stands for each version of a planner on each split of each data set.
 
-    A run of the whole split goes before runs of some of its scenes; of those the one with most scenes is taken.
+    Versions are told apart by `benchmark.labels`. A run of the whole split goes before runs of some of its scenes; of
+    those the one with most scenes is taken.
 
     Args:
         records: Any records.
@@ -22,7 +24,7 @@ def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
             saw different content.
     """
     chosen: dict[tuple[str, str, str], RunRecord] = {}
-    for record in sorted(records, key=_preference):
+    for record in sorted(labelled(records), key=_preference):
         key = (record.run.data.name, record.run.split, record.planner)
         first = chosen.setdefault(key, record)
         if first is not record and record.covers_split:

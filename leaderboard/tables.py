@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +25,11 @@ _LATEX_SPECIAL = {
     "×": r"$\times$",
     "±": r"$\pm$",
     "†": r"$\dagger$",
+    "‡": r"$\ddagger$",
     "−": "$-$",
+    "→": r"$\to$",
+    "∞": r"$\infty$",
+    "φ": r"$\phi$",
     "…": r"\ldots{}",
     # After the end of a row these two would be taken for its options.
     "[": "{[}",
@@ -60,10 +65,10 @@ class Table:
     def markdown(self) -> str:
         """The table as GitHub Markdown, with its title and notes."""
         rule = ["---"] * self.text_columns + ["---:"] * (len(self.columns) - self.text_columns)
-        lines = [f"### {_markdown_cell(self.title)}", ""]
-        lines += [_markdown_row([_markdown_cell(head) for head in self.columns]), _markdown_row(rule)]
-        lines += [_markdown_row([_markdown_cell(cell) for cell in row]) for row in self.rows]
-        lines += ["", *(f"- {_markdown_cell(note)}" for note in self.notes)] if self.notes else []
+        lines = [f"### {escape_markdown(self.title)}", ""]
+        lines += [_markdown_row([escape_markdown(head) for head in self.columns]), _markdown_row(rule)]
+        lines += [_markdown_row([escape_markdown(cell) for cell in row]) for row in self.rows]
+        lines += ["", *(f"- {escape_markdown(note)}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) + "\n"
 
     def plain(self) -> str:
@@ -105,16 +110,48 @@ def escape_latex(text: str) -> str:
     return "".join(_LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
 
 
+def escape_markdown(text: str) -> str:
+    """Text in which nothing is Markdown or HTML: names come from strangers' records."""
+    safe = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\\", "\\\\")
+    for character in "|`*":
+        safe = safe.replace(character, f"\\{character}")
+    safe = safe.replace("](", "\\](")
+    return " ".join(safe.split())
+
+
 def percent(fraction: float | None, digits: int = 2) -> str:
     """A fraction as a percentage without its sign, or a dash."""
     return UNDEFINED if fraction is None else f"{100 * fraction:.{digits}f}"
 
 
-def percent_interval(interval: tuple[float, float] | None, digits: int = 1) -> str:
-    """An interval of fractions as percentages, ``[low, high]``, or a dash."""
-    if interval is None:
+def interval(low: float | None, high: float | None, *, scale: float = 1.0, digits: int = 1) -> str:
+    """An interval as ``[low, high]``, or a dash where there is none to speak of.
+
+    Args:
+        low: Lower end.
+        high: Upper end; may be infinite.
+        scale: What the ends are multiplied with, for example 100 for a percentage.
+        digits: Decimals.
+
+    Returns:
+        The text. An interval without width is a dash too: where all scenes agree there is nothing to draw, and
+        "[0.0, 0.0]" would look like certainty.
+    """
+    if low is None or high is None or low == high:
         return UNDEFINED
-    return f"[{100 * interval[0]:.{digits}f}, {100 * interval[1]:.{digits}f}]"
+    return f"[{number(scale * low, digits)}, {number(scale * high, digits)}]"
+
+
+def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
+    """A number, or a dash where it does not exist; never "-0.0"."""
+    if value is None:
+        return UNDEFINED
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    text = f"{value:.{digits}f}"
+    if float(text) == 0.0:
+        return text.removeprefix("-")
+    return f"+{text}" if signed and value > 0 else text
 
 
 def metres(value: float | None, digits: int = 2) -> str:
@@ -124,15 +161,6 @@ def metres(value: float | None, digits: int = 2) -> str:
 
 def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
-
-
-def _markdown_cell(text: str) -> str:
-    """Text in which nothing is Markdown or HTML: names come from strangers' records."""
-    safe = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\\", "\\\\")
-    for character in "|`*":
-        safe = safe.replace(character, f"\\{character}")
-    safe = safe.replace("](", "\\](")
-    return " ".join(safe.split())
 
 
 def _latex_row(cells: Sequence[str]) -> str:

@@ -1,6 +1,7 @@
 """The whole path through the command line on a tiny town: build, check, generate, evaluate, transfer, tables."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -87,3 +88,63 @@ def test_dry_run_writes_nothing(town: Path, tmp_path: Path) -> None:
     run = done(challenger_bench("generate", "--data", town, "--split", "adv", "--out", tmp_path, "--dry-run", "--json"))
     assert run.json["tried"] > 0
     assert bytes_below(tmp_path) == {}
+
+
+def test_rescoring_what_is_current_changes_no_byte(town: Path, out: Path) -> None:
+    before = bytes_below(out / "runs")
+    run = done(challenger_bench("rescore", "--data", town, "--out", out, "--json"))
+    assert {result["says"] for result in run.json} == {"current"}
+    assert len(run.json) == 3 * len(PLANNERS)
+    assert bytes_below(out / "runs") == before
+
+
+def test_a_record_of_an_older_protocol_is_marked_and_rescored_without_the_planner(
+    town: Path, out: Path, tmp_path: Path
+) -> None:
+    found = next(path for path in (out / "runs").rglob("run.json") if path.parent.name == "idm")
+    folder = tmp_path / "runs" / "idm"
+    shutil.copytree(found.parent, folder)
+    facts = json.loads((folder / "run.json").read_text())
+    facts["protocols"]["uniad"] -= 1
+    (folder / "run.json").write_text(json.dumps(facts))
+    tables = tmp_path / "tables"
+    done(challenger_bench("leaderboard", "--records", tmp_path / "runs", "--to", tables))
+    assert "challenger-bench rescore" in "".join(path.read_text() for path in tables.rglob("*.md"))
+    run = done(challenger_bench("rescore", "--data", town, "--out", out, "--records", tmp_path / "runs", "--json"))
+    assert [result["says"] for result in run.json] == ["rescored"]
+    assert (folder / "samples.jsonl").read_bytes() == (found.parent / "samples.jsonl").read_bytes()
+    assert (folder / "summary.json").read_bytes() == (found.parent / "summary.json").read_bytes()
+    assert json.loads((folder / "run.json").read_text())["rescored"] is not None
+
+
+def test_rescoring_with_other_data_is_refused_and_loses_nothing(out: Path, tmp_path: Path) -> None:
+    other = tmp_path / "small"
+    done(challenger_bench("data", "build", "--root", other, "--town-scenes", "1", "--seed", "5", *SMALL))
+    before = bytes_below(out / "runs")
+    run = challenger_bench("rescore", "--data", other, "--out", out)
+    assert run.code == 1
+    assert "fingerprint" in run.out
+    assert bytes_below(out / "runs") == before
+
+
+def test_transfer_under_any_protocol_and_its_heat_map(out: Path, tmp_path: Path) -> None:
+    for protocol in ("uniad", "vad-23", "native"):
+        run = done(challenger_bench("transfer", "--out", out, "--protocol", protocol, "--json"))
+        assert run.json["small"]["protocol"] == protocol
+    picture = tmp_path / "transfer.png"
+    text = done(challenger_bench("transfer", "--out", out, "--figure", picture)).out
+    assert "phi" in text or "agreement" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    wrong = challenger_bench("transfer", "--out", out, "--figure", tmp_path / "transfer.docx")
+    assert (wrong.code, wrong.err.count("\n")) == (2, 1)
+
+
+def test_explaining_protocols_prints_a_table_and_draws_cases(town: Path, out: Path) -> None:
+    common = ("--model", "constant-velocity", "--data", town, "--split", "adv", "--out", out)
+    run = done(challenger_bench("eval", *common, "--explain-protocols", "--protocol", "vad", "--protocol", "exact"))
+    pictures = list((out / "explained").rglob("*.png"))
+    assert pictures
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+    assert all(text in run.out for text in ("misses", "protocol vad", "protocol exact"))
+    unknown = challenger_bench("eval", *common, "--protocol", "guess")
+    assert (unknown.code, unknown.err.count("\n")) == (2, 1)

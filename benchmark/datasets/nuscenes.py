@@ -2,7 +2,7 @@
 
 import functools
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -15,6 +15,7 @@ from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.observations import observations_of_scene
 from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.datasets.sensors import read_cameras, read_lidar
 from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.tables import Row, find_version
@@ -22,6 +23,7 @@ from benchmark.datasets.timeline import read_timeline, samples_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.planning import Observation
+from benchmark.record_schema import SceneFacts
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from benchmark.storage import read_json
@@ -176,6 +178,22 @@ class NuScenesData:
         """How the data set was made (``challenger.json`` in the version folder), or ``None`` if it does not say."""
         return self._provenance
 
+    def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+        """Where scenes come from and what their first adversary does (see `scene_facts_of`).
+
+        Args:
+            names: Scene names.
+
+        Returns:
+            Facts by name.
+
+        Raises:
+            InputError: If there is no such scene.
+        """
+        made = self._provenance["scenes"] if self._provenance else {}
+        known = [self._row(name)["name"] for name in names]
+        return {name: scene_facts_of(name, made.get(name, {})) for name in known}
+
     def _row(self, name: str) -> Row:
         if name not in self._rows:
             some = ", ".join(sorted(self._rows)[:5]) + (", ..." if len(self._rows) > 5 else "")
@@ -239,6 +257,8 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
         adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
         if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
             raise InputError(f"{path}: scene {name} must be an object with a list of adversaries; write it again")
+        if not isinstance(entry.get("source_scene", ""), str):
+            raise InputError(f"{path}: the source_scene of {name} must be the name of a scene; write it again")
         if name not in scenes:
             raise InputError(f"{path} names the scene {name}, which is not in scene.json; write the data set again")
     return value

@@ -6,7 +6,7 @@ are called ``v0/scene-0061``.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -15,6 +15,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.tables import version_folders
 from benchmark.errors import InputError
 from benchmark.planning import Observation
+from benchmark.record_schema import SceneFacts
 from benchmark.scene import Scene
 from benchmark.storage import content_key
 from benchmark.truth import SampleTruth
@@ -56,6 +57,9 @@ class DataSet(Protocol):
 
     def provenance(self) -> dict[str, Any] | None:
         """How the data set was made, if it says."""
+
+    def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+        """Where scenes come from and what is done in them, by name."""
 
 
 class VariantRoots:
@@ -157,6 +161,18 @@ class VariantRoots:
             return None
         scenes = {f"{folder}/{name}": made for folder, value in known.items() for name, made in value["scenes"].items()}
         return {**next(iter(known.values())), "scenes": scenes}
+
+    def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+        """Where scenes come from and what is done in them; the source has no prefix, so that variants share it.
+
+        Raises:
+            InputError: If there is no such scene.
+        """
+        found = {}
+        for name in names:
+            data, inner = self._find(name)
+            found[name] = data.scene_facts([inner])[inner]
+        return found
 
     def _find(self, name: str) -> tuple[NuScenesData, str]:
         folder, _, inner = name.partition("/")

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from benchmark.datasets.roots import variant_folders
+from benchmark.datasets.scene_facts import labels_in
 from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.table_rows import TableCounts, count_rows, table_rows
 from benchmark.datasets.tables import find_version
@@ -190,7 +191,7 @@ def _provenance(path: Path) -> dict[str, Any]:
 
 def _labels_of(part: _Root) -> Iterator[_StoredLabels]:
     for name, entry in part.made.items():
-        for found in _labels_in(entry.get("report")):
+        for found in labels_in(entry.get("report")):
             try:
                 yield _StoredLabels.model_validate(found)
             except ValidationError as error:
@@ -199,19 +200,6 @@ def _labels_of(part: _Root) -> Iterator[_StoredLabels]:
                     f"{part.folder / 'challenger.json'}: the labels of {name} lack a proper {where or 'content'}; "
                     "generate the data set again"
                 ) from error
-
-
-def _labels_in(report: Any) -> Iterator[Any]:
-    """Labels in a report, which has one for each adversary, wherever it puts them."""
-    if isinstance(report, list):
-        for item in report:
-            yield from _labels_in(item)
-    elif isinstance(report, dict):
-        for key in sorted(report):
-            if key == "labels" and report[key] is not None:
-                yield report[key]
-            else:
-                yield from _labels_in(report[key])
 
 
 def _rows_of(labels: Sequence[_StoredLabels]) -> tuple[ManoeuvreRow, ...]:

@@ -82,7 +82,7 @@ class Exact:
         first: list[tuple[float | None, str | None]] = []
         for start in range(0, len(truths), _SAMPLES_AT_ONCE):
             batch = slice(start, start + _SAMPLES_AT_ONCE)
-            contact[batch], first_of_batch = _contacts(ego[batch], truths[batch])
+            contact[batch], first_of_batch = contacts(ego[batch], truths[batch])
             first.extend(first_of_batch)
         by_step = contact.reshape(-1, PLAN_STEPS, INSTANTS_PER_STEP)
         distance = np.hypot(plans[..., 0] - future[..., 0], plans[..., 1] - future[..., 1])
@@ -172,8 +172,16 @@ def _fractions() -> Floats:
     return np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
 
 
-def _contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[tuple[float | None, str | None]]]:
-    """Contact at each instant, (S, 30), and for each sample when and whom it touches first."""
+def contacts(ego: Floats, truths: Sequence[SampleTruth]) -> tuple[Bools, list[tuple[float | None, str | None]]]:
+    """Contacts of any rectangle with the annotated objects.
+
+    Args:
+        ego: (S, 30, 5) boxes at the instants 0.1, 0.2, ... 3.0 s.
+        truths: S samples.
+
+    Returns:
+        (S, 30) verdicts, and for each sample when (seconds) and whom it touches first, or two ``None``.
+    """
     boxes = np.concatenate([truth.boxes for truth in truths])
     annotated = np.concatenate([truth.annotated for truth in truths])
     sample_of = np.repeat(np.arange(len(truths)), [len(truth.instances) for truth in truths])

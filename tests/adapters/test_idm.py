@@ -96,7 +96,64 @@ def test_it_looks_at_nothing_of_the_future() -> None:
     position = scene.agents.position.copy()
     position[:, later, 0] += 25.0
     changed = replace(scene, agents=replace(scene.agents, position=position))
-    assert (planned(scene, index).waypoints == planned(changed, index).waypoints).all()
+    plan, other = planned(scene, index), planned(changed, index)
+    assert (plan.waypoints == other.waypoints).all()
+    assert plan.forecasts is not None and other.forecasts is not None
+    assert (plan.forecasts.trajectories == other.forecasts.trajectories).all()
+
+
+BUSY = (
+    Car(80.0, 198.25, 6.0),
+    Car(66.0, 195.0, 8.0, yaw=0.2),
+    Car(90.0, 215.0, 5.0, yaw=-np.pi / 2),
+    Car(120.0, 201.75, 9.0, np.pi),
+    Car(38.0, 198.25, 12.0),
+)
+"""A leader, a car that cuts in, one that crosses, an oncoming one, one that follows."""
+
+
+def test_its_forecasts_are_what_it_plans_by() -> None:
+    forecasts = planned(scene_on_straight_road(BUSY, ego_speed=9.0), 4).forecasts
+    assert forecasts is not None
+    assert forecasts.boxes[:, :2] == pytest.approx(
+        np.array([[24.0, 0.0], [13.681, -0.071], [22.0, 6.75], [34.0, 3.5], [-6.0, 0.0]])
+    )
+    assert np.abs(forecasts.boxes[:, 4]) == pytest.approx([0.0, 0.2, np.pi / 2, np.pi, 0.0], abs=1e-3)
+    assert forecasts.scores.tolist() == [[1.0]] * 5
+    seconds = 0.5 * np.arange(1, 7)
+    leader, cutting_in, crossing, oncoming, follower = forecasts.trajectories[:, 0]
+    assert leader[:, 0] == pytest.approx(24.0 + 6.0 * seconds) and not leader[:, 1].any()
+    # It expects who cuts in to do so for a second and a half.
+    assert cutting_in[:, 1] == pytest.approx(-0.071 + 8.0 * np.sin(0.2) * np.minimum(seconds, 1.5), abs=2e-3)
+    assert crossing[:, 1] == pytest.approx(6.75 - 5.0 * seconds) and crossing[:, 0] == pytest.approx(22.0)
+    assert oncoming[:, 0] == pytest.approx(34.0 - 9.0 * seconds) and oncoming[:, 1] == pytest.approx(3.5)
+    assert follower[:, 0] == pytest.approx(-6.0 + 12.0 * seconds)
+
+
+def test_forecasts_change_nothing_in_the_plan() -> None:
+    """The waypoints are those of the version before there were forecasts."""
+    plan = planned(scene_on_straight_road(BUSY, ego_speed=9.0), 4)
+    before = [4.315527310005109, 8.320637442056494, 12.02350628019623, 14.609099980353776]
+    assert plan.waypoints[:, 0] == pytest.approx([*before, 16.485110332335722, 18.57467409833096], abs=1e-9)
+    assert not plan.waypoints[:, 1].any()
+
+
+def test_alone_it_forecasts_nobody() -> None:
+    forecasts = planned(scene_on_straight_road(()), 2).forecasts
+    assert forecasts is not None
+    assert (forecasts.boxes.shape, forecasts.trajectories.shape, forecasts.scores.shape) == (
+        (0, 5),
+        (0, 1, 6, 2),
+        (0, 1),
+    )
+
+
+def test_its_forecasts_are_in_the_frame_of_its_plan() -> None:
+    turned = Car(50.0, 198.25 + 20.0, 5.0, yaw=np.pi / 2)
+    seen = planned(scene_on_straight_road((turned,), ego_speed=0.0), 3).forecasts
+    assert seen is not None
+    assert seen.boxes[0] == pytest.approx([0.0, 27.5, 4.6, 1.9, np.pi / 2], abs=1e-3)
+    assert seen.trajectories[0, 0, :, 1] == pytest.approx(27.5 + 2.5 * np.arange(1, 7))
 
 
 def fork() -> RoadMap:

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from adapters.idm import IntelligentDriver
 from adapters.lane_path import Path, straight_path
-from adapters.obstacles import Obstacles, obstacles_along
+from adapters.obstacles import Obstacles, expected_centres, obstacles_along
 from benchmark.geometry import Floats
 from benchmark.planning import SceneInfo
 from tests.benchmark.fake_data import observation
@@ -20,6 +22,12 @@ def along(path: Path, *movers: tuple[float, float, float, float]) -> Obstacles:
     boxes = np.array([(x, y, 4.6, 1.9, yaw) for x, y, yaw, _ in movers])
     velocity = np.array([(speed * np.cos(yaw), speed * np.sin(yaw)) for _, _, yaw, speed in movers])
     return obstacles_along(path, boxes, velocity, SECONDS, side_margin_m=0.3, foresight_s=1.5)
+
+
+def centres(path: Path, *movers: tuple[float, float, float, float]) -> Floats:
+    boxes = np.array([(x, y, 4.6, 1.9, yaw) for x, y, yaw, _ in movers])
+    velocity = np.array([(speed * np.cos(yaw), speed * np.sin(yaw)) for _, _, yaw, speed in movers])
+    return expected_centres(path, boxes, velocity, SECONDS, foresight_s=1.5)
 
 
 def last_speed(*cars: Car, ego_speed: float) -> float:
@@ -68,3 +76,52 @@ def test_close_behind_an_equally_fast_leader_it_lets_the_gap_grow_gently() -> No
 
 def test_it_stops_behind_a_leader_that_stands_close_ahead() -> None:
     assert last_speed(Car(50.0 + 7.0 + 10.0, 198.25, 0.0), ego_speed=7.0) == pytest.approx(0.0, abs=0.2)
+
+
+def arc(radius_m: float) -> Path:
+    angle = np.linspace(0.0, 1.8, 200)
+    return Path.through(radius_m * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
+
+
+MOVERS = st.tuples(st.floats(2.0, 30.0), st.floats(-4.0, 4.0), st.floats(-np.pi, np.pi), st.floats(0.0, 12.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(MOVERS, min_size=1, max_size=5), st.sampled_from([20.0, 40.0]))
+def test_where_others_are_expected_is_where_they_are_met(
+    movers: list[tuple[float, float, float, float]], radius_m: float
+) -> None:
+    path = arc(radius_m)
+    placed = []
+    for along_m, left_m, turn, speed in movers:
+        on, heading = path.at(np.array(along_m)), float(path.heading_at(np.array(along_m)))
+        placed.append((on[0] - left_m * np.sin(heading), on[1] + left_m * np.cos(heading), heading + turn, speed))
+    met, expected = along(path, *placed), centres(path, *placed)
+    where, beside = path.project(expected)
+    inside = np.isfinite(met.rear)
+    assert (0.5 * (met.rear + met.front))[inside] == pytest.approx(where[inside], abs=0.15)
+    # Corridor: half the ego's width, a margin, and at most half the other's length.
+    assert np.abs(beside[inside]).max(initial=0.0) < 0.925 + 0.3 + 2.5 + 0.1
+    assert expected[:, 0] == pytest.approx(np.array([(x, y) for x, y, _, _ in placed]), abs=1e-9)
+
+
+def test_in_a_bend_the_car_of_the_next_lane_is_expected_to_stay_there() -> None:
+    path = arc(25.0)
+    inner = 25.0 - 3.5
+    (expected,) = centres(path, (inner * np.sin(0.2), 25.0 - inner * np.cos(0.2), 0.2, 8.0))
+    assert np.hypot(expected[:, 0], expected[:, 1] - 25.0) == pytest.approx(inner, abs=0.15)
+
+
+def test_who_crosses_a_bend_is_expected_straight_on() -> None:
+    (expected,) = centres(arc(25.0), (10.0, -10.0, np.pi / 2, 5.0))
+    assert expected == pytest.approx(np.column_stack([np.full(30, 10.0), -10.0 + 5.0 * SECONDS]))
+
+
+def test_beyond_the_ends_of_the_path_others_go_straight_on() -> None:
+    ahead, behind = centres(EAST, (58.0, 1.0, 0.0, 10.0), (-8.0, -1.0, 0.0, 3.0))
+    assert ahead == pytest.approx(np.column_stack([58.0 + 10.0 * SECONDS, np.ones(30)]))
+    assert behind == pytest.approx(np.column_stack([-8.0 + 3.0 * SECONDS, -np.ones(30)]))
+
+
+def test_nobody_is_expected_nowhere() -> None:
+    assert expected_centres(EAST, np.zeros((0, 5)), np.zeros((0, 2)), SECONDS, foresight_s=1.5).shape == (0, 30, 2)

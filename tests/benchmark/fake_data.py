@@ -1,6 +1,6 @@
 """A data set in memory over hand-made scenes, with truth and observations straight from the scene."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.can_bus import CanBus, ego_state
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.planning import CameraView, Command, Observation
+from benchmark.record_schema import SceneFacts
 from benchmark.scene import Scene
 from benchmark.storage import content_key, token
 from benchmark.truth import SampleTruth
@@ -54,6 +55,9 @@ class FakeData:
 
     def provenance(self) -> dict[str, Any] | None:
         return None
+
+    def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
+        return {name: SceneFacts(source=name) for name in names}
 
     def fingerprint(self) -> str:
         return content_key([(name, self.scenes[name].agents.position.tolist()) for name in sorted(self.scenes)])

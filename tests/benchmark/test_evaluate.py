@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 
 import benchmark.evaluate
 from adapters.log_replay import LogReplay
+from adapters.plan_file import WAYPOINT_COLUMNS, plan_file_factory
 from benchmark.errors import InputError
 from benchmark.evaluate import EvalSettings, evaluate
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global
+from benchmark.plan_rows import facts_of
 from benchmark.planning import CameraView, Observation, SceneInfo
+from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import Exact
 from benchmark.records import find_records, load_record
 from benchmark.scene import Camera, EgoTrack, Scene
@@ -105,6 +108,47 @@ def test_damaged_rows_are_planned_again(tmp_path: Path) -> None:
         planner = Straight()
         evaluate(town_of_two(), "val", planner, tmp_path)
         assert planner.calls == 16 and contents(record.directory) == before
+
+
+def test_records_hold_every_protocol_and_the_facts_of_their_scenes(tmp_path: Path) -> None:
+    record = evaluate(town_of_two(), "val", Straight(), tmp_path, EvalSettings(limit=1))
+    assert set(record.run.protocols) == set(PROTOCOLS) == set(record.summary.protocols) == set(record.rows[0].outcomes)
+    assert {name: facts.source for name, facts in record.run.scene_facts.items()} == {"scene-9901": "scene-9901"}
+    assert record.missing_protocols == record.stale_protocols == ()
+
+
+def test_a_native_protocol_changes_neither_directory_nor_kept_plans(tmp_path: Path) -> None:
+    plain = evaluate(town_of_two(), "val", Factory(), tmp_path)
+    rows = contents(plain.directory / "rows")
+    named = replace(Factory(), facts=plain.run.planner.model_copy(update={"native_protocol": "vad"}))
+    record = evaluate(town_of_two(), "val", replace(named, made=Failing), tmp_path)
+    assert record.directory == plain.directory and contents(plain.directory / "rows") == rows
+    assert record.complete and load_record(record.directory).native_protocol == "vad"
+
+
+def test_a_planner_names_its_native_protocol_itself() -> None:
+    planner = Straight()
+    assert facts_of(planner).native_protocol is None
+    planner.native_protocol = "sparsedrive"  # type: ignore[attr-defined]
+    assert facts_of(planner).native_protocol == "sparsedrive"
+    for wrong in ("nuplan", 3, ["vad"]):
+        planner.native_protocol = wrong  # type: ignore[attr-defined]
+        with pytest.raises(InputError, match=r"planner 'straight' has the unknown native protocol .*known are exact"):
+            facts_of(planner)
+
+
+def test_plans_of_a_file_have_the_native_protocol_that_is_given(tmp_path: Path) -> None:
+    data, path = town_of_two(), tmp_path / "mine.csv"
+    names = [truth.sample_token for scene in data.scene_names() for truth in data.truth(scene)]
+    points = ",".join(f"0.0,{4.0 * step}" for step in range(1, 7))
+    rows = [f"{name},lidar,{points}" for name in names]
+    path.write_text("\n".join([",".join(("sample_token", "frame", *WAYPOINT_COLUMNS)), *rows]) + "\n")
+    record = evaluate(data, "val", plan_file_factory(path, data, "val", native="uniad"), tmp_path / "out")
+    assert record.native_protocol == "uniad"
+    plain = evaluate(data, "val", plan_file_factory(path, data, "val"), tmp_path / "out")
+    assert plain.directory == record.directory and plain.native_protocol == "exact"
+    with pytest.raises(InputError, match=r"mine\.csv has the unknown native protocol 'UniAD'; known are exact, uniad"):
+        plan_file_factory(path, data, "val", native="UniAD")
 
 
 def test_a_failed_sample_is_never_a_zero(tmp_path: Path) -> None:

@@ -1,22 +1,15 @@
-"""The exact protocol against golden numbers, against shapely, and on cases made by hand."""
-
-from pathlib import Path
-from typing import Any
+"""The exact protocol on cases made by hand; `test_protocols_slow` and `test_protocols_verification` have the rest."""
 
 import numpy as np
 import pytest
-import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from benchmark.geometry import Bools, Floats, box_corners, wrap_angle
-from benchmark.planning import Command, chord_headings
+from benchmark.geometry import Bools, Floats
+from benchmark.planning import Command
 from benchmark.protocols import PROTOCOLS, Outcomes, protocol, register
 from benchmark.protocols.exact import Exact
 from benchmark.truth import SampleTruth
+from tests.benchmark.protocol_cases import Traits, plan_of, sample_of
 
-GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "protocols"
 STRAIGHT = np.column_stack([np.zeros(6), np.arange(1, 7) * 4.0])
 CAR = (4.6, 1.9, np.pi / 2)
 
@@ -49,99 +42,6 @@ def truth(
 
 def parked(x: float, y: float) -> Floats:
     return np.tile([x, y, *CAR], (7, 1))
-
-
-def golden_truths(data: dict[str, NDArray[Any]]) -> list[SampleTruth]:
-    truths = []
-    for row in range(len(data["keyframe"])):
-        rows = slice(data["obj_offset"][row], data["obj_offset"][row + 1])
-        box, annotated = data["obj_box"][rows].astype(np.float64), data["obj_annotated"][rows]
-        size = np.broadcast_to(data["obj_size"][rows, None].astype(np.float64), (len(box), 7, 2))
-        boxes = np.concatenate([box[..., :2], size, box[..., 2:]], axis=-1)
-        future = data["ego_fut"][row].astype(np.float64)
-        sample = truth(boxes, annotated, future=future[:, :2], valid=int(data["ego_fut_valid"][row].sum()))
-        truths.append(sample)
-    return truths
-
-
-@pytest.mark.skipif(not GOLDEN.is_dir(), reason="the golden sets are not beside this checkout")
-def test_golden_verdicts_agree_at_every_waypoint_and_every_step() -> None:
-    files = sorted(GOLDEN.glob("*_exact.npz"))
-    assert files
-    for file in files:
-        exact = dict(np.load(file))
-        inputs = dict(np.load(file.with_name(file.name.replace("_exact", ""))))
-        truths = golden_truths(inputs)
-        for plan in range(inputs["plans"].shape[1]):
-            plans = inputs["plans"][:, plan].astype(np.float64)
-            outcomes = Exact().evaluate(truths, plans)
-            touching = exact["clear_all"][:, plan] < 1e-6
-            decided = ~(touching & ~exact["way_all"][:, plan])
-            expected_steps = exact["cont_all"][:, plan].reshape(-1, 6, 5).any(axis=-1)
-            assert (outcomes.steps["waypoint_collision"] == exact["way_all"][:, plan])[decided].all(), file.name
-            assert (outcomes.collision == expected_steps)[decided].all(), file.name
-            heading = chord_headings(plans, start_heading_rad=np.pi / 2)
-            assert np.abs(wrap_angle(heading - exact["heading"][:, plan, 1:])).max() < 1e-5
-            assert (outcomes.counted == inputs["ego_fut_valid"].all(axis=1)).all()
-
-
-def oracle(sample: SampleTruth, plan: Floats) -> tuple[list[bool], bool]:
-    """Slow and obvious: shapely polygons at each tenth of a second; also whether any verdict is within a hair."""
-    headings = [np.pi / 2, *chord_headings(plan, start_heading_rad=np.pi / 2)]
-    points = [np.zeros(2), *plan]
-    verdicts, close = [], False
-    for step in range(6):
-        hit = False
-        for part in range(1, 6):
-            share = part / 5
-            turn = wrap_angle(np.asarray(headings[step + 1] - headings[step]))
-            yaw = headings[step] + share * float(turn)
-            place = (1 - share) * points[step] + share * points[step + 1]
-            centre = place + 0.5 * np.array([np.cos(yaw), np.sin(yaw)])
-            ego = shapely.Polygon(box_corners(np.array([*centre, 4.084, 1.85, yaw])))
-            for boxes, there in zip(sample.boxes, sample.annotated):
-                if not there[step + 1] or (part < 5 and not there[step]):
-                    continue
-                between = (1 - share) * boxes[step] + share * boxes[step + 1]
-                swing = wrap_angle(np.asarray(boxes[step + 1, 4] - boxes[step, 4]))
-                between[4] = boxes[step, 4] + share * float(swing)
-                other = shapely.Polygon(box_corners(between))
-                hit |= ego.intersects(other)
-                close |= abs(ego.distance(other)) < 1e-6 and ego.intersection(other).area < 1e-6
-                close |= 0 < ego.intersection(other).area < 1e-6
-        verdicts.append(hit)
-    return verdicts, close
-
-
-def random_case(seed: int, objects: int) -> tuple[SampleTruth, Floats]:
-    rng = np.random.default_rng(seed)
-    start = rng.uniform([-8, -8], [8, 25], (objects, 2))
-    step = rng.normal(0, 2.0, (objects, 2))
-    boxes = np.empty((objects, 7, 5))
-    boxes[..., :2] = start[:, None] + step[:, None] * np.arange(7)[:, None]
-    boxes[..., 2:4] = rng.uniform(0.3, 9.0, (objects, 1, 2))
-    boxes[..., 4] = rng.uniform(-np.pi, np.pi, (objects, 1)) + 0.3 * np.arange(7)
-    plan = np.cumsum(rng.normal([0.0, 2.0], [0.7, 1.5], (6, 2)), axis=0)
-    return truth(boxes, rng.random((objects, 7)) < 0.8), plan
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32), st.integers(0, 5))
-def test_verdicts_equal_those_of_polygons(seed: int, objects: int) -> None:
-    sample, plan = random_case(seed, objects)
-    expected, close = oracle(sample, plan)
-    if not close:
-        assert Exact().evaluate([sample], plan[None]).collision[0].tolist() == expected
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**32), st.permutations(range(7)))
-def test_the_order_of_samples_and_objects_changes_nothing(seed: int, order: list[int]) -> None:
-    cases = [random_case(seed + row, row) for row in range(7)]
-    together = Exact().evaluate([sample for sample, _ in cases], np.array([plan for _, plan in cases])).as_rows()
-    shuffled = Exact().evaluate([cases[row][0] for row in order], np.array([cases[row][1] for row in order])).as_rows()
-    assert [together[row] for row in order] == shuffled
-    assert [Exact().evaluate([sample], plan[None]).as_rows()[0] for sample, plan in cases] == together
 
 
 def test_contact_between_waypoints_counts_and_is_not_undone() -> None:
@@ -194,11 +94,15 @@ def test_samples_without_a_complete_future_are_not_counted() -> None:
     assert outcomes.as_rows()[0]["l2"][5] is None
 
 
-def test_rows_and_arrays_are_the_same() -> None:
-    cases = [random_case(row, row) for row in range(5)]
-    outcomes = Exact().evaluate([sample for sample, _ in cases], np.array([plan for _, plan in cases]))
+@pytest.mark.parametrize("name", PROTOCOLS)
+def test_rows_and_arrays_are_the_same(name: str) -> None:
+    kinds = [Traits(seed, seed, 9.0, 6 - seed % 2, "drive", False) for seed in range(5)]
+    truths, plans = [sample_of(kind) for kind in kinds], np.array([plan_of(kind) for kind in kinds])
+    outcomes = PROTOCOLS[name].evaluate(truths, plans)
     back = Outcomes.from_rows(outcomes.as_rows())
     assert back.as_rows() == outcomes.as_rows()
+    before, after = (PROTOCOLS[name].sample_values(one) for one in (outcomes, back))
+    assert all((before[column] == after[column]).all() for column in before)
     assert len(Outcomes.from_rows([])) == 0
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from benchmark.protocols import Outcomes
 from benchmark.protocols.exact import Exact
-from benchmark.rates import HORIZONS, RESAMPLES, rates, ratios_over_scenes
+from benchmark.rates import HORIZONS, RESAMPLES, ends, rates, ratios_over_scenes, sums_by_scene
 from benchmark.storage import content_seed
 
 
@@ -69,3 +69,29 @@ def test_the_order_of_samples_changes_no_bit(seed: int) -> None:
     order = rng.permutation(40)
     shuffled = ratios_over_scenes(values[order], weights[order], [scenes[index] for index in order], seed=1)
     assert ratios_over_scenes(values, weights, scenes, seed=1) == shuffled
+
+
+def test_draws_without_a_number_widen_both_ends_to_the_bounds() -> None:
+    draws = np.linspace(0.4, 0.6, 1000)
+    assert ends(draws, (0.0, 1.0)) == (draws[24], draws[975])
+    draws[::10] = np.nan
+    assert ends(draws, (0.0, 1.0)) == (0.0, 1.0)
+    assert ends(np.full(10, np.inf), (-1.0, np.inf)) == (np.inf, np.inf)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.1, 0.9))
+def test_the_interval_holds_the_rate_where_there_are_many_scenes(seed: int, chance: float) -> None:
+    rng = np.random.default_rng(seed)
+    scenes = [f"scene-{index // 5}" for index in range(200)]
+    values = (rng.random((200, 1)) < chance).astype(float)
+    found = ratios_over_scenes(values, np.ones_like(values), scenes, seed=0)[0]
+    assert found.value is not None and found.low is not None and found.high is not None
+    assert found.low <= found.value <= found.high
+
+
+def test_sums_over_other_names_are_zero_where_there_was_nothing() -> None:
+    sums = sums_by_scene(np.array([[1.0], [2.0], [4.0]]), np.ones((3, 1)), ["b", "a", "b"])
+    assert sums.names == ("a", "b") and sums.numerators.tolist() == [[2.0], [5.0]]
+    other = sums.over(["b", "c"])
+    assert other.numerators.tolist() == [[5.0], [0.0]] and other.denominators.tolist() == [[2.0], [0.0]]

@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 from benchmark.errors import InputError
 from benchmark.evaluate import evaluate
-from benchmark.records import SampleRow, find_records, load_record, scene_failures, summarise
+from benchmark.protocols import PROTOCOLS
+from benchmark.records import SampleRow, find_records, load_record, protocol_of, scene_failures, summarise
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
 
@@ -45,14 +46,40 @@ def row(scene: str, index: int, *, collides: bool = False, counted: bool = True,
 
 
 @pytest.mark.parametrize("directory", sorted(GOLDEN.iterdir()), ids=lambda path: path.name)
-def test_records_of_earlier_schemas_load(directory: Path) -> None:
+def test_golden_records_load_for_ever_and_summarise_alike(directory: Path) -> None:
     record = load_record(directory)
+    again = summarise(record.rows, record.run.protocols, seed=record.run.seed, scene_facts=record.run.scene_facts)
+    assert again.samples == record.summary.samples == len(record.rows)
+    for name, summary in record.summary.protocols.items():
+        if name not in record.stale_protocols:
+            assert again.protocols[name].columns["collision"] == summary.columns["collision"]
+
+
+def test_a_record_of_schema_1_has_unknowns_where_schema_2_has_facts() -> None:
+    record = load_record(GOLDEN / "schema-1")
     assert record.planner == "failing" and not record.complete
     assert len(record.rows) == 32 and record.summary.failed == 2
     collision = record.summary.protocols["exact"].columns["collision"]["3s"]
     assert (collision.numerator, collision.denominator) == (8.0, 18)
-    again = summarise(record.rows, record.run.protocols, seed=record.run.seed)
-    assert again.protocols["exact"].columns["collision"] == record.summary.protocols["exact"].columns["collision"]
+    assert record.missing_protocols == tuple(name for name in PROTOCOLS if name != "exact")
+    assert record.run.scene_facts == {} and record.run.rescored is None
+    assert all(row.diagnosis is None and row.disagreements == {} for row in record.rows)
+
+
+def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> None:
+    record = load_record(GOLDEN / "schema-2")
+    assert record.complete and not record.covers_split and len(record.rows) == 40
+    assert record.run.scene_facts["scene-8006-342b7d08"].source == "scene-8006"
+    assert record.run.scene_facts["scene-8006-342b7d08"].manoeuvre == "cut-in-right"
+    assert record.native_protocol == "exact" and record.run.rescored is None
+    causes = [row.diagnosis.cause for row in record.rows if row.diagnosis is not None]
+    assert (causes.count("misforecasting"), causes.count("misplanning")) == (7, 2)
+    assert all(row.plan is not None and row.plan.forecasts is not None for row in record.rows)
+    assert [set(row.disagreements) for row in record.rows if row.disagreements] == [{"uniad"}]
+    partial = load_record(GOLDEN / "schema-2-partial")
+    assert partial.run.status == "partial" and partial.summary.failed == 1 and partial.run.rescored is not None
+    assert partial.native_protocol == "vad" and scene_failures(partial.rows, "uniad") == {"scene-8006-342b7d08": True}
+    assert {row.diagnosis.cause for row in partial.rows if row.diagnosis is not None} == {"not attributable"}
 
 
 @pytest.fixture
@@ -85,6 +112,60 @@ def test_a_scene_fails_if_any_counted_sample_collides() -> None:
         "never counted": None,
     }
     assert scene_failures(rows[::-1], "exact") == scene_failures(rows, "exact")
+
+
+def test_where_short_recordings_count_a_failure_on_them_leaves_the_scene_undecided() -> None:
+    rows = [row("a", 0), row("a", 1, status="failed", counted=False)]
+    assert scene_failures(rows, "exact") == {"a": False}
+    assert PROTOCOLS["uniad"].counts_incomplete
+    assert scene_failures([judged_by(r, "uniad") for r in rows], "uniad") == {"a": None}
+
+
+def test_scenes_without_verdicts_of_a_protocol_are_one_sentence() -> None:
+    with pytest.raises(InputError, match="not judged by protocol 'uniad'; run challenger-bench rescore"):
+        scene_failures([row("a", 0)], "uniad")
+    with pytest.raises(InputError, match="unknown protocol 'nonsense'"):
+        scene_failures([row("a", 0)], "nonsense")
+
+
+def test_steps_that_the_mask_removes_are_those_that_would_count() -> None:
+    hits, clear = [True] * 6, [False] * 6
+    mask = {"before_mask": hits, "recorded": [True, True, False, False, False, True], "obj_col": clear}
+    rows = [
+        judged_by(row("a", 0), "uniad", steps=mask),
+        judged_by(row("a", 1, counted=False), "uniad", steps=mask, counted=True),
+        judged_by(row("a", 2), "uniad", steps=mask, counted=False),
+        judged_by(row("a", 3), "uniad", steps={**mask, "before_mask": clear}),
+        row("a", 4, status="failed"),
+    ]
+    assert summarise(rows, {"uniad": 1}, seed=0).protocols["uniad"].mask_removed_steps == 3 + 2
+    assert summarise([row("a", 0)], {"exact": 1}, seed=0).protocols["exact"].mask_removed_steps is None
+
+
+def judged_by(judged: SampleRow, name: str, **changes: Any) -> SampleRow:
+    """The row with the verdict of ``exact`` as that of another protocol."""
+    steps = {"before_mask": [False] * 6, "recorded": [False] * 6, "obj_col": [False] * 6}
+    if judged.status == "failed":
+        return judged
+    found = judged.outcomes["exact"].model_copy(update={"steps": steps, **changes})
+    return judged.model_copy(update={"outcomes": {name: found}})
+
+
+def test_native_is_the_planners_own_protocol_or_exact(directory: Path) -> None:
+    record = load_record(directory)
+    assert record.native_protocol == "exact" and protocol_of(record, "native") == "exact"
+    change(directory / "run.json", planner={**record.run.planner.model_dump(), "native_protocol": "vad"})
+    record = load_record(directory)
+    assert record.native_protocol == "vad" and protocol_of(record, "native") == "vad"
+    assert protocol_of(record, "uniad") == "uniad"
+
+
+def test_records_of_other_versions_load_and_say_so(directory: Path) -> None:
+    versions = {**load_record(directory).run.protocols, "vad": 99, "of somebody else": 1}
+    del versions["uniad"]
+    change(directory / "run.json", protocols=versions)
+    record = load_record(directory)
+    assert record.stale_protocols == ("vad",) and record.missing_protocols == ("uniad",)
 
 
 def test_a_summary_leaves_failed_samples_out_of_both_sums() -> None:

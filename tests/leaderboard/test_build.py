@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from benchmark.errors import InputError
 from benchmark.evaluate import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.records import RunRecord, find_records
-from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
+from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
 from leaderboard.collision import published_table
 from leaderboard.published import TABLE_1
 from leaderboard.selection import one_run_each
@@ -35,6 +36,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunRecord, ...]:
     return tuple(find_records(out))
 
 
+def texts(records: Sequence[RunRecord]) -> dict[str, str]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("leaderboard.build.heat_map", lambda matrix, suffix: b"")
+        return {name: content.decode() for name, content in leaderboard_files(records).items()}
+
+
 def rows_of(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(text)))
 
@@ -46,14 +53,23 @@ def named(record: RunRecord, *, data: str | None = None, planner: str | None = N
     return replace(record, run=run.model_copy(update={"data": facts, "planner": who}))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(order=st.permutations(range(4)))
 def test_the_order_of_the_records_does_not_matter(runs: tuple[RunRecord, ...], order: list[int]) -> None:
-    assert leaderboard_files([runs[index] for index in order]) == leaderboard_files(runs)
+    assert leaderboard_tables([runs[index] for index in order]) == leaderboard_tables(runs)
+
+
+def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...]) -> None:
+    files = leaderboard_files(runs)
+    assert leaderboard_files(runs[::-1]) == files
+    assert [name for name in files if name.endswith(".png")] == [
+        "figures/fake/transfer-val-exact.png",
+        "figures/fake/transfer-adv-exact.png",
+    ]
 
 
 def test_one_row_for_each_planner_and_split_with_what_was_counted(runs: tuple[RunRecord, ...]) -> None:
-    rows = rows_of(leaderboard_files(runs)["tables/fake/collision-exact.csv"])
+    rows = rows_of(texts(runs)["tables/fake/collision-exact.csv"])
     assert [(row["planner"], row["split"]) for row in rows] == [
         ("straight", "val"),
         ("straight", "adv"),
@@ -89,6 +105,7 @@ def test_a_table_that_is_no_longer_made_is_stale_and_goes_when_written_again(
     write_leaderboard(runs, tmp_path)
     assert stale_files(runs, tmp_path) == []
     assert not list((tmp_path / "tables" / "gone").iterdir())
+    assert not list((tmp_path / "figures" / "gone").iterdir())
     assert (tmp_path / "tables" / "fake" / "notes.txt").read_text() == "mine"
 
 
@@ -97,7 +114,7 @@ def test_a_run_of_some_scenes_does_not_displace_or_clash_with_the_whole(
 ) -> None:
     part = evaluate(town_of_two(), "val", Straight(), tmp_path, FIRST_SCENE)
     assert not part.covers_split
-    assert leaderboard_files([*runs, part]) == leaderboard_files([part, *runs]) == leaderboard_files(runs)
+    assert leaderboard_tables([*runs, part]) == leaderboard_tables([part, *runs]) == leaderboard_tables(runs)
 
 
 def test_where_there_is_only_a_part_the_largest_stands_and_says_so(tmp_path: Path) -> None:
@@ -108,14 +125,14 @@ def test_where_there_is_only_a_part_the_largest_stands_and_says_so(tmp_path: Pat
         for scenes in (("scene-9901",), ("scene-9901", "scene-9902"), ("scene-9903",))
     ]
     assert one_run_each(parts) == one_run_each(parts[::-1]) == [parts[1]]
-    files = leaderboard_files(parts)
+    files = texts(parts)
     assert "straight on val: 2 of 3 scenes of the split." in files["README.md"]
     assert not any("transfer" in name for name in files)
 
 
 def test_a_planner_that_failed_on_samples_is_noted(tmp_path: Path) -> None:
     record = evaluate(town_of_two(), "val", Failing(), tmp_path)
-    files = leaderboard_files([record])
+    files = texts([record])
     assert "failing on val: 2 samples failed." in files["README.md"]
     (row,) = rows_of(files["tables/fake/collision-exact.csv"])
     assert row["coverage"] == "93.8"
@@ -131,7 +148,7 @@ def test_records_of_different_content_under_one_name_are_refused(runs: tuple[Run
     other = evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path)
     with pytest.raises(InputError, match=r"different content of split val of fake .*run challenger-bench eval again"):
         leaderboard_files([*runs, other])
-    assert leaderboard_files([*runs, named(other, data="another")])
+    assert leaderboard_tables([*runs, named(other, data="another")])
 
 
 def test_the_increase_is_that_of_the_paper(runs: tuple[RunRecord, ...]) -> None:
@@ -143,9 +160,9 @@ def test_the_increase_is_that_of_the_paper(runs: tuple[RunRecord, ...]) -> None:
     text = val.summary.model_dump(by_alias=True)
     text["protocols"]["exact"]["columns"]["collision"]["avg"]["value"] = baseline
     val = replace(val, summary=type(val.summary).model_validate(text))
-    rows = rows_of(leaderboard_files([val, by_key["straight", "adv"]])["tables/fake/collision-exact.csv"])
+    rows = rows_of(texts([val, by_key["straight", "adv"]])["tables/fake/collision-exact.csv"])
     assert [row["increase"] for row in rows] == ["", "3.0×"]
-    unknown = rows_of(leaderboard_files(runs)["tables/fake/collision-exact.csv"])
+    unknown = rows_of(texts(runs)["tables/fake/collision-exact.csv"])
     assert [row["increase"] for row in unknown] == ["", "", "", ""]
 
 
@@ -158,7 +175,7 @@ def test_the_published_increases_follow_from_the_published_averages() -> None:
 
 
 def test_published_numbers_are_in_no_table_of_ours(runs: tuple[RunRecord, ...]) -> None:
-    files = leaderboard_files([named(record, data="published") for record in runs])
+    files = texts([named(record, data="published") for record in runs])
     assert "UniAD" in files["published/published.csv"] and "not ours" in files["README.md"]
     ours = [text for name, text in files.items() if name.startswith("tables/")]
     assert len(ours) > 2 and not any("UniAD" in text for text in ours)
@@ -177,32 +194,32 @@ def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails(
     runs: tuple[RunRecord, ...], tmp_path: Path
 ) -> None:
     elsewhere = evaluate(town_of_two(slow_leader=True), "adv", Elsewhere(), tmp_path)
-    rows = rows_of(leaderboard_files([*runs, elsewhere])["tables/fake/transfer-adv-exact.csv"])
+    rows = rows_of(texts([*runs, elsewhere])["tables/fake/transfer-adv-exact.csv"])
     by_surrogate = {row["surrogate"]: row for row in rows}
     assert by_surrogate["straight"]["its failed scenes"] == "1"
     assert [row["surrogate"] for row in rows] == ["elsewhere", "straight", "log-replay †", "all scenes"]
     assert by_surrogate["straight"]["elsewhere"] == "0 (0/1)"
     assert by_surrogate["elsewhere"]["its failed scenes"] == "0"
     assert by_surrogate["elsewhere"]["straight"] == by_surrogate["elsewhere"]["elsewhere"] == ""
-    assert (by_surrogate["all scenes"]["straight"], by_surrogate["all scenes"]["elsewhere"]) == ("50 (1/2)", "0 (0/2)")
+    everywhere = by_surrogate["all scenes"]
+    assert (everywhere["straight"], everywhere["elsewhere"]) == ("50 [0, 100] (1/2)", "0 (0/2)")
 
 
 @pytest.mark.parametrize("name", ["../../evil", "..", "a/b", ".hidden", "README.md"])
 def test_a_name_from_a_strangers_record_stays_inside_the_folder(
-    runs: tuple[RunRecord, ...], name: str, tmp_path: Path
+    runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("leaderboard.build.heat_map", lambda matrix, suffix: b"")
     folder = tmp_path / "board"
     for path in write_leaderboard([named(record, data=name) for record in runs], folder):
         assert path.resolve().is_relative_to(folder.resolve())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["board"]
-    assert sorted(path.name for path in folder.iterdir()) == ["README.md", "published", "tables"]
+    assert sorted(path.name for path in folder.iterdir()) == ["README.md", "figures", "published", "tables"]
 
 
 def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...]) -> None:
     hostile = "[x]|<script>&\\end{table}%\n\n# Head"
-    files = leaderboard_files(
-        [named(record, planner=hostile) if record.planner == "straight" else record for record in runs]
-    )
+    files = texts([named(record, planner=hostile) if record.planner == "straight" else record for record in runs])
     text = files["README.md"]
     assert "<script>" not in text and "\n# Head" not in text
     for section in text.split("###")[1:]:
@@ -212,3 +229,11 @@ def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...
         latex = files[f"tables/fake/{name}.tex"]
         assert latex.count(r"\end{table}") == 1 and "\n\n" not in latex
         assert "{[}x]" in latex
+
+
+def test_a_note_is_said_once_in_the_readme_and_below_every_table_elsewhere(runs: tuple[RunRecord, ...]) -> None:
+    files = texts(runs)
+    legend = "† sees what no car sees"
+    assert files["README.md"].count(legend) == 1
+    assert legend in files["tables/fake/transfer-adv-exact.tex"].replace(r"$\dagger$", "†")
+    assert files["tables/fake/vad.md"].count(legend) > 3

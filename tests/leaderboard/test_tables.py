@@ -1,9 +1,10 @@
 import csv
 import io
+import math
 
 import pytest
 
-from leaderboard.tables import UNDEFINED, Table, escape_latex, metres, percent, percent_interval
+from leaderboard.tables import UNDEFINED, Table, escape_latex, interval, metres, number, percent
 
 TABLE = Table(
     name="rates",
@@ -42,9 +43,17 @@ def test_plain_columns_line_up() -> None:
 
 
 def test_what_does_not_exist_is_a_dash() -> None:
-    assert percent(None) == metres(None) == percent_interval(None) == UNDEFINED
+    assert percent(None) == metres(None) == number(None) == UNDEFINED
     assert percent(0.0) == "0.00"
-    assert percent_interval((0.0123, 0.5)) == "[1.2, 50.0]"
+    assert interval(None, None) == interval(0.1, None) == UNDEFINED
+
+
+def test_intervals_and_signed_numbers() -> None:
+    assert interval(0.0123, 0.5, scale=100.0) == "[1.2, 50.0]"
+    assert interval(-0.04, math.inf) == "[0.0, ∞]"
+    assert interval(0.2, 0.2) == UNDEFINED, "without width it would look like certainty"
+    assert [number(value, 1, signed=True) for value in (1.24, -1.26, -0.01, 0.0)] == ["+1.2", "-1.3", "0.0", "0.0"]
+    assert escape_latex("φ → ∞ ‡") == r"$\phi$ $\to$ $\infty$ $\ddagger$"
 
 
 def test_a_row_of_the_wrong_width_is_refused() -> None:

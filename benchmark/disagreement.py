@@ -1,0 +1,239 @@
+"""Where a protocol and the exact truth disagree on a plan, and why: a ladder of counterfactuals between the two.
+
+``exact`` looks at everything all the time; an official protocol takes something away at each rung:
+
+1. ``between waypoints``: only the six waypoints are looked at;
+2. ``class not counted``: objects of some categories cannot be hit;
+3. ``not annotated now or since``: nor can those that appear later or have a gap;
+4. ``out of range now``: nor those that are far away;
+5. ``no sensor points``: nor those on which no sensor point was counted;
+6. ``heading``: the ego is turned by the protocol's own rule, or not at all;
+7. ``raster``: boxes are drawn and compared as the protocol does it;
+8. ``mask``: steps do not count at which the recorded ego collides too.
+
+Each rung gives a verdict, "any contact at the steps in question": those at which ``exact`` sees the collision that is
+missed, or the protocol the one that is none. The cause of a disagreement is the last rung at which the verdict changes:
+from there on it is the official one. Rungs 2 to 5 ask the protocol itself which objects it would count if the
+others of these reasons did not exist, so a new protocol needs nothing more to be explained.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Bools, Floats
+from benchmark.protocols import PROTOCOLS, CollisionProtocol, Outcomes
+from benchmark.protocols.sparsedrive import waypoint_contacts
+from benchmark.protocols.stacked import StackedTruths, stack
+from benchmark.truth import SampleTruth
+
+EXACT = "exact"
+RUNGS = (
+    "between waypoints",
+    "class not counted",
+    "not annotated now or since",
+    "out of range now",
+    "no sensor points",
+    "heading",
+    "raster",
+    "mask",
+)
+MISS, FALSE_ALARM = "miss", "false alarm"
+CAUSES = (*(f"{MISS}: {rung}" for rung in RUNGS), *(f"{FALSE_ALARM}: {rung}" for rung in RUNGS[5:7]))
+"""Every cause there is. Whatever only takes contacts away can cause misses only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """Verdicts of one protocol on S samples, from the exact to the official one.
+
+    Attributes:
+        verdicts: (9, S, 6) contact at each step: ``exact``, then after each of `RUNGS`.
+    """
+
+    verdicts: Bools
+
+    def causes(self) -> list[str | None]:
+        """Why the two ends differ within 3 s.
+
+        Returns:
+            For each sample one of `CAUSES`, or ``None`` where they agree.
+        """
+        within = self.verdicts.any(axis=-1)
+        rung = _last_change(self._followed().any(axis=-1))
+        return [
+            f"{FALSE_ALARM if official else MISS}: {RUNGS[at]}" if official != exact else None
+            for exact, official, at in zip(within[0].tolist(), within[-1].tolist(), rung.tolist())
+        ]
+
+    def decisive_steps(self) -> Bools:
+        """The steps that make the difference at the rung that is the cause.
+
+        Returns:
+            (S, 6) for a miss the contacts that are lost there, for a false alarm those that appear there; none where
+            both ends agree.
+        """
+        within, followed = self.verdicts.any(axis=-1), self._followed()
+        samples, rung = np.arange(within.shape[1]), _last_change(followed.any(axis=-1))
+        lost, found = followed[rung, samples], followed[rung + 1, samples]
+        steps = np.where(within[-1][:, None], found, lost)
+        return np.asarray(steps & (within[0] != within[-1])[:, None])
+
+    def _followed(self) -> Bools:
+        """(9, S, 6) contacts at the steps that matter: those that are missed, or those that are false alarms."""
+        official = self.verdicts[-1].any(axis=-1)
+        return np.asarray(self.verdicts & np.where(official[:, None], self.verdicts[-1], self.verdicts[0]))
+
+
+def _last_change(within: Bools) -> NDArray[np.int64]:
+    """(S,) index of the last rung that changes the verdicts (9, S); 0 where none does."""
+    changes = within[1:] != within[:-1]
+    last = len(changes) - 1 - np.argmax(changes[::-1], axis=0)
+    return np.where(changes.any(axis=0), last, 0)
+
+
+def ladder(
+    definition: CollisionProtocol, truths: StackedTruths, plans_lidar: Floats, exact: Outcomes, official: Outcomes
+) -> Ladder:
+    """Every rung from the exact to the official verdict.
+
+    Args:
+        definition: The official protocol.
+        truths: S samples.
+        plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+        exact: Verdicts of ``exact`` on them.
+        official: Verdicts of the protocol on them.
+
+    Returns:
+        The rungs.
+    """
+    heading = PROTOCOLS[EXACT].headings(plans_lidar)
+    objects = objects_by_filter(definition, truths)
+    contacts = [waypoint_contacts(truths, counted, plans_lidar, heading) for counted in objects]
+    turned = waypoint_contacts(truths, objects[-1], plans_lidar, definition.headings(plans_lidar))
+    return Ladder(
+        np.stack(
+            [
+                exact.collision,
+                exact.step("waypoint_collision"),
+                *contacts,
+                turned,
+                before_mask(official),
+                official.collision,
+            ]
+        )
+    )
+
+
+def objects_by_filter(definition: CollisionProtocol, truths: StackedTruths) -> list[Bools]:
+    """Which objects are left after each of a protocol's four reasons to leave one out.
+
+    Args:
+        definition: The protocol.
+        truths: S samples with M objects.
+
+    Returns:
+        Four times (M, 6): counted by class; also annotated; also in range; also with sensor points, which is what the
+        protocol counts.
+    """
+    everywhere = np.ones_like(truths.annotated)
+    at_hand = truths.boxes.copy()
+    at_hand[..., :2] = 0.0
+    pointed = replace(truths, has_points=everywhere, has_lidar_points=everywhere)
+    by_class = definition.counted_objects(replace(pointed, boxes=at_hand, annotated=everywhere))
+    by_annotation = definition.counted_objects(replace(pointed, boxes=at_hand))
+    by_range = definition.counted_objects(pointed)
+    there = truths.annotated[:, 1:]
+    filters = (by_class & there, by_annotation, by_range, definition.counted_objects(truths))
+    return [np.logical_and.reduce(filters[: count + 1]) for count in range(len(filters))]
+
+
+def before_mask(outcomes: Outcomes) -> Bools:
+    """A protocol's contacts before it leaves out what the recorded ego does; its verdicts where it has no such mask.
+
+    Args:
+        outcomes: S verdicts.
+
+    Returns:
+        (S, 6) verdicts.
+    """
+    return np.asarray(outcomes.steps.get("before_mask", outcomes.collision), np.bool_).reshape(-1, PLAN_STEPS)
+
+
+def disagreements(
+    truths: Sequence[SampleTruth], plans_lidar: Floats, outcomes: Mapping[str, Outcomes]
+) -> list[dict[str, str]]:
+    """Why protocols disagree with ``exact`` on "any collision within 3 s".
+
+    Args:
+        truths: S samples.
+        plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+        outcomes: Verdicts on them by protocol, those of registered protocols.
+
+    Returns:
+        For each sample the cause (`CAUSES`) by protocol. Empty where the verdicts agree, where the protocol or
+        ``exact`` does not count the sample, and everywhere if ``exact`` is not among the outcomes.
+
+    Raises:
+        ValueError: If truths, plans and outcomes are not equally many.
+    """
+    plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+    if any(count != len(truths) for count in (len(plans), *map(len, outcomes.values()))):
+        raise ValueError(f"{len(truths)} truths, but plans or outcomes of another number of samples")
+    found: list[dict[str, str]] = [{} for _ in truths]
+    if EXACT not in outcomes:
+        return found
+    exact = outcomes[EXACT]
+    for name, official in outcomes.items():
+        differ = np.flatnonzero(compared(exact, official) & (any_contact(exact) != any_contact(official)))
+        if name == EXACT or not len(differ):
+            continue
+        rungs = ladder(
+            PROTOCOLS[name],
+            stack([truths[index] for index in differ]),
+            plans[differ],
+            _some_of(exact, differ),
+            _some_of(official, differ),
+        )
+        for index, cause in zip(differ.tolist(), rungs.causes()):
+            assert cause is not None
+            found[index][name] = cause
+    return found
+
+
+def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
+    return Outcomes(
+        collision=outcomes.collision[samples],
+        l2=outcomes.l2[samples],
+        valid=outcomes.valid[samples],
+        counted=outcomes.counted[samples],
+        steps={name: column[samples] for name, column in outcomes.steps.items()},
+    )
+
+
+def any_contact(outcomes: Outcomes) -> Bools:
+    """Whether a protocol reports a collision at any step, after its mask.
+
+    Args:
+        outcomes: S verdicts.
+
+    Returns:
+        (S,) verdicts.
+    """
+    return np.asarray(outcomes.collision.any(axis=-1))
+
+
+def compared(exact: Outcomes, official: Outcomes) -> Bools:
+    """Samples on which two protocols can be compared: those that both count.
+
+    Args:
+        exact: S verdicts.
+        official: S verdicts.
+
+    Returns:
+        (S,) verdicts.
+    """
+    return exact.counted & official.counted

@@ -1,0 +1,194 @@
+"""Why plans collide, by planner and by manoeuvre: the diagnoses of records, counted."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.rates import Rate, ratios_over_scenes
+from benchmark.records import RunRecord, SampleRow
+from benchmark.significance import source_of_scenes
+from leaderboard.collision import PRIVILEGED_NOTE, in_table_order, marked
+from leaderboard.tables import Table, interval, percent
+
+CAUSES: Final = ("misforecasting", "misplanning", "not attributable")
+_EXACT: Final = "exact"
+_RULE: Final = (
+    "Misforecasting: the plan is clear of the planner's own forecast of what it hits. Misplanning: it hits that "
+    "forecast too, or none is near. Not attributable: the planner gives no forecasts. The rule is in docs/diagnosis.md."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One record and those of its samples that ``exact`` counts.
+
+    Attributes:
+        record: The record.
+        rows: Counted samples.
+        colliding: Those that collide.
+    """
+
+    record: RunRecord
+    rows: tuple[SampleRow, ...]
+    colliding: tuple[SampleRow, ...]
+
+    @classmethod
+    def of(cls, record: RunRecord) -> "_Run":
+        rows = tuple(row for row in record.rows if row.status == "ok" and row.outcomes[_EXACT].counted)
+        return cls(record, rows, tuple(row for row in rows if any(row.outcomes[_EXACT].collision)))
+
+    @property
+    def diagnosed(self) -> bool:
+        """Whether its collisions were diagnosed: those of old records were not."""
+        return all(row.diagnosis is not None for row in self.colliding)
+
+    @property
+    def label(self) -> tuple[str, str]:
+        """Planner and split, the first two cells of its rows."""
+        facts = self.record.run
+        return marked(self.record.planner, privileged=facts.planner.privileged), facts.split
+
+    def of_scenes(self, scenes: set[str]) -> "_Run":
+        """The same for some scenes."""
+        kept = (tuple(row for row in rows if row.scene in scenes) for rows in (self.rows, self.colliding))
+        return _Run(self.record, *kept)
+
+    def _sources(self, rows: Sequence[SampleRow]) -> list[str]:
+        source_of = source_of_scenes(self.record)
+        return [source_of[row.scene] for row in rows]
+
+    def shares(self) -> list[Rate]:
+        """Share of each cause among the colliding samples."""
+        found = [[_cause(row) == cause for cause in CAUSES] for row in self.colliding]
+        values = np.array(found, dtype=np.float64).reshape(-1, len(CAUSES))
+        scenes = self._sources(self.colliding)
+        return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)
+
+    def collision_rate(self) -> Rate:
+        """Share of the counted samples that collide within 3 s."""
+        values = np.array([[any(row.outcomes[_EXACT].collision)] for row in self.rows], dtype=np.float64).reshape(-1, 1)
+        scenes = self._sources(self.rows)
+        return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)[0]
+
+
+def diagnosis_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
+    """Why the plans of each planner collide under ``exact``.
+
+    Args:
+        data_name: Name of the data set, for the titles.
+        records: Runs on this data set; those that ``exact`` did not judge are left out.
+
+    Returns:
+        Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set
+        says which. Empty where no run was judged by ``exact``. Runs from before there were diagnoses get a note in
+        place of rows.
+    """
+    runs = [_Run.of(record) for record in in_table_order(records) if _EXACT in record.run.protocols]
+    if not runs:
+        return []
+    known = [run for run in runs if run.diagnosed]
+    notes = _notes(runs)
+    tables = [_cause_table(data_name, known, notes)]
+    if any(run.colliding for run in known):
+        tables.append(_reason_table(data_name, known, notes))
+    if any(_manoeuvres(run) for run in known):
+        tables.append(_manoeuvre_table(data_name, known, notes))
+    return tables
+
+
+def _cause_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
+    return Table(
+        name="diagnosis",
+        title=f"{data_name}: why plans collide (% of the colliding samples), protocol {_EXACT}",
+        columns=("planner", "split", "samples", "colliding", *_cause_columns()),
+        rows=tuple((*run.label, str(len(run.rows)), str(len(run.colliding)), *_cause_cells(run)) for run in runs),
+        notes=notes,
+        text_columns=2,
+    )
+
+
+def _reason_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
+    rows = []
+    for run in runs:
+        cases = Counter((_cause(row), row.diagnosis.reason) for row in run.colliding if row.diagnosis is not None)
+        for (cause, reason), count in sorted(cases.items(), key=lambda case: (CAUSES.index(case[0][0]), case[0][1])):
+            rows.append((*run.label, cause, reason, str(count), percent(count / len(run.colliding), digits=1)))
+    return Table(
+        name="diagnosis-cases",
+        title=f"{data_name}: cases of the diagnosis (colliding samples), protocol {_EXACT}",
+        columns=("planner", "split", "cause", "case", "samples", "%"),
+        rows=tuple(rows),
+        notes=notes,
+        text_columns=4,
+    )
+
+
+def _manoeuvre_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
+    by_kind: dict[tuple[str, str], list[tuple[int, _Run]]] = {}
+    for run in runs:
+        for kind, names in _manoeuvres(run).items():
+            by_kind.setdefault((run.record.run.split, kind), []).append((len(names), run.of_scenes(names)))
+    # The most frequent manoeuvres first; planners stay in their order.
+    order = sorted(by_kind, key=lambda key: (key[0], -max(scenes for scenes, _ in by_kind[key]), key[1]))
+    rows = [_manoeuvre_row(key[1], scenes, run) for key in order for scenes, run in by_kind[key]]
+    counts = ("scenes", "samples", "colliding")
+    return Table(
+        name="diagnosis-manoeuvres",
+        title=f"{data_name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {_EXACT}",
+        columns=("split", "manoeuvre", "planner", *counts, "col. 3s", "95 %", *_cause_columns()),
+        rows=tuple(rows),
+        notes=("Col. 3s: share of the samples that collide within 3 s; the other shares are of those.", *notes),
+        text_columns=3,
+    )
+
+
+def _manoeuvre_row(kind: str, scenes: int, run: _Run) -> tuple[str, ...]:
+    planner, split = run.label
+    rate = run.collision_rate()
+    counts = (str(scenes), str(len(run.rows)), str(len(run.colliding)))
+    return (split, kind, planner, *counts, *_rate_cells(rate, digits=2), *_cause_cells(run))
+
+
+def _cause_columns() -> tuple[str, ...]:
+    return tuple(head for cause in CAUSES for head in (cause, f"95 % of {cause}"))
+
+
+def _cause_cells(run: _Run) -> tuple[str, ...]:
+    return tuple(cell for rate in run.shares() for cell in _rate_cells(rate, digits=1))
+
+
+def _rate_cells(rate: Rate, *, digits: int) -> tuple[str, str]:
+    return percent(rate.value, digits=digits), interval(rate.low, rate.high, scale=100.0)
+
+
+def _cause(row: SampleRow) -> str:
+    return "" if row.diagnosis is None else row.diagnosis.cause
+
+
+def _manoeuvres(run: _Run) -> dict[str, set[str]]:
+    """Scenes that ran by the manoeuvre of their first adversary."""
+    found: dict[str, set[str]] = {}
+    for name in run.record.run.scenes:
+        facts = run.record.run.scene_facts.get(name)
+        if facts is not None and facts.manoeuvre is not None:
+            found.setdefault(facts.manoeuvre, set()).add(name)
+    return found
+
+
+def _notes(runs: Sequence[_Run]) -> tuple[str, ...]:
+    notes = [_RULE, "Brackets: 95 % bootstrap interval over recorded scenes with collisions."]
+    if any(run.record.run.planner.privileged for run in runs):
+        notes.append(PRIVILEGED_NOTE)
+    for run in runs:
+        where = f"{run.record.planner} on {run.record.run.split}"
+        if not run.diagnosed:
+            notes.append(f"{where}: no diagnoses in this record; run challenger-bench rescore.")
+        if not run.record.complete:
+            notes.append(f"{where}: {run.record.summary.failed} samples failed.")
+        if not run.record.covers_split:
+            have, all_scenes = len(run.record.run.scenes), run.record.run.scenes_in_split
+            notes.append(f"{where}: {have} of {all_scenes} scenes of the split.")
+    return tuple(notes)

@@ -1,0 +1,106 @@
+"""What each protocol misses and invents, measured by ``exact`` on the same plans."""
+
+from collections.abc import Sequence
+
+from benchmark.confusion import CAUSES, EXACT, RUNGS, Comparison, compare
+from benchmark.records import RunRecord
+from leaderboard.collision import PRIVILEGED_NOTE, in_table_order, marked
+from leaderboard.tables import UNDEFINED, Table
+
+_SHORT = dict(zip(RUNGS, ("between", "class", "later", "range", "points", "heading", "raster", "mask"), strict=True))
+"""Column heads."""
+
+
+_Found = tuple[RunRecord, str, Comparison]
+"""A run, a protocol, and how the two compare."""
+
+
+def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord]) -> Table:
+    """False alarms and misses of every protocol with their causes, from rows alone.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        split: The split.
+        records: Run records; those of other data sets or splits, or not judged by ``exact``, are left out.
+
+    Returns:
+        One row for each planner and protocol but ``exact``; causes that nobody shows have no column.
+    """
+    runs = [
+        record
+        for record in in_table_order(records)
+        if record.run.data.name == data_name and record.run.split == split and EXACT in record.run.protocols
+    ]
+    found = [
+        (record, protocol, compare(record, protocol))
+        for record in runs
+        for protocol in sorted(record.run.protocols)
+        if protocol != EXACT
+    ]
+    shown = [cause for cause in CAUSES if any(one.causes is not None and one.causes[cause] for _, _, one in found)]
+    return Table(
+        name=f"disagreement-{split}",
+        title=f"{data_name}, split {split}: what each protocol misses and invents, measured by exact",
+        columns=(
+            "planner",
+            "protocol",
+            "samples",
+            "exact +",
+            "official +",
+            "misses",
+            "false alarms",
+            *(_short(cause) for cause in shown),
+            "mask took",
+            "step misses",
+            "step false alarms",
+        ),
+        rows=tuple(_row(record, protocol, one, shown) for record, protocol, one in found),
+        notes=_notes(found),
+        text_columns=2,
+    )
+
+
+def _row(record: RunRecord, protocol: str, one: Comparison, shown: Sequence[str]) -> tuple[str, ...]:
+    samples, steps = one.samples, one.steps
+    causes = [UNDEFINED if one.causes is None else str(one.causes[cause]) for cause in shown]
+    return (
+        marked(record.planner, privileged=record.run.planner.privileged),
+        protocol,
+        str(samples.compared),
+        str(samples.exact),
+        str(samples.official),
+        _with_share(samples.missed, samples.missed_share),
+        _with_share(samples.false_alarms, samples.false_share),
+        *causes,
+        f"{one.mask_removed_steps} ({one.samples_with_removed_steps})",
+        _with_share(steps.missed, steps.missed_share),
+        _with_share(steps.false_alarms, steps.false_share),
+    )
+
+
+def _short(cause: str) -> str:
+    kind, _, rung = cause.partition(": ")
+    return f"{kind.partition(' ')[0]}: {_SHORT[rung]}"
+
+
+def _with_share(count: int, share: float | None) -> str:
+    return f"{count} ({UNDEFINED if share is None else f'{100 * share:.1f}'})"
+
+
+def _notes(found: Sequence[_Found]) -> tuple[str, ...]:
+    notes = [
+        "A sample is positive if the plan collides at any time within 3 s; exact looks at all objects all the time, "
+        "the official verdict is the one after the protocol's mask. Only samples count that both count. Brackets: % of "
+        "exact + for misses, of official + for false alarms.",
+        f"Causes (docs/footguns.md): {', '.join(f'{_SHORT[rung]} = {rung}' for rung in RUNGS[:5])}.",
+        "Mask took: steps (and samples with such steps) that a protocol drops because, in its eyes, the recorded ego "
+        "collides there too. Steps: the verdicts at the six waypoints, where exact looks at the waypoint alone.",
+    ]
+    unknown = sorted({f"{record.planner} ({protocol})" for record, protocol, one in found if one.causes is None})
+    if unknown:
+        notes.append(
+            f"No causes in the records of {', '.join(unknown)}; challenger-bench rescore finds them with the data set."
+        )
+    if any(record.run.planner.privileged for record, _, _ in found):
+        notes.append(PRIVILEGED_NOTE)
+    return tuple(notes)

@@ -1,0 +1,102 @@
+"""Random samples and plans for tests of the protocols."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import strategies as st
+
+from benchmark.constants import CATEGORIES
+from benchmark.geometry import Floats
+from benchmark.planning import Command
+from benchmark.truth import SampleTruth
+
+PLANS = ("drive", "still", "jitter", "reverse", "turn back", "leave", "recorded")
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What kind of sample: everything else follows from the seed.
+
+    Attributes:
+        seed: Of all numbers.
+        objects: How many.
+        spread_m: Half the side of the square where they are; more than 50 puts some over the grid's border.
+        valid: Recorded steps ahead.
+        plan: One of `PLANS`.
+        coarse: Whether places, sizes and headings are multiples of 0.25 m and 45 degrees: what is rounded to cells then
+            lies on the border between two.
+    """
+
+    seed: int
+    objects: int
+    spread_m: float
+    valid: int
+    plan: str
+    coarse: bool
+
+
+def traits(*, coarse: bool) -> st.SearchStrategy[Traits]:
+    """Kinds of samples."""
+    return st.builds(
+        Traits,
+        seed=st.integers(0, 2**32),
+        objects=st.integers(0, 12),
+        spread_m=st.sampled_from([4.0, 9.0, 20.0, 55.0, 90.0]),
+        valid=st.sampled_from([6, 6, 6, 5, 3, 1, 0]),
+        plan=st.sampled_from(PLANS),
+        coarse=st.booleans() if coarse else st.just(False),
+    )
+
+
+def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
+    """Objects of all categories with gaps and without points, around a recorded ego that may drive through them."""
+    rng = np.random.default_rng([kind.seed, 1])
+    count = kind.objects
+    boxes = np.empty((count, 7, 5))
+    start, step = rng.uniform(-kind.spread_m, kind.spread_m, (count, 1, 2)), rng.normal(0.0, 2.0, (count, 1, 2))
+    boxes[..., :2] = start + step * np.arange(7)[None, :, None]
+    boxes[..., 2:4] = rng.uniform(0.2, 9.0, (count, 1, 2))
+    boxes[..., 4] = rng.uniform(-np.pi, np.pi, (count, 1)) + rng.normal(0.0, 0.2, (count, 1)) * np.arange(7)
+    future = np.cumsum(rng.normal([0.0, 2.5], [0.4, 1.0], (6, 2)), axis=0)
+    if kind.coarse:
+        boxes[..., :4] = np.maximum(np.round(boxes[..., :4] * 4) / 4, [-100, -100, 0.25, 0.25])
+        boxes[..., 4] = np.round(boxes[..., 4] / (np.pi / 4)) * (np.pi / 4)
+        future = np.round(future * 4) / 4
+    valid = np.arange(6) < kind.valid
+    annotated = rng.random((count, 7)) < 0.85
+    annotated[:, 1:] &= valid
+    points = annotated & (rng.random((count, 7)) < 0.85)
+    return SampleTruth(
+        scene="scene-0001",
+        sample_token=name,
+        index=0,
+        timestamp_us=0,
+        lidar_pose=np.zeros(3),
+        lidar_ahead_m=0.94,
+        ego_future=np.column_stack([future, np.full(6, np.pi / 2)]),
+        ego_future_valid=valid,
+        command=Command.STRAIGHT,
+        instances=tuple(f"{name}-{row}" for row in range(count)),
+        categories=tuple(CATEGORIES[kind] for kind in rng.integers(0, len(CATEGORIES), count)),
+        boxes=boxes,
+        annotated=annotated,
+        has_points=points,
+        has_lidar_points=points & (rng.random((count, 7)) < 0.9),
+    )
+
+
+def plan_of(kind: Traits) -> Floats:
+    """(6, 2) waypoints."""
+    rng = np.random.default_rng([kind.seed, 2])
+    steps = np.arange(1, 7)[:, None]
+    speed = rng.normal([0.0, 2.5], [0.8, 1.5])
+    plan = {
+        "drive": np.cumsum(rng.normal(speed, 0.4, (6, 2)), axis=0),
+        "still": np.zeros((6, 2)),
+        "jitter": rng.normal(0.0, 0.2, (6, 2)),
+        "reverse": -np.abs(speed) * steps * [0.1, 1.0],
+        "turn back": speed * np.array([1.0, 2.0, 3.0, 3.0, 2.0, 1.0])[:, None],
+        "leave": speed * steps * rng.uniform(3.0, 12.0),
+        "recorded": sample_of(kind).ego_future[:, :2].copy(),
+    }[kind.plan]
+    return np.asarray(np.round(plan * 4) / 4 if kind.coarse else plan)
