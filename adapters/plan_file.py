@@ -23,6 +23,7 @@ from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.evaluate import EvalSettings
 from benchmark.geometry import Floats
+from benchmark.labels import PLANS_SHA256
 from benchmark.plan_rows import code_sha256, known_native
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records import PlannerFacts
@@ -171,7 +172,7 @@ def plan_file_factory(
         privileged=False,
         weights_sha256=None,
         code_sha256=code_sha256(PlanFilePlanner),
-        settings={"plans_sha256": file_sha256(path)},
+        settings={PLANS_SHA256: file_sha256(path)},
         native_protocol=native,
     )
     return PlanFileFactory(path, facts)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.disagreement import CAUSES, EXACT, MISS, RUNGS, ladder
 from benchmark.errors import InputError
-from benchmark.geometry import Floats, box_corners, box_gap
+from benchmark.geometry import Floats, box_corners, box_gap, ego_footprints
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
@@ -182,8 +181,7 @@ def ego_rectangle(waypoint: Floats, heading_rad: float) -> Floats:
     Returns:
         (5,) box.
     """
-    ahead = EGO_BOX_FROM_LIDAR_M * np.array([np.cos(heading_rad), np.sin(heading_rad)])
-    return np.array([*(waypoint + ahead), EGO_LENGTH_M, EGO_WIDTH_M, heading_rad])
+    return ego_footprints(np.array([*waypoint, heading_rad]))
 
 
 def _clearness(cause: str, protocol: str, truth: SampleTruth, plan_lidar: Floats, step: int) -> float:

@@ -1,7 +1,6 @@
 """Verdicts of a protocol counted against the exact ones: what it misses and what it invents, from rows alone."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +8,7 @@ import numpy as np
 from benchmark.disagreement import CAUSES, EXACT, RUNGS, any_contact, before_mask, compared
 from benchmark.geometry import Bools
 from benchmark.protocols import Outcomes
-from benchmark.records import RunRecord, SampleRow
+from benchmark.records import RunRecord, outcomes_of
 
 __all__ = [
     "CAUSES",
@@ -17,7 +16,7 @@ __all__ = [
     "RUNGS",
     "Comparison",
     "Confusion",
-    "compare",
+    "comparisons",
     "confusion",
     "sample_confusion",
     "step_confusion",
@@ -123,18 +122,23 @@ class Comparison:
     causes: Counter[str] | None
 
 
-def compare(record: RunRecord, protocol: str) -> Comparison:
-    """What a protocol misses and invents on a run, from its rows alone.
+def comparisons(record: RunRecord) -> dict[str, Comparison]:
+    """What protocols miss and invent on a run, from its rows alone.
 
     Args:
-        record: A run judged by ``exact`` and the protocol.
-        protocol: Name of the protocol.
+        record: A run judged by ``exact``.
 
     Returns:
-        The counts over the samples that have a plan and that both count.
+        By name of each other protocol that judged it, in the order of the names: the counts over the samples that have
+        a plan and that both count.
     """
+    exact = outcomes_of(record.rows, EXACT)
+    return {name: _compared(record, name, exact) for name in sorted(record.run.protocols) if name != EXACT}
+
+
+def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> Comparison:
     rows = [row for row in record.rows if row.status == "ok"]
-    exact, official = (_outcomes(rows, name) for name in (EXACT, protocol))
+    official = outcomes_of(rows, protocol)
     both = compared(exact, official)
     removed = (before_mask(official) & ~official.collision)[both]
     wrong = both & (any_contact(exact) != any_contact(official))
@@ -147,7 +151,3 @@ def compare(record: RunRecord, protocol: str) -> Comparison:
         samples_with_removed_steps=int(removed.any(axis=1).sum()),
         causes=Counter(row.disagreements[protocol] for row in differing) if known else None,
     )
-
-
-def _outcomes(rows: Sequence[SampleRow], protocol: str) -> Outcomes:
-    return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in rows])

@@ -21,7 +21,7 @@ that backs up is not turned round.
 
 from collections.abc import Sequence
 from enum import StrEnum
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.planning import Forecasts, Plan, PlanFrame, chord_headings
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.exact import ego_boxes, object_boxes
-from benchmark.record_schema import DiagnosisRow
+from benchmark.record_schema import Cause, DiagnosisRow
 from benchmark.truth import SampleTruth
 
 MATCH_WITHIN_M: Final = 2.0
@@ -41,9 +41,6 @@ LIKELY: Final = 0.2
 """Above the 1/6 that a model with six modes gives each when it knows nothing."""
 HOLD_BELOW_M: Final = 1.0
 """Shortest chord (over a second) that turns a forecast box: forecasts of parked cars drift, and to any side."""
-
-Cause = Literal["misforecasting", "misplanning", "not attributable"]
-CAUSES: Final[tuple[Cause, ...]] = ("misforecasting", "misplanning", "not attributable")
 
 
 class Reason(StrEnum):

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -47,6 +49,22 @@ def box_corners(boxes: Floats) -> Floats:
         np.subtract(center, diagonal, out=corners[..., 2, axis])
         np.add(center, other, out=corners[..., 3, axis])
     return corners
+
+
+def ego_footprints(lidar_poses: Floats) -> Floats:
+    """The ego's rectangle in collision checks: its centre is ahead of the lidar along the heading.
+
+    Args:
+        lidar_poses: (..., 3) x, y of the lidar origin and heading, any frame.
+
+    Returns:
+        (..., 5) boxes.
+    """
+    poses = np.asarray(lidar_poses, np.float64)
+    yaw = poses[..., 2]
+    center = poses[..., :2] + EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], center.shape)
+    return np.concatenate([center, size, yaw[..., None]], axis=-1)
 
 
 def boxes_overlap(first: Floats, second: Floats) -> Bools:

@@ -10,14 +10,13 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.diagnosis import diagnose
-from benchmark.disagreement import disagreements
+from benchmark.disagreement import EXACT, disagreements
 from benchmark.errors import InputError
+from benchmark.geometry import Floats
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
 from benchmark.records import SampleRow
 from benchmark.truth import SampleTruth
-
-_EXACT = "exact"
 
 
 def judge(
@@ -100,12 +99,12 @@ def _forecasts(row: Mapping[str, Any]) -> Forecasts:
 
 
 def _explained(
-    truths: Sequence[SampleTruth], plans: Sequence[Plan], in_lidar: Any, outcomes: Mapping[str, Outcomes]
+    truths: Sequence[SampleTruth], plans: Sequence[Plan], in_lidar: Floats, outcomes: Mapping[str, Outcomes]
 ) -> tuple[Sequence[Any], Sequence[dict[str, str]]]:
     """Diagnosis and disagreements of each sample, from the verdicts of ``exact`` on it."""
-    if _EXACT not in outcomes or not truths:
+    if EXACT not in outcomes or not truths:
         return [None] * len(truths), [{} for _ in truths]
-    return diagnose(truths, plans, outcomes[_EXACT]), disagreements(truths, in_lidar, outcomes)
+    return diagnose(truths, plans, outcomes[EXACT]), disagreements(truths, in_lidar, outcomes)
 
 
 def _recorded(truth: SampleTruth) -> dict[str, Any]:

@@ -6,6 +6,10 @@ from typing import Any
 
 from benchmark.records import RunRecord
 
+PLANS_SHA256 = "plans_sha256"
+"""Setting of a planner whose plans come from a file: the file's hash."""
+_OF_ONE_SPLIT = frozenset({PLANS_SHA256})
+"""What differs between splits without making another version: a plan file holds one split."""
 _HASH_CHARACTERS = 8
 
 
@@ -14,7 +18,7 @@ def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
 
     A planner that ran in one version keeps its name. Otherwise what differs is added: ``vad-base (seed 1)``,
     ``vad-base (weights 3fa2b1c0)``. Versions that differ in their code alone are told apart by nothing: the same
-    planner at two commits is not two planners.
+    planner at two commits is not two planners. Plan files tell versions apart only where two of them are of one split.
 
     Args:
         records: Any records.
@@ -22,12 +26,25 @@ def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
     Returns:
         The same records, in their order.
     """
-    versions: dict[str, list[dict[str, str]]] = {}
+    runs: dict[str, list[RunRecord]] = {}
     for record in records:
-        known = versions.setdefault(record.run.planner.name, [])
-        if (version := _version(record)) not in known:
-            known.append(version)
-    return [replace(record, label=_label(record, versions[record.run.planner.name])) for record in records]
+        runs.setdefault(record.run.planner.name, []).append(record)
+    telling = {name: _telling(found) for name, found in runs.items()}
+    return [replace(record, label=_label(record, telling[record.run.planner.name])) for record in records]
+
+
+def _telling(records: Sequence[RunRecord]) -> list[str]:
+    """Names of the facts that tell records of one planner apart."""
+    versions = [_version(record) for record in records]
+    names = sorted({name for version in versions for name in version})
+    return [name for name in names if _differs(name, records, [version.get(name) for version in versions])]
+
+
+def _differs(name: str, records: Sequence[RunRecord], values: Sequence[str | None]) -> bool:
+    if name not in _OF_ONE_SPLIT:
+        return len(set(values)) > 1
+    places = [(record.run.data.name, record.run.split) for record in records]
+    return len(set(zip(places, values))) > len(set(places))
 
 
 def _version(record: RunRecord) -> dict[str, str]:
@@ -44,11 +61,9 @@ def _shown(name: str, value: Any) -> str:
     return value[:_HASH_CHARACTERS] if is_hash else str(value)
 
 
-def _label(record: RunRecord, versions: Sequence[dict[str, str]]) -> str | None:
-    if len(versions) < 2:
+def _label(record: RunRecord, telling: Sequence[str]) -> str | None:
+    if not telling:
         return None
     own = _version(record)
-    names = sorted({name for version in versions for name in version})
-    differing = [name for name in names if len({version.get(name) for version in versions}) > 1]
-    said = ", ".join(f"{name} {own.get(name, 'none')}" for name in differing)
+    said = ", ".join(f"{name} {own.get(name, 'none')}" for name in telling)
     return f"{record.run.planner.name} ({said})"

@@ -63,18 +63,17 @@ def raster_view(definition: CollisionProtocol, truth: SampleTruth, waypoint: Flo
         The cells, or ``None`` for a protocol without a raster.
     """
     stacked = stack([truth])
-    counted = definition.counted_objects(stacked)[:, step]
-    boxes = stacked.boxes[counted, step + 1]
+    counted = np.flatnonzero(definition.counted_objects(stacked)[:, step])
     cells = ego_cells(waypoint)
     if isinstance(definition, uniad_raster.UniAD):
-        polygons, flipped = uniad_raster.polygons(boxes), False
+        polygons, flipped = uniad_raster.polygons(stacked.boxes[counted, step + 1]), False
     elif isinstance(definition, vad_raster.VAD):
-        boxes[:, 2:4] = stacked.boxes[counted, 0, 2:4]
         cells[:, 0] = CELLS - cells[:, 0]
+        boxes = vad_raster.followed_boxes(stacked, counted, np.full(len(counted), step))
         polygons, flipped = vad_raster.polygons(boxes), True
     else:
         return None
-    occupied = full_rasters(polygons, np.zeros(len(boxes), np.int64), 1)[0] > 0
+    occupied = full_rasters(polygons, np.zeros(len(counted), np.int64), 1)[0] > 0
     ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), truncated(cells)
     ego[at[:, 0], at[:, 1]] = True
     if flipped:

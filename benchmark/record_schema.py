@@ -1,11 +1,11 @@
 """The schema of a run record's files, checked at the edge: what `benchmark.records` writes and reads."""
 
-from typing import Any, Literal
+from typing import Any, Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
 SCHEMA = 2
-"""Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records`."""
+"""Version of the format; raised whenever a field changes, with an upgrade in `benchmark.record_files`."""
 
 Waypoints = list[list[float]]
 
@@ -117,6 +117,11 @@ class OutcomeRow(_Row):
     facts: dict[str, Any]
 
 
+Cause = Literal["misforecasting", "misplanning", "not attributable"]
+CAUSES: Final[tuple[Cause, ...]] = get_args(Cause)
+"""Verdicts of a diagnosis."""
+
+
 class DiagnosisRow(_Row):
     """Why a colliding plan collides (`benchmark.diagnosis`).
 
@@ -127,7 +132,7 @@ class DiagnosisRow(_Row):
         first_contact_s: When.
     """
 
-    cause: Literal["misforecasting", "misplanning", "not attributable"]
+    cause: Cause
     reason: str
     hit: str
     first_contact_s: float

@@ -20,6 +20,7 @@ from benchmark.protocols import protocol as definition_of
 from benchmark.rates import rates
 from benchmark.record_files import RUN_FILE, read_files, replace_files
 from benchmark.record_schema import (
+    CAUSES,
     SCHEMA,
     DataFacts,
     DiagnosisRow,
@@ -35,6 +36,7 @@ from benchmark.record_schema import (
 )
 
 __all__ = [
+    "CAUSES",
     "SCHEMA",
     "DataFacts",
     "DiagnosisRow",
@@ -50,6 +52,7 @@ __all__ = [
     "Summary",
     "find_records",
     "load_record",
+    "outcomes_of",
     "protocol_of",
     "scene_failures",
     "summarise",
@@ -125,6 +128,19 @@ def protocol_of(record: RunRecord, name: str) -> str:
     return record.native_protocol if name == NATIVE else name
 
 
+def outcomes_of(rows: Sequence[SampleRow], protocol: str) -> Outcomes:
+    """Verdicts of a protocol that judged the rows.
+
+    Args:
+        rows: One for each sample.
+        protocol: Name of the protocol.
+
+    Returns:
+        The verdicts on the samples that have a plan, in their order.
+    """
+    return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in rows if row.status == "ok"])
+
+
 def summarise(
     rows: Sequence[SampleRow],
     versions: Mapping[str, int],
@@ -149,7 +165,7 @@ def summarise(
     scenes = [sources.get(row.scene, row.scene) for row in planned]
     protocols = {}
     for name, version in versions.items():
-        outcomes = Outcomes.from_rows([vars(row.outcomes[name]) for row in planned])
+        outcomes = outcomes_of(rows, name)
         found = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
         decided = [failed for failed in scene_failures(rows, name).values() if failed is not None]
         protocols[name] = ProtocolSummary(
@@ -208,7 +224,9 @@ def _fails(rows: Sequence[SampleRow], protocol: str, counts_incomplete: bool) ->
     counted = [row.outcomes[protocol] for row in rows if row.status == "ok" and row.outcomes[protocol].counted]
     if any(any(outcome.collision) for outcome in counted):
         return True
-    unknown = any(row.status == "failed" and (row.complete or counts_incomplete) for row in rows)
+    unknown = any(
+        row.status == "failed" and (row.complete or (counts_incomplete and any(row.recorded_future))) for row in rows
+    )
     return None if unknown or not counted else False
 
 

@@ -17,7 +17,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.rates import Estimate, Rate, SceneSums, ends, resampled, sums_by_scene
 from benchmark.records import RunRecord, protocol_of, scene_failures
-from benchmark.significance import source_of_scenes
+from benchmark.scores import require_current, source_of_scenes
 
 Verdicts = Mapping[str, bool | None]
 """Whether a planner fails, by scene; ``None`` where that cannot be said."""
@@ -180,7 +180,6 @@ def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
         raise InputError(f"more than one record of {', '.join(repeated)} on this split; name the ones to compare")
     first = records[0].run
     judges = tuple(protocol_of(record, protocol) for record in records)
-    versions: dict[str, tuple[int, RunRecord]] = {}
     for record, judge in zip(records, judges):
         run = record.run
         if (run.data.fingerprint, run.split) != (first.data.fingerprint, first.split):
@@ -189,15 +188,5 @@ def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
                 f"{first.split!r} of {first.data.name!r} with other content; transfer compares records of the same "
                 "scenes"
             )
-        if judge not in run.protocols:
-            raise InputError(
-                f"{record.directory} was not judged by protocol {judge!r}, only by {', '.join(run.protocols)}; run "
-                "challenger-bench rescore"
-            )
-        version, earlier = versions.setdefault(judge, (run.protocols[judge], record))
-        if version != run.protocols[judge]:
-            raise InputError(
-                f"{earlier.directory} was judged by version {version} of protocol {judge} and {record.directory} by "
-                f"version {run.protocols[judge]}; run challenger-bench rescore"
-            )
+        require_current(record, judge)
     return judges

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from benchmark.rates import HORIZONS
-from benchmark.records import ProtocolSummary, RunRecord
-from benchmark.significance import registered_version, source_of_scenes
+from benchmark.records import NATIVE, ProtocolSummary, RunRecord
+from benchmark.scores import registered_version, source_of_scenes
 from leaderboard.published import INCREASE, SOURCE, TABLE_1
 from leaderboard.tables import UNDEFINED, Table, interval, metres, number, percent
 
@@ -109,6 +109,27 @@ def marked(planner: str, *, privileged: bool) -> str:
     return f"{planner} {PRIVILEGED_MARK}" if privileged else planner
 
 
+def row_name(record: RunRecord, judge: str) -> str:
+    """The planner's name with its marks: privileged, and judged by an earlier version of the protocol."""
+    name = marked(record.planner, privileged=record.run.planner.privileged)
+    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
+
+
+def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
+    """One sentence for each of the protocols that judged a run in another version than the present one."""
+    return [
+        f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
+        f"protocol {name}, now {registered_version(name)}; run challenger-bench rescore."
+        for name in protocols
+        if name in record.stale_protocols
+    ]
+
+
+def judges(protocol: str) -> str:
+    """Who judges, as titles say it."""
+    return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
+
+
 def increase_over(baseline: float | None, rate: float | None) -> float | None:
     """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
     if baseline is None or rate is None or baseline == 0:
@@ -160,14 +181,15 @@ def _table(
 ) -> Table:
     """Rows of all records that have their judge's verdicts, in the order given."""
     runs = [record for record in records if judge_of(record) in record.summary.protocols]
-    averages = {(run.planner, run.run.split): _average(run.summary.protocols[judge_of(run)]) for run in runs}
+    run_of = {(run.planner, run.run.split): run for run in runs}
     has_mask = any(BEFORE_MASK in run.summary.protocols[judge_of(run)].columns for run in runs)
     rows = []
     for run in runs:
         judge = judge_of(run)
-        baselines = [averages.get((run.planner, split)) for split in ("val", "val-r")]
-        name_cells = (_name(run, judge), run.run.split, *((judge,) if names_protocol else ()))
-        rows.append((*name_cells, *_numbers(run, run.summary.protocols[judge], baselines, has_mask=has_mask)))
+        baselines = [run_of.get((run.planner, split)) for split in ("val", "val-r")]
+        increases = [_increase(run, baseline, judge_of) for baseline in baselines]
+        name_cells = (row_name(run, judge), run.run.split, *((judge,) if names_protocol else ()))
+        rows.append((*name_cells, *_numbers(run, run.summary.protocols[judge], increases, has_mask=has_mask)))
     return Table(
         name=name,
         title=title,
@@ -186,26 +208,26 @@ def _table(
     )
 
 
-def _name(record: RunRecord, judge: str) -> str:
-    name = marked(record.planner, privileged=record.run.planner.privileged)
-    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
-
-
-def _average(summary: ProtocolSummary) -> float | None:
-    return summary.columns["collision"]["avg"].value
+def _increase(record: RunRecord, baseline: RunRecord | None, judge_of: Callable[[RunRecord], str]) -> float | None:
+    """From a baseline to an adversarial run; ``None`` where they are not of whole splits, or judged differently."""
+    if record.run.split != "adv" or baseline is None or judge_of(baseline) != judge_of(record):
+        return None
+    first, second = (run.summary.protocols[judge_of(run)] for run in (baseline, record))
+    if not (baseline.covers_split and record.covers_split) or first.version != second.version:
+        return None
+    return increase_over(*(summary.columns["collision"]["avg"].value for summary in (first, second)))
 
 
 def _numbers(
-    record: RunRecord, summary: ProtocolSummary, baselines: Sequence[float | None], *, has_mask: bool
+    record: RunRecord, summary: ProtocolSummary, increases: Sequence[float | None], *, has_mask: bool
 ) -> tuple[str, ...]:
     collision, l2 = summary.columns["collision"], summary.columns["l2"]
     average = collision["avg"]
-    adversarial = record.run.split == "adv"
     return (
         *(percent(collision[horizon].value) for horizon in HORIZONS),
         interval(average.low, average.high, scale=100.0),
         *(_mask_cells(summary) if has_mask else ()),
-        *(times(increase_over(baseline, average.value) if adversarial else None) for baseline in baselines),
+        *(times(increase) for increase in increases),
         *(metres(l2[horizon].value) for horizon in HORIZONS),
         str(summary.counted),
         str(len(record.run.scenes)),
@@ -236,9 +258,5 @@ def _notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *
         judge, who = judge_of(record), f"{record.planner} on {record.run.split}"
         if judge not in record.summary.protocols:
             notes.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
-        elif judge in record.stale_protocols:
-            notes.append(
-                f"{STALE_MARK} {who}: judged by version {record.run.protocols[judge]} of protocol {judge}, now "
-                f"{registered_version(judge)}; run challenger-bench rescore."
-            )
+        notes += stale_notes(record, (judge,))
     return [*notes, *completeness_notes(records)]

@@ -7,20 +7,15 @@ from typing import TypeVar
 from benchmark.errors import InputError
 from benchmark.rates import HORIZONS
 from benchmark.records import RunRecord, protocol_of
-from benchmark.significance import (
-    PlannerComparison,
-    Scored,
-    SplitComparison,
-    compare_planners,
-    compare_splits,
-    scored,
-)
+from benchmark.scores import Scored, scored
+from benchmark.significance import PlannerComparison, SplitComparison, compare_planners, compare_splits
 from leaderboard.collision import (
     FEW_NOTE,
     FEW_SCENES,
     PRIVILEGED_NOTE,
     completeness_notes,
     in_table_order,
+    judges,
     marked,
     recordings,
     times,
@@ -45,7 +40,7 @@ class Verdicts:
         self._read: dict[tuple[int, str], tuple[RunRecord, Scored]] = {}
 
     def scored(self, record: RunRecord, protocol: str) -> Scored:
-        """The same as `benchmark.significance.scored`.
+        """The same as `benchmark.scores.scored`.
 
         Args:
             record: The record.
@@ -115,7 +110,7 @@ def split_table(
     found, refused = (verdicts or Verdicts()).compared(wanted, protocol, compare_splits)
     return Table(
         name=f"changes-{protocol}",
-        title=f"{data_name}: change of the average collision rate between splits, {_judges(protocol)}",
+        title=f"{data_name}: change of the average collision rate between splits, {judges(protocol)}",
         columns=(
             *("planner", "splits", "protocol", "from (%)", "to (%)", "increase", "95 % of increase"),
             *("paired difference (points)", "95 % of difference", "scenes paired", "not paired", "failed samples"),
@@ -157,7 +152,7 @@ def planner_table(
     return Table(
         name=f"planners-{split}-{protocol}",
         title=f"{data_name}, split {split}: difference of the average collision rate between planners, "
-        f"{_judges(protocol)}",
+        f"{judges(protocol)}",
         columns=(
             *("first", "second", "first (%)", "second (%)", "second − first (points)", "95 % of difference"),
             *("samples", "failed samples", "scenes not shared"),
@@ -208,10 +203,6 @@ def _planner_row(comparison: PlannerComparison) -> tuple[str, ...]:
 def _points(value: float | None, low: float | None, high: float | None) -> tuple[str, str]:
     shown = None if value is None else 100 * value
     return number(shown, signed=True), interval(low, high, scale=100.0, digits=2)
-
-
-def _judges(protocol: str) -> str:
-    return "each planner under its own protocol" if protocol == "native" else f"protocol {protocol}"
 
 
 def _unpaired(comparisons: Sequence[SplitComparison]) -> list[str]:

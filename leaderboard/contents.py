@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from benchmark.confusion import EXACT
 from benchmark.errors import InputError
-from benchmark.records import RunRecord, protocol_of
-from benchmark.significance import require_current
+from benchmark.records import NATIVE, RunRecord, protocol_of
+from benchmark.scores import require_current
 from benchmark.transfer import TransferMatrix, transfer
 from leaderboard.collision import SPLIT_ORDER, collision_table, in_table_order, native_table
 from leaderboard.comparisons import Verdicts, planner_table, split_table
@@ -13,8 +14,6 @@ from leaderboard.diagnosis import diagnosis_tables
 from leaderboard.disagreement import disagreement_table
 from leaderboard.tables import Table
 from leaderboard.transfer import agreement_table, transfer_table
-
-EXACT, NATIVE = "exact", "native"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,22 @@ from typing import Final
 
 import numpy as np
 
+from benchmark.confusion import EXACT
 from benchmark.rates import Rate, ratios_over_scenes
-from benchmark.records import RunRecord, SampleRow
-from benchmark.significance import source_of_scenes
-from leaderboard.collision import PRIVILEGED_NOTE, in_table_order, marked
+from benchmark.records import CAUSES, RunRecord, SampleRow
+from benchmark.scores import source_of_scenes
+from leaderboard.collision import (
+    FEW_NOTE,
+    FEW_SCENES,
+    PRIVILEGED_NOTE,
+    completeness_notes,
+    in_table_order,
+    recordings,
+    row_name,
+    stale_notes,
+)
 from leaderboard.tables import Table, interval, percent
 
-CAUSES: Final = ("misforecasting", "misplanning", "not attributable")
-_EXACT: Final = "exact"
 _RULE: Final = (
     "Misforecasting: the plan is clear of the planner's own forecast of what it hits. Misplanning: it hits that "
     "forecast too, or none is near. Not attributable: the planner gives no forecasts. The rule is in docs/diagnosis.md."
@@ -37,8 +45,8 @@ class _Run:
 
     @classmethod
     def of(cls, record: RunRecord) -> "_Run":
-        rows = tuple(row for row in record.rows if row.status == "ok" and row.outcomes[_EXACT].counted)
-        return cls(record, rows, tuple(row for row in rows if any(row.outcomes[_EXACT].collision)))
+        rows = tuple(row for row in record.rows if row.status == "ok" and row.outcomes[EXACT].counted)
+        return cls(record, rows, tuple(row for row in rows if any(row.outcomes[EXACT].collision)))
 
     @property
     def diagnosed(self) -> bool:
@@ -48,8 +56,7 @@ class _Run:
     @property
     def label(self) -> tuple[str, str]:
         """Planner and split, the first two cells of its rows."""
-        facts = self.record.run
-        return marked(self.record.planner, privileged=facts.planner.privileged), facts.split
+        return row_name(self.record, EXACT), self.record.run.split
 
     def of_scenes(self, scenes: set[str]) -> "_Run":
         """The same for some scenes."""
@@ -69,7 +76,7 @@ class _Run:
 
     def collision_rate(self) -> Rate:
         """Share of the counted samples that collide within 3 s."""
-        values = np.array([[any(row.outcomes[_EXACT].collision)] for row in self.rows], dtype=np.float64).reshape(-1, 1)
+        values = np.array([[any(row.outcomes[EXACT].collision)] for row in self.rows], dtype=np.float64).reshape(-1, 1)
         scenes = self._sources(self.rows)
         return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)[0]
 
@@ -86,7 +93,7 @@ def diagnosis_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table
         says which. Empty where no run was judged by ``exact``. Runs from before there were diagnoses get a note in
         place of rows.
     """
-    runs = [_Run.of(record) for record in in_table_order(records) if _EXACT in record.run.protocols]
+    runs = [_Run.of(record) for record in in_table_order(records) if EXACT in record.run.protocols]
     if not runs:
         return []
     known = [run for run in runs if run.diagnosed]
@@ -102,7 +109,7 @@ def diagnosis_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table
 def _cause_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
     return Table(
         name="diagnosis",
-        title=f"{data_name}: why plans collide (% of the colliding samples), protocol {_EXACT}",
+        title=f"{data_name}: why plans collide (% of the colliding samples), protocol {EXACT}",
         columns=("planner", "split", "samples", "colliding", *_cause_columns()),
         rows=tuple((*run.label, str(len(run.rows)), str(len(run.colliding)), *_cause_cells(run)) for run in runs),
         notes=notes,
@@ -118,7 +125,7 @@ def _reason_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) 
             rows.append((*run.label, cause, reason, str(count), percent(count / len(run.colliding), digits=1)))
     return Table(
         name="diagnosis-cases",
-        title=f"{data_name}: cases of the diagnosis (colliding samples), protocol {_EXACT}",
+        title=f"{data_name}: cases of the diagnosis (colliding samples), protocol {EXACT}",
         columns=("planner", "split", "cause", "case", "samples", "%"),
         rows=tuple(rows),
         notes=notes,
@@ -137,7 +144,7 @@ def _manoeuvre_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...
     counts = ("scenes", "samples", "colliding")
     return Table(
         name="diagnosis-manoeuvres",
-        title=f"{data_name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {_EXACT}",
+        title=f"{data_name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {EXACT}",
         columns=("split", "manoeuvre", "planner", *counts, "col. 3s", "95 %", *_cause_columns()),
         rows=tuple(rows),
         notes=("Col. 3s: share of the samples that collide within 3 s; the other shares are of those.", *notes),
@@ -182,13 +189,11 @@ def _notes(runs: Sequence[_Run]) -> tuple[str, ...]:
     notes = [_RULE, "Brackets: 95 % bootstrap interval over recorded scenes with collisions."]
     if any(run.record.run.planner.privileged for run in runs):
         notes.append(PRIVILEGED_NOTE)
+    if any(recordings(run.record) < FEW_SCENES for run in runs):
+        notes.append(FEW_NOTE)
     for run in runs:
-        where = f"{run.record.planner} on {run.record.run.split}"
         if not run.diagnosed:
+            where = f"{run.record.planner} on {run.record.run.split}"
             notes.append(f"{where}: no diagnoses in this record; run challenger-bench rescore.")
-        if not run.record.complete:
-            notes.append(f"{where}: {run.record.summary.failed} samples failed.")
-        if not run.record.covers_split:
-            have, all_scenes = len(run.record.run.scenes), run.record.run.scenes_in_split
-            notes.append(f"{where}: {have} of {all_scenes} scenes of the split.")
-    return tuple(notes)
+        notes += stale_notes(run.record, (EXACT,))
+    return (*notes, *completeness_notes([run.record for run in runs]))

@@ -2,9 +2,16 @@
 
 from collections.abc import Sequence
 
-from benchmark.confusion import CAUSES, EXACT, RUNGS, Comparison, compare
+from benchmark.confusion import CAUSES, EXACT, RUNGS, Comparison, comparisons
 from benchmark.records import RunRecord
-from leaderboard.collision import PRIVILEGED_NOTE, in_table_order, marked
+from leaderboard.collision import (
+    PRIVILEGED_NOTE,
+    STALE_MARK,
+    completeness_notes,
+    in_table_order,
+    row_name,
+    stale_notes,
+)
 from leaderboard.tables import UNDEFINED, Table
 
 _SHORT = dict(zip(RUNGS, ("between", "class", "later", "range", "points", "heading", "raster", "mask"), strict=True))
@@ -31,12 +38,7 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
         for record in in_table_order(records)
         if record.run.data.name == data_name and record.run.split == split and EXACT in record.run.protocols
     ]
-    found = [
-        (record, protocol, compare(record, protocol))
-        for record in runs
-        for protocol in sorted(record.run.protocols)
-        if protocol != EXACT
-    ]
+    found = [(record, protocol, one) for record in runs for protocol, one in comparisons(record).items()]
     shown = [cause for cause in CAUSES if any(one.causes is not None and one.causes[cause] for _, _, one in found)]
     return Table(
         name=f"disagreement-{split}",
@@ -55,7 +57,7 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
             "step false alarms",
         ),
         rows=tuple(_row(record, protocol, one, shown) for record, protocol, one in found),
-        notes=_notes(found),
+        notes=_notes(runs, found),
         text_columns=2,
     )
 
@@ -64,8 +66,8 @@ def _row(record: RunRecord, protocol: str, one: Comparison, shown: Sequence[str]
     samples, steps = one.samples, one.steps
     causes = [UNDEFINED if one.causes is None else str(one.causes[cause]) for cause in shown]
     return (
-        marked(record.planner, privileged=record.run.planner.privileged),
-        protocol,
+        row_name(record, EXACT),
+        f"{protocol} {STALE_MARK}" if protocol in record.stale_protocols else protocol,
         str(samples.compared),
         str(samples.exact),
         str(samples.official),
@@ -87,7 +89,7 @@ def _with_share(count: int, share: float | None) -> str:
     return f"{count} ({UNDEFINED if share is None else f'{100 * share:.1f}'})"
 
 
-def _notes(found: Sequence[_Found]) -> tuple[str, ...]:
+def _notes(runs: Sequence[RunRecord], found: Sequence[_Found]) -> tuple[str, ...]:
     notes = [
         "A sample is positive if the plan collides at any time within 3 s; exact looks at all objects all the time, "
         "the official verdict is the one after the protocol's mask. Only samples count that both count. Brackets: % of "
@@ -101,6 +103,8 @@ def _notes(found: Sequence[_Found]) -> tuple[str, ...]:
         notes.append(
             f"No causes in the records of {', '.join(unknown)}; challenger-bench rescore finds them with the data set."
         )
-    if any(record.run.planner.privileged for record, _, _ in found):
+    if any(record.run.planner.privileged for record in runs):
         notes.append(PRIVILEGED_NOTE)
-    return tuple(notes)
+    for record in runs:
+        notes += stale_notes(record, sorted(record.run.protocols))
+    return (*notes, *completeness_notes(runs))

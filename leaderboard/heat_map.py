@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 
 from benchmark.errors import InputError
 from benchmark.rates import Rate
+from benchmark.records import NATIVE
 from benchmark.storage import write_bytes
 from benchmark.transfer import TransferMatrix
 from leaderboard.tables import UNDEFINED
@@ -108,7 +109,7 @@ def _figure(matrix: TransferMatrix) -> Figure:
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    judge = "own protocols" if matrix.protocol == "native" else f"protocol {_shown(matrix.protocol)}"
+    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {_shown(matrix.protocol)}"
     caption = (
         f"Failures on {_shown(matrix.split)}, {judge}.\nRow: surrogate. Column: victim.\n"
         "Cell: share of the surrogate's failed\nscenes that the victim fails too.\nHatched: undefined."

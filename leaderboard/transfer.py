@@ -1,8 +1,9 @@
 """Transfer tables: who else fails the scenes that one planner fails, and how far that is more than chance."""
 
 from benchmark.rates import Rate
+from benchmark.records import NATIVE
 from benchmark.transfer import Agreement, TransferMatrix
-from leaderboard.collision import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, marked
+from leaderboard.collision import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, judges, marked
 from leaderboard.tables import UNDEFINED, Table, interval, number
 
 
@@ -24,7 +25,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
     rows.append(("all scenes", UNDEFINED, *(_cell(rate) for rate in matrix.base_rates)))
     return Table(
         name=f"transfer-{matrix.split}-{matrix.protocol}",
-        title=f"{data_name}, split {matrix.split}: transfer of failures (%), {_judges(matrix)}",
+        title=f"{data_name}, split {matrix.split}: transfer of failures (%), {judges(matrix.protocol)}",
         columns=("surrogate", "its failed scenes", *names),
         rows=tuple(rows),
         notes=(
@@ -52,7 +53,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
     name_of = dict(zip(matrix.planners, planner_names(matrix)))
     return Table(
         name=f"agreement-{matrix.split}-{matrix.protocol}",
-        title=f"{data_name}, split {matrix.split}: do planners fail the same scenes, {_judges(matrix)}",
+        title=f"{data_name}, split {matrix.split}: do planners fail the same scenes, {judges(matrix.protocol)}",
         columns=("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift"),
         rows=tuple(_agreement_row(agreement, name_of) for agreement in matrix.agreements),
         notes=(
@@ -69,15 +70,11 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 def planner_names(matrix: TransferMatrix) -> list[str]:
     """Names as they are shown: with the mark of privileged planners, and the judge where judges differ."""
-    judged = matrix.protocol == "native"
+    judged = matrix.protocol == NATIVE
     return [
         f"{marked(name, privileged=seen)}{f' ({judge})' if judged else ''}"
         for name, seen, judge in zip(matrix.planners, matrix.privileged, matrix.judges)
     ]
-
-
-def _judges(matrix: TransferMatrix) -> str:
-    return "each planner under its own protocol" if matrix.protocol == "native" else f"protocol {matrix.protocol}"
 
 
 def _undecided(matrix: TransferMatrix) -> list[str]:

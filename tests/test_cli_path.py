@@ -133,7 +133,7 @@ def test_transfer_under_any_protocol_and_its_heat_map(out: Path, tmp_path: Path)
         assert run.json["small"]["protocol"] == protocol
     picture = tmp_path / "transfer.png"
     text = done(challenger_bench("transfer", "--out", out, "--figure", picture)).out
-    assert "phi" in text or "agreement" in text
+    assert "φ" in text and "lift" in text
     assert picture.read_bytes().startswith(b"\x89PNG")
     wrong = challenger_bench("transfer", "--out", out, "--figure", tmp_path / "transfer.docx")
     assert (wrong.code, wrong.err.count("\n")) == (2, 1)

@@ -16,6 +16,7 @@ LEADERBOARD_MAY_READ = {
     "benchmark.records",
     "benchmark.rates",
     "benchmark.transfer",
+    "benchmark.scores",
     "benchmark.significance",
     "benchmark.confusion",
     "benchmark.labels",

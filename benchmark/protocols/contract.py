@@ -70,14 +70,15 @@ class Outcomes:
         Returns:
             The arrays.
         """
-        valid = np.array([[l2 is not None for l2 in row["l2"]] for row in rows], dtype=np.bool_)
-        l2 = np.array([[0.0 if l2 is None else l2 for l2 in row["l2"]] for row in rows], dtype=np.float64)
         shape = (len(rows), PLAN_STEPS)
+        # Null becomes NaN, which no displacement is.
+        l2 = np.array([row["l2"] for row in rows], dtype=np.float64).reshape(shape)
+        valid = ~np.isnan(l2)
         first = rows[0] if rows else {"steps": {}, "facts": {}}
         return cls(
             collision=np.array([row["collision"] for row in rows], dtype=np.bool_).reshape(shape),
-            l2=l2.reshape(shape),
-            valid=valid.reshape(shape),
+            l2=np.where(valid, l2, 0.0),
+            valid=valid,
             counted=np.array([row["counted"] for row in rows], dtype=np.bool_),
             steps={name: np.array([row["steps"][name] for row in rows]) for name in first["steps"]},
             facts={name: tuple(row["facts"][name] for row in rows) for name in first["facts"]},

@@ -21,11 +21,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
-from benchmark.geometry import Bools, Floats, boxes_overlap, poses_between, wrap_angle
+from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
 from benchmark.planning import chord_headings
 from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.stacked import StackedTruths
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.truth import SampleTruth
 
 INSTANTS_PER_STEP = 5
@@ -75,8 +75,7 @@ class Exact:
             ``first_contact_s`` and ``hit`` (instance identifier of the object that is touched first).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
-        future = np.array([truth.ego_future for truth in truths]).reshape(-1, PLAN_STEPS, 3)
-        valid = np.array([truth.ego_future_valid for truth in truths], dtype=np.bool_).reshape(-1, PLAN_STEPS)
+        stacked = stack(truths)
         ego = ego_boxes(plans)
         contact = np.zeros(ego.shape[:2], dtype=np.bool_)
         first: list[tuple[float | None, str | None]] = []
@@ -85,12 +84,11 @@ class Exact:
             contact[batch], first_of_batch = contacts(ego[batch], truths[batch])
             first.extend(first_of_batch)
         by_step = contact.reshape(-1, PLAN_STEPS, INSTANTS_PER_STEP)
-        distance = np.hypot(plans[..., 0] - future[..., 0], plans[..., 1] - future[..., 1])
         return Outcomes(
             collision=by_step.any(axis=-1),
-            l2=np.where(valid, distance, 0.0),
-            valid=valid,
-            counted=valid.all(axis=-1),
+            l2=displacement(plans, stacked),
+            valid=stacked.ego_future_valid,
+            counted=stacked.ego_future_valid.all(axis=-1),
             steps={"waypoint_collision": by_step[..., -1]},
             facts={"first_contact_s": tuple(time for time, _ in first), "hit": tuple(name for _, name in first)},
         )
@@ -140,11 +138,7 @@ def footprints_between(first: Floats, second: Floats) -> Floats:
     Returns:
         (..., 5, 5) boxes: instants, then x, y, length, width, yaw.
     """
-    poses = poses_between(first[..., None, :], second[..., None, :], _fractions())
-    yaw = poses[..., 2]
-    center = poses[..., :2] + EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], center.shape)
-    return np.concatenate([center, size, yaw[..., None]], axis=-1)
+    return ego_footprints(poses_between(first[..., None, :], second[..., None, :], _fractions()))
 
 
 def object_boxes(boxes: Floats, annotated: Bools) -> tuple[Floats, Bools]:

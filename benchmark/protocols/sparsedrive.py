@@ -22,8 +22,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEPS
-from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.truth import SampleTruth
@@ -130,9 +130,7 @@ def waypoint_contacts(truths: StackedTruths, objects: Bools, plans_lidar: Floats
     Returns:
         (S, 6) verdicts.
     """
-    ahead = EGO_BOX_FROM_LIDAR_M * np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
-    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], ahead.shape)
-    ego = np.concatenate([plans_lidar + ahead, size, heading_rad[..., None]], axis=-1)
+    ego = ego_footprints(np.concatenate([plans_lidar, heading_rad[..., None]], axis=-1))
     which, step = np.nonzero(objects)
     mine, theirs = ego[truths.sample_of[which], step], truths.boxes[which, step + 1]
     # Two boxes can only touch if the circles around them do.

@@ -48,19 +48,6 @@ class StackedTruths:
         """
         return np.fromiter((name in names for name in self.categories), np.bool_, count=len(self.categories))
 
-    def any_of_sample(self, verdicts: Bools) -> Bools:
-        """Whether any object of a sample has a property.
-
-        Args:
-            verdicts: (M, ...) for each object.
-
-        Returns:
-            (S, ...) for each sample.
-        """
-        found = np.zeros((len(self.ego_future), *verdicts.shape[1:]), dtype=np.bool_)
-        np.logical_or.at(found, self.sample_of, verdicts)
-        return found
-
 
 def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
     """Samples one after the other.

@@ -43,7 +43,7 @@ VEHICLES = frozenset(
         "vehicle.trailer",
     }
 )
-"""Categories that become one of the eight vehicle classes among the ten detection classes (`only_vehicle=True`)."""
+"""Categories that become one of the seven vehicle classes among the ten detection classes (`only_vehicle=True`)."""
 
 
 class UniAD:

@@ -122,8 +122,7 @@ class VAD:
         point, inside = _point(plans)
         objects, steps = np.nonzero(self.counted_objects(stacked))
         place_of = stacked.sample_of[objects] * PLAN_STEPS + steps
-        boxes = stacked.boxes[objects, steps + 1]
-        boxes[:, 2:4] = stacked.boxes[objects, 0, 2:4]
+        boxes = followed_boxes(stacked, objects, steps)
         groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, point)]
         near = raster.may_reach(boxes, place_of, groups, (EXTENT_M - boxes[:, 1]) / CELL_M)
         found = raster.occupied(polygons(boxes[near]), place_of[near], groups)
@@ -151,6 +150,22 @@ class VAD:
             "obj_col": _means(outcomes.step("obj_col")),
             "l2": np.stack([outcomes.l2[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()], axis=1),
         }
+
+
+def followed_boxes(truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
+    """Objects as they are followed: where they are at a step, with the size they have now.
+
+    Args:
+        truths: S samples with M objects.
+        objects: (N,) which objects.
+        steps: (N,) at which steps, 0 to 5.
+
+    Returns:
+        (N, 5) boxes.
+    """
+    boxes: Floats = truths.boxes[objects, steps + 1]
+    boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
+    return boxes
 
 
 def polygons(boxes: Floats) -> NDArray[np.int32]:
@@ -181,7 +196,7 @@ def _block(waypoints: Floats) -> Cells:
 
 def _point(waypoints: Floats) -> tuple[Cells, Bools]:
     """The cell that ``obj_col`` looks at, (S, 6, 1, 2), and whether it is on the grid."""
-    # The offset is half the grid's quarter: 24.875 m where 49.75 m would be meant.
+    # Half of the offset that would be meant: 24.875 m in place of 49.75 m.
     offset = 0.5 * (EXTENT_M - 0.5 * CELL_M)
     cells = np.trunc((offset + np.stack([-waypoints[..., 1], waypoints[..., 0]], axis=-1)) / CELL_M)
     inside = ((cells >= 0) & (cells < CELLS)).all(axis=-1)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.labels import labelled
+from benchmark.labels import PLANS_SHA256, labelled
 from benchmark.records import RunRecord
 from leaderboard.selection import one_run_each
 from tests.benchmark.hand_made_records import CLEAN, HIT, hand_made
@@ -33,6 +33,18 @@ def test_versions_are_told_apart_by_what_differs_and_alike_on_every_split() -> N
     ]
     settings = [version(settings={"gap": 1.0, "same": 2}), version(settings={"gap": 1.5, "same": 2})]
     assert [found.label for found in labelled(settings)] == [f"{name} (gap 1.0)", f"{name} (gap 1.5)"]
+
+
+def test_a_plan_file_for_each_split_is_one_planner() -> None:
+    val, adv, other = (
+        version(split, settings={PLANS_SHA256: digit * 64})
+        for split, digit in (("val", "1"), ("adv", "2"), ("adv", "3"))
+    )
+    name = val.planner
+    assert [found.planner for found in labelled([val, adv])] == [name, name]
+    assert [found.planner for found in labelled([val, adv, other])] == [
+        f"{name} (plans_sha256 {digit * 8})" for digit in "123"
+    ]
 
 
 def test_a_leaderboard_holds_both_versions_but_not_one_version_twice() -> None:

@@ -15,9 +15,10 @@ from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap, to_g
 from benchmark.planning import chord_headings
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import contacts, ego_boxes
-from benchmark.records import SampleRow, scene_failures, summarise
+from benchmark.records import scene_failures
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
+from tests.benchmark.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.benchmark.protocol_cases import Traits, plan_of, sample_of, traits
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -186,46 +187,18 @@ def test_creeping_keeps_the_heading(direction: float, chord: float) -> None:
     assert chord_headings(plan[None], start_heading_rad=np.pi / 2) == pytest.approx(np.full((1, 6), np.pi / 2))
 
 
-def row(scene: str, index: int, *, status: str, collides: bool = False) -> SampleRow:
-    verdict = {"collision": [collides] * 6, "l2": [1.0] * 6, "counted": True, "facts": {}}
-    flags = {name: [collides] * 6 for name in ("before_mask", "recorded", "obj_col", "waypoint_collision")}
-    failed = status == "failed"
-    return SampleRow.model_validate(
-        {
-            "scene": scene,
-            "sample_token": f"{scene}-{index}",
-            "index": index,
-            "timestamp_us": index,
-            "status": status,
-            "command": 2,
-            "ego_motion": "derived",
-            "lidar_ahead_m": 0.94,
-            "complete": True,
-            "recorded_future": [[0.0, 1.0, 1.5]] * 6,
-            "plan": None if failed else {"frame": "ego", "waypoints": [[1.0, 0.0]] * 6},
-            "error": "RuntimeError" if failed else None,
-            "outcomes": {} if failed else {name: {**verdict, "steps": flags} for name in PROTOCOLS},
-        }
-    )
-
-
 @settings(max_examples=25, deadline=None)
-@given(st.lists(st.sampled_from(["clean", "hit", "failed"]), min_size=1, max_size=12))
-def test_a_failed_sample_is_never_a_zero(kinds: list[str]) -> None:
-    rows = [
-        row(f"scene-{index % 3}", index, status="failed" if kind == "failed" else "ok", collides=kind == "hit")
-        for index, kind in enumerate(kinds)
-    ]
-    versions = {name: definition.version for name, definition in PROTOCOLS.items()}
-    summary = summarise(rows, versions, seed=0)
-    planned = [kind for kind in kinds if kind != "failed"]
-    assert (summary.samples, summary.failed) == (len(kinds), len(kinds) - len(planned))
+@given(st.lists(st.sampled_from([CLEAN, HIT, FAILED]), min_size=1, max_size=12))
+def test_a_failed_sample_is_never_a_zero(samples: list[str | None]) -> None:
+    scenes = {f"scene-{first}": samples[first::3] for first in range(min(3, len(samples)))}
+    record = hand_made("p", scenes, protocols=tuple(PROTOCOLS))
+    planned = [flags for flags in samples if flags != FAILED]
+    assert (record.summary.samples, record.summary.failed) == (len(samples), len(samples) - len(planned))
     for name in PROTOCOLS:
-        rate = summary.protocols[name].columns["collision"]["3s"]
+        rate = record.summary.protocols[name].columns["collision"]["3s"]
         assert rate.denominator == len(planned)
-        expected = planned.count("hit") / len(planned) if planned else None
+        expected = planned.count(HIT) / len(planned) if planned else None
         assert rate.value == (None if expected is None else pytest.approx(expected))
         # A scene is not clean while a sample of it failed.
-        for scene, fails in scene_failures(rows, name).items():
-            own = [kind for index, kind in enumerate(kinds) if f"scene-{index % 3}" == scene]
-            assert fails == (True if "hit" in own else None if "failed" in own else False)
+        for scene, fails in scene_failures(record.rows, name).items():
+            assert fails == (True if HIT in scenes[scene] else None if FAILED in scenes[scene] else False)

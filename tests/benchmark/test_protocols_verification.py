@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmark import geometry
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners
-from benchmark.protocols import PROTOCOLS, Outcomes, exact, raster, sparsedrive, uniad, vad
+from benchmark.protocols import PROTOCOLS, Outcomes, raster, sparsedrive, uniad, vad
 from benchmark.protocols.stacked import StackedTruths
 from benchmark.protocols.verification import BUILT_IN, verify_protocols
 from benchmark.storage import write_json
@@ -87,13 +88,13 @@ def floor_polygons(boxes: Floats) -> NDArray[np.int32]:
         ("gtcol-ghost", raster, "EGO_BLOCK", raster.EGO_BLOCK + 1, "vad obj_box_col"),
         ("scene-crossing", raster, "EGO_BLOCK", raster.EGO_BLOCK[:-4], "uniad obj_box_col"),
         ("scene-standing", sparsedrive, "STANDING_M", 0.05, "sparsedrive before the mask"),
-        ("scene-standing", sparsedrive, "EGO_BOX_FROM_LIDAR_M", 0.0, "diffusiondrive obj_box_col"),
+        ("scene-standing", geometry, "EGO_BOX_FROM_LIDAR_M", 0.0, "diffusiondrive obj_box_col"),
         ("scene-crossing", sparsedrive.SparseDrive, "counted_objects", without_points, "sparsedrive before the mask"),
         ("gtcol-ghost", uniad.UniAD, "evaluate", unmasked, "uniad obj_box_col"),
         ("gtcol-ghost", vad.VAD, "evaluate", unmasked, "vad obj_box_col at 1, 2, 3 s"),
         ("gtcol-ghost", sparsedrive.SparseDrive, "evaluate", unmasked, "sparsedrive rates, ghost scenes: collision"),
-        ("scene-crossing", exact, "EGO_BOX_FROM_LIDAR_M", 0.4, "exact contact every 0.1 s, all"),
-        ("scene-crossing", exact, "EGO_WIDTH_M", 1.9, "exact collision"),
+        ("scene-crossing", geometry, "EGO_BOX_FROM_LIDAR_M", 0.4, "exact contact every 0.1 s, all"),
+        ("scene-crossing", geometry, "EGO_WIDTH_M", 1.9, "exact collision"),
     ],
 )
 def test_a_changed_protocol_is_noticed(

@@ -119,6 +119,9 @@ def test_where_short_recordings_count_a_failure_on_them_leaves_the_scene_undecid
     assert scene_failures(rows, "exact") == {"a": False}
     assert PROTOCOLS["uniad"].counts_incomplete
     assert scene_failures([judged_by(r, "uniad") for r in rows], "uniad") == {"a": None}
+    # Nothing is recorded after the last sample of a scene: no plan could have collided there.
+    last = [rows[0], rows[1].model_copy(update={"recorded_future": [None] * 6})]
+    assert scene_failures([judged_by(r, "uniad") for r in last], "uniad") == {"a": False}
 
 
 def test_scenes_without_verdicts_of_a_protocol_are_one_sentence() -> None:

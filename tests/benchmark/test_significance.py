@@ -11,14 +11,8 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.rates import HORIZONS, RESAMPLES
 from benchmark.records import RunRecord
-from benchmark.significance import (
-    PlannerComparison,
-    SplitComparison,
-    compare_planners,
-    compare_splits,
-    scored,
-    source_of_scenes,
-)
+from benchmark.scores import scored, source_of_scenes
+from benchmark.significance import PlannerComparison, SplitComparison, compare_planners, compare_splits
 from benchmark.storage import content_seed
 from tests.benchmark.hand_made_records import CLEAN, FAILED, HIT, LATE, UNCOUNTED, hand_made
 

@@ -88,8 +88,11 @@ def test_records_of_other_scenes_are_refused() -> None:
     with pytest.raises(InputError, match="not judged"):
         transfer([unjudged])
     older = hand_made("second", {"a": [HIT]}, data="f", versions={"exact": 0})
-    with pytest.raises(InputError, match=r"by version 1 of protocol exact and .* by version 0; run .* rescore"):
-        transfer([one, older])
+    for records in ([one, older], [older]):
+        with pytest.raises(
+            InputError, match=r"second on adv of f was judged by version 0 of .* exact, now 1; .* rescore"
+        ):
+            transfer(records)
 
 
 def random_verdicts(rng: np.random.Generator, names: list[str], chance: float) -> Verdicts:

@@ -71,6 +71,21 @@ def test_numbers_of_an_earlier_version_are_marked() -> None:
     assert any("Left out: p on val of d was judged by version 0" in note for note in changes.notes)
 
 
+def test_an_increase_needs_whole_splits_and_one_definition() -> None:
+    def increases(val: RunRecord, adv: RunRecord) -> set[str]:
+        tables = collision_table("d", "exact", [val, adv]), native_table("d", [val, adv])
+        return {cells(table, split="adv")["increase"] for table in tables}
+
+    val, adv = pair(native="vad")
+    assert all(increase.endswith("×") for increase in increases(val, adv))
+    part = hand_made("p", VAL, split="val", protocols=ALL, native="vad", scenes_in_split=9)
+    older = hand_made("p", VAL, split="val", protocols=ALL, native="vad", versions={"exact": 0, "vad": 0})
+    assert increases(part, adv) == increases(older, adv) == {UNDEFINED}
+    assert increases(val, hand_made("p", ADV, protocols=ALL, scenes_in_split=9)) == {UNDEFINED}
+    others = hand_made("p", VAL, split="val", protocols=ALL, native="uniad")
+    assert cells(native_table("d", [others, adv]), split="adv")["increase"] == UNDEFINED
+
+
 def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
     records = [*pair("a"), *pair("b"), hand_made("c", ADV, protocols=("exact",))]
     found = data_set_tables("d", records)

@@ -89,3 +89,16 @@ def test_failed_samples_are_not_compared(runs: list[RunRecord]) -> None:
     assert int(rows["failing", "uniad"]["samples"]) <= int(rows["straight", "uniad"]["samples"])
     planned = [row for row in runs[2].rows if row.status == "ok" and row.complete]
     assert int(rows["failing", "vad"]["samples"]) == len(planned)
+
+
+def test_failures_missing_scenes_and_earlier_versions_are_said(runs: list[RunRecord]) -> None:
+    table = disagreement_table("fake", "val", runs)
+    assert any(note.startswith("failing on val: 2 samples failed. The rates cover") for note in table.notes)
+    assert not any("‡" in cell for row in table.rows for cell in row)
+    run = runs[0].run
+    update = {"protocols": {**run.protocols, "vad": 0}, "scenes_in_split": 9}
+    old = replace(runs[0], run=run.model_copy(update=update))
+    table = disagreement_table("fake", "val", [old])
+    assert [row[1] for row in table.rows if row[1].startswith("vad")] == ["vad ‡", "vad-23"]
+    assert any("‡ straight on val: judged by version 0 of protocol vad, now" in note for note in table.notes)
+    assert "straight on val: 2 of 9 scenes of the split." in table.notes

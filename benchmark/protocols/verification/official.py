@@ -55,12 +55,10 @@ def drawn(name: str, truths: StackedTruths) -> NDArray[np.uint8]:
         (S, 6, 200, 200) ones where occupied.
     """
     objects, steps = np.nonzero(PROTOCOLS[name].counted_objects(truths))
-    boxes = truths.boxes[objects, steps + 1]
     if name == "uniad":
-        polygons = uniad.polygons(boxes)
+        polygons = uniad.polygons(truths.boxes[objects, steps + 1])
     else:
-        boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
-        polygons = vad.polygons(boxes)
+        polygons = vad.polygons(vad.followed_boxes(truths, objects, steps))
     samples = len(truths.ego_future)
     grids = raster.full_rasters(polygons, truths.sample_of[objects] * PLAN_STEPS + steps, samples * PLAN_STEPS)
     return grids.reshape(samples, PLAN_STEPS, *grids.shape[1:])
