@@ -21,6 +21,14 @@ BUILT_IN = {
     "idm": "adapters.idm:IntelligentDriver",
     "ego-status": "adapters.ego_status:EgoStatus",
 }
+WITH_WEIGHTS = {
+    "vad": "adapters.vad.planner:vad_base",
+    "vad-tiny": "adapters.vad.planner:vad_tiny",
+    "vad-base": "adapters.vad.planner:vad_base",
+    "sparsedrive": "adapters.sparse.planner_adapter:sparsedrive",
+    "diffusiondrive": "adapters.sparse.planner_adapter:diffusiondrive",
+}
+"""Built-in planners that need weights from elsewhere (docs/models.md); ``vad`` is short for ``vad-base``."""
 BLIND = frozenset({"constant-velocity", "log-replay", "idm", "ego-status"})
 """Built-in planners that look at no image: nothing needs to be drawn for them."""
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
@@ -39,19 +47,33 @@ class NamedPlanner:
         checkpoint: Weights file, if not the planner's own.
         seed: Passed to planners that take one.
         facts: Identity of what is built.
+        device: Passed to planners that take one.
+        precision: Passed to planners that take one.
     """
 
     name: str
     checkpoint: Path | None
     seed: int
     facts: PlannerFacts
+    device: str | None = None
+    precision: str | None = None
 
     def __call__(self) -> Planner:
         """Build it."""
-        return planner(self.name, checkpoint=self.checkpoint, seed=self.seed)
+        return planner(
+            self.name, checkpoint=self.checkpoint, seed=self.seed, device=self.device, precision=self.precision
+        )
 
 
-def planner_factory(name: str, *, checkpoint: Path | None = None, data: Any = None, seed: int = 0) -> NamedPlanner:
+def planner_factory(
+    name: str,
+    *,
+    checkpoint: Path | None = None,
+    data: Any = None,
+    seed: int = 0,
+    device: str | None = None,
+    precision: str | None = None,
+) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
     Args:
@@ -59,6 +81,8 @@ def planner_factory(name: str, *, checkpoint: Path | None = None, data: Any = No
         checkpoint: See `planner`.
         data: See `planner`; a planner that needs the data set itself cannot be rebuilt elsewhere.
         seed: See `planner`.
+        device: See `planner`.
+        precision: See `planner`.
 
     Returns:
         The factory with the planner's identity.
@@ -66,14 +90,23 @@ def planner_factory(name: str, *, checkpoint: Path | None = None, data: Any = No
     Raises:
         InputError: As `planner` does.
     """
-    facts = facts_of(planner(name, checkpoint=checkpoint, data=data, seed=seed))
+    facts = facts_of(planner(name, checkpoint=checkpoint, data=data, seed=seed, device=device, precision=precision))
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
-    return NamedPlanner(name, checkpoint, seed, facts.model_copy(update={"settings": settings, "seed": seed}))
+    facts = facts.model_copy(update={"settings": settings, "seed": seed})
+    return NamedPlanner(name, checkpoint, seed, facts, device, precision)
 
 
-def planner(name: str, *, checkpoint: Path | None = None, data: Any = None, seed: int = 0) -> Planner:
+def planner(
+    name: str,
+    *,
+    checkpoint: Path | None = None,
+    data: Any = None,
+    seed: int = 0,
+    device: str | None = None,
+    precision: str | None = None,
+) -> Planner:
     """Build a planner.
 
     Args:
@@ -81,6 +114,8 @@ def planner(name: str, *, checkpoint: Path | None = None, data: Any = None, seed
         checkpoint: Weights file for planners that take ``checkpoint``.
         data: The data set, for planners that take ``data``.
         seed: For planners that take ``seed``.
+        device: For planners that take ``device``: cpu, cuda, cuda:1.
+        precision: For planners that take ``precision``: float32, bfloat16.
 
     Returns:
         The planner.
@@ -89,24 +124,26 @@ def planner(name: str, *, checkpoint: Path | None = None, data: Any = None, seed
         InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
     """
     installed = installed_planners()
-    if name in BUILT_IN:
-        made = _import(BUILT_IN[name], name)
+    built_in = BUILT_IN | WITH_WEIGHTS
+    if name in built_in:
+        made = _import(built_in[name], name)
     elif name in installed:
         made = _load(installed[name])
     elif ":" in name:
         made = _import(name, name)
     else:
-        known = ", ".join((*BUILT_IN, *installed))
+        known = ", ".join((*built_in, *installed))
         raise InputError(f"unknown model {name!r}; known are {known}; your own is --model package.module:Class")
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
-    return _checked(_build(made, name, {"checkpoint": checkpoint, "data": data, "seed": seed}), name)
+    offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
+    return _checked(_build(made, name, offered), name)
 
 
 def installed_planners() -> dict[str, EntryPoint]:
     """Planners of installed packages, by name; built-in names cannot be taken over."""
     found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return {point.name: point for point in found if point.name not in BUILT_IN}
+    return {point.name: point for point in found if point.name not in BUILT_IN | WITH_WEIGHTS}
 
 
 def _import(reference: str, name: str) -> Any:
@@ -153,8 +190,9 @@ def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
         raise InputError(f"model {name!r} is {made!r}, not a class or a function that makes a planner") from error
     takes_any = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
     taken = {parameter.name for parameter in parameters}
-    if offered["checkpoint"] is not None and not takes_any and "checkpoint" not in taken:
-        raise InputError(f"model {name!r} takes no checkpoint; leave --checkpoint out")
+    for option in ("checkpoint", "device", "precision"):
+        if offered[option] is not None and not takes_any and option not in taken:
+            raise InputError(f"model {name!r} takes no {option}; leave --{option} out")
     missing = [
         parameter.name
         for parameter in parameters

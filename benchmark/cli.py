@@ -1,7 +1,7 @@
 """The command line: the one place that knows all packages, and imports them only inside the command that needs them."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -24,6 +24,7 @@ from benchmark.cli_options import (
     JsonOption,
     Layout,
     LimitOption,
+    NormalisationOption,
     OutOption,
     Preset,
     PresetOption,
@@ -47,9 +48,11 @@ from benchmark.cli_options import (
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
+    from adapters.checkpoints.importing import ImportedWeights
     from benchmark.datasets.roots import DataSet
     from benchmark.plan_rows import PlannerFactory
     from benchmark.records import RunRecord
+    from benchmark.verification import Check
     from benchmark.workspace import Workspace
     from generation.attempts import PriorFactory
     from generation.build import BuildSettings
@@ -69,6 +72,8 @@ data_app = typer.Typer(help="Look at, check, import and build data sets.", no_ar
 train_app = typer.Typer(help="Train the small models that this package carries.", no_args_is_help=True)
 app.add_typer(data_app, name="data")
 app.add_typer(train_app, name="train")
+weights_app = typer.Typer(help="Official weights of the native models.", no_args_is_help=True)
+app.add_typer(weights_app, name="weights")
 
 
 OUT = Path("challenger-out")
@@ -258,6 +263,10 @@ def eval_command(
     out: OutOption = OUT,
     tables: TablesOption = None,
     plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
+    ] = None,
+    precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
     native: Annotated[
         str | None, typer.Option(help="With --plans: the protocol of the repository that the planner comes from.")
     ] = None,
@@ -292,7 +301,9 @@ def eval_command(
     source = _open_source(data, tables, workers)
     dataset = _open_split(source, split, out, workers)
     settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=worker_count(workers))
-    factories: list[PlannerFactory] = [planner_factory(name, checkpoint=checkpoint, seed=seed) for name in model]
+    factories: list[PlannerFactory] = [
+        planner_factory(name, checkpoint=checkpoint, seed=seed, device=device, precision=precision) for name in model
+    ]
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
@@ -414,25 +425,52 @@ def leaderboard_command(
 def verify_command(
     what: Annotated[Verifiable, typer.Argument(help="What to compare.")],
     golden: Annotated[Path | None, typer.Option(help="Directory of golden numbers, if not the built-in set.")] = None,
+    model: Annotated[str | None, typer.Option(help="With model: which one, for example vad-tiny.")] = None,
     json_output: JsonOption = False,
 ) -> None:
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
     from benchmark.verification import report
 
-    if what is Verifiable.PHYSICS:
-        from generation.verification.physics import verify_physics as verify
-    elif what is Verifiable.SCORING:
-        from generation.verification.scoring import verify_scoring as verify
-    elif what is Verifiable.DENOISER:
-        from generation.verification.denoiser import verify_denoiser as verify
+    if what is Verifiable.MODEL:
+        checks = _verify_model(model, golden)
+    elif model is not None:
+        raise InputError("--model belongs to verify model; leave it out")
     else:
-        from benchmark.protocols.verification import verify_protocols as verify
-    checks = verify(golden)
+        checks = _numerics(what)(golden)
     if json_output:
         print_json([check.as_json() for check in checks])
     else:
         typer.echo(report(checks))
     raise typer.Exit(0 if all(check.ok for check in checks) else 1)
+
+
+def _numerics(what: Verifiable) -> "Callable[[Path | None], list[Check]]":
+    """What compares physics, scoring, denoiser or protocols with golden numbers, or with the built-in ones."""
+    if what is Verifiable.PHYSICS:
+        from generation.verification.physics import verify_physics
+
+        return verify_physics
+    if what is Verifiable.SCORING:
+        from generation.verification.scoring import verify_scoring
+
+        return verify_scoring
+    if what is Verifiable.DENOISER:
+        from generation.verification.denoiser import verify_denoiser
+
+        return verify_denoiser
+    from benchmark.protocols.verification import verify_protocols
+
+    return verify_protocols
+
+
+def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
+    from adapters.verification.models import VERIFIED_MODELS, verify_model
+
+    if model is None:
+        raise InputError(f"verify model needs --model; known are {', '.join(VERIFIED_MODELS)}")
+    if golden is None:
+        raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
+    return verify_model(model, golden)
 
 
 @app.command("demo")
@@ -665,6 +703,85 @@ def train_ego_status_command(
     from adapters.ego_status_training import train_ego_status
 
     print_json(train_ego_status(tracks, out, seed=seed))
+
+
+@weights_app.command("list")
+def weights_list_command(json_output: JsonOption = False) -> None:
+    """Official files, where to get them, and what has been imported."""
+    from adapters.checkpoints.cache import weights_folder
+    from adapters.checkpoints.listing import known_weights
+
+    found = known_weights(weights_folder())
+    if json_output:
+        print_json([entry.as_json() for entry in found])
+        return
+    for entry in found:
+        typer.echo(entry.plain())
+
+
+@weights_app.command("import")
+def weights_import_command(
+    path: Annotated[Path, typer.Argument(help="An official .pth file.")],
+    model: Annotated[str | None, typer.Option(help="The model it must be for; found out if not given.")] = None,
+    normalisation: NormalisationOption = None,
+    anchors: Annotated[
+        Path | None, typer.Option(help="Of weights anchors, for weights that come without them.")
+    ] = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Check an official checkpoint without running anything in it, and keep its weights."""
+    from adapters.checkpoints.importing import import_checkpoint
+
+    found = import_checkpoint(path, model, normalisation=normalisation, anchors=anchors)
+    _tell_imported(found, json_output=json_output)
+
+
+@weights_app.command("fetch")
+def weights_fetch_command(
+    name: Annotated[str, typer.Argument(help="Model or file name, as weights list has them.")],
+    normalisation: NormalisationOption = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Fetch an official file from the internet and import it."""
+    from adapters.checkpoints.cache import weights_folder
+    from adapters.checkpoints.fetching import fetch_official
+    from adapters.checkpoints.official import official_file
+
+    found = fetch_official(official_file(name), weights_folder(), normalisation=normalisation)
+    _tell_imported(found, json_output=json_output)
+
+
+@weights_app.command("anchors")
+def weights_anchors_command(
+    model: Annotated[str, typer.Option(help="sparsedrive or diffusiondrive.")],
+    data: DataOption,
+    out: Annotated[Path, typer.Option("--out", help="File of anchors to write (.safetensors).")],
+    split: SplitOption = "train",
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Compute anchors from a data set by k-means, for weights that come without them."""
+    from adapters.sparse.anchor_files import write_anchors
+
+    source = _open_source(data, tables, workers)
+    made = write_anchors(model, source, split, out).as_json()
+    if json_output:
+        print_json(made)
+        return
+    counts = ", ".join(f"{count} {what}" for what, count in made["sightings"].items())
+    typer.echo(f"{made['path']}: anchors of {model} from {counts}")
+
+
+def _tell_imported(found: "ImportedWeights", *, json_output: bool) -> None:
+    facts = found.provenance.model_dump(mode="json")
+    if json_output:
+        print_json({"path": str(found.path), "tensors": found.tensors, "parameters": found.parameters, **facts})
+        return
+    typer.echo(
+        f"{found.path}: {found.provenance.model}, {found.tensors} tensors, {found.parameters / 1e6:.1f} M numbers, "
+        f"pixel values {found.provenance.normalisation} (said by: {found.provenance.normalisation_from})"
+    )
 
 
 def _open_data(root: Path, tables: str | None, name: str | None) -> "DataSet":

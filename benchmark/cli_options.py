@@ -41,6 +41,7 @@ class Verifiable(StrEnum):
     SCORING = "scoring"
     DENOISER = "denoiser"
     PROTOCOLS = "protocols"
+    MODEL = "model"
 
 
 class Preset(StrEnum):
@@ -64,6 +65,9 @@ TablesOption = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
 SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
 ScenesOption = Annotated[str | None, typer.Option("--scenes", help="Only these scenes, separated by commas.")]
+NormalisationOption = Annotated[
+    str | None, typer.Option("--normalisation", help="Pixel values that the weights want, if the file is wrong on it.")
+]
 RecordsOption = Annotated[
     list[Path] | None,
     typer.Option("--records", help="Folder of run records, if not <out>/runs; may be repeated, and name single runs."),

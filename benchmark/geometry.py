@@ -7,7 +7,7 @@ counter-clockwise from +x. Quaternions are ``[w, x, y, z]``.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 
@@ -246,3 +246,19 @@ def rotation_matrix(quaternion: Floats) -> Floats:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def transform_matrix(rotation: ArrayLike, translation: ArrayLike) -> Floats:
+    """Rigid motion as a matrix.
+
+    Args:
+        rotation: (4,) quaternion; normalised here.
+        translation: (3,) metres.
+
+    Returns:
+        (4, 4) matrix that takes local points (x, y, z, 1) to the parent frame.
+    """
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_matrix(np.asarray(rotation, np.float64))
+    matrix[:3, 3] = translation
+    return matrix

@@ -50,8 +50,11 @@ def _differs(name: str, records: Sequence[RunRecord], values: Sequence[str | Non
 def _version(record: RunRecord) -> dict[str, str]:
     """What tells versions of a planner apart, as text by what it is."""
     planner = record.run.planner
-    facts: dict[str, Any] = {"seed": planner.seed, **planner.settings}
+    settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
+    facts: dict[str, Any] = {"seed": planner.seed, **settings}
     if planner.weights_sha256 is not None:
+        # The hash says all that the name of the file they came from would.
+        facts = {name: value for name, value in facts.items() if not name.startswith("checkpoint")}
         facts["weights"] = planner.weights_sha256
     return {name: _shown(name, value) for name, value in facts.items()}
 

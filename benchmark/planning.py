@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.scene import Camera, Scene
+from benchmark.scene import Camera, LidarMount, Scene
 
 
 class Command(IntEnum):
@@ -31,14 +31,14 @@ class CameraView:
         camera: Calibration.
         path: Image file.
         timestamp_us: Exposure time.
-        ego_pose: (3,) planar x, y, yaw of the rear axle at the exposure.
+        global_T_ego: (4, 4) pose of the rear axle at the exposure: ego frame to global frame.
         load: Reads the file; returns (height, width, 3) uint8 RGB; raises `InputError` if it is missing or broken.
     """
 
     camera: Camera
     path: Path
     timestamp_us: int
-    ego_pose: Floats
+    global_T_ego: Floats
     load: Callable[[], NDArray[np.uint8]]
 
 
@@ -55,6 +55,8 @@ class EgoState:
         yaw_rate: rad/s.
         steering_angle: Steering wheel angle in radians, or ``None`` where nothing measures it.
         source: Whether the motion was measured (CAN bus) or derived from past poses.
+        can_motion: (9,) velocity, acceleration and rotation rate (x, y, z each) as the CAN bus has them, or ``None``
+            where it has none. Networks that were trained on the raw message want it; others want the fields above.
     """
 
     pose: Floats
@@ -65,6 +67,7 @@ class EgoState:
     yaw_rate: float
     steering_angle: float | None
     source: Literal["can_bus", "derived"]
+    can_motion: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,7 @@ class Observation:
         index: Number of the sample in its scene, from 0.
         timestamp_us: Keyframe time.
         views: Images by camera name; empty where the data set has none.
+        lidar: Where LIDAR_TOP sits; `Plan` has a frame of that name.
         ego: Ego motion now.
         past_poses: (H, 3) planar rear-axle poses at the last H keyframes, oldest first, ending with now; global.
         past_valid: (H,) False before the scene began.
@@ -88,6 +92,7 @@ class Observation:
     index: int
     timestamp_us: int
     views: dict[str, CameraView]
+    lidar: LidarMount
     ego: EgoState
     past_poses: Floats
     past_valid: Bools

@@ -15,8 +15,9 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.protocols import protocol as definition_of
 from benchmark.rates import Estimate, Rate, SceneSums, ends, resampled, sums_by_scene
-from benchmark.records import RunRecord, protocol_of, scene_failures
+from benchmark.records import NATIVE, RunRecord, protocol_of, scene_failures
 from benchmark.scores import require_current, source_of_scenes
 
 Verdicts = Mapping[str, bool | None]
@@ -174,10 +175,15 @@ def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
     """Who judged each record; refuses what cannot be compared."""
     if not records:
         raise InputError("a transfer matrix needs run records and there are none; run challenger-bench eval first")
+    if protocol != NATIVE:
+        # One that nobody knows is said to be that, rather than one that did not judge.
+        definition_of(protocol)
     names = [record.planner for record in records]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise InputError(f"more than one record of {', '.join(repeated)} on this split; name the ones to compare")
+        raise InputError(
+            f"more than one record of {', '.join(repeated)} on this split; name single runs with --records"
+        )
     first = records[0].run
     judges = tuple(protocol_of(record, protocol) for record in records)
     for record, judge in zip(records, judges):

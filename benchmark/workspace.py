@@ -60,9 +60,10 @@ class Workspace:
         if not is_finished(root) and build is not None:
             build()
         if not is_finished(root):
+            data = "" if source.name == EMBEDDED else f"--data {source.root} "
             raise InputError(
                 f"split {split!r} of {source.name} is not at {root}; make it with: "
-                f"challenger-bench generate --data {source.root} --split {split}"
+                f"challenger-bench generate {data}--split {split} --out {self.out}"
             )
         generated = open_data(root, name=source.name)
         made_from = (generated.provenance() or {}).get("source") or {}

@@ -12,6 +12,7 @@ from leaderboard.collision import SPLIT_ORDER, collision_table, in_table_order, 
 from leaderboard.comparisons import Verdicts, planner_table, split_table
 from leaderboard.diagnosis import diagnosis_tables
 from leaderboard.disagreement import disagreement_table
+from leaderboard.seeds import seed_spread_table
 from leaderboard.tables import Table
 from leaderboard.transfer import agreement_table, transfer_table
 
@@ -59,6 +60,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         native_table(data_name, records) if name == NATIVE else collision_table(data_name, name, records)
         for name in names
     ]
+    front += [seed_spread_table(data_name, name, records) for name in names]
     front += [split_table(data_name, name, records, verdicts) for name in names]
     for split in splits:
         front += [planner_table(data_name, split, name, records, verdicts) for name in names if name != NATIVE]
@@ -78,7 +80,11 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
 def _tables_under(
     data_name: str, protocol: str, splits: Sequence[str], records: Sequence[RunRecord], verdicts: Verdicts
 ) -> tuple[Table, ...]:
-    tables = [collision_table(data_name, protocol, records), split_table(data_name, protocol, records, verdicts)]
+    tables = [
+        collision_table(data_name, protocol, records),
+        seed_spread_table(data_name, protocol, records),
+        split_table(data_name, protocol, records, verdicts),
+    ]
     for split in splits:
         tables.append(planner_table(data_name, split, protocol, records, verdicts))
         tables += _transfer_tables(data_name, split, protocol, records)[1]

@@ -158,6 +158,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
         yaw_rate=yaw_rate,
         steering_angle=None if steering is None else float(steering[0]),
         source="derived" if measured is None else "can_bus",
+        can_motion=measured,
     )
 
 

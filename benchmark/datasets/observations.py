@@ -49,6 +49,7 @@ def observations_of_scene(
             index=index,
             timestamp_us=int(scene.timestamps_us[frame]),
             views=views[index],
+            lidar=scene.lidar,
             ego=ego_state(scene.ego, scene.timestamps_us, frame, can_bus),
             past_poses=ego_poses[np.maximum(past, 0)],
             past_valid=past >= 0,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M, LIDAR_NAME
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-from benchmark.geometry import quaternion_from_yaw, yaw_of_quaternion
+from benchmark.geometry import quaternion_from_yaw, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, LidarMount
 
@@ -72,12 +72,11 @@ def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
         camera = _camera(nusc, row)
         pose = nusc.get("ego_pose", row["ego_pose_token"])
         path = file_inside(root, row)
-        yaw = float(yaw_of_quaternion(np.array(pose["rotation"], np.float64)))
         views[camera.name] = CameraView(
             camera=camera,
             path=path,
             timestamp_us=round(row["timestamp"]),
-            ego_pose=np.array([*pose["translation"][:2], yaw], np.float64),
+            global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
             load=partial(load_image, path),
         )
     return views

@@ -129,6 +129,7 @@ def observation(scene: Scene, index: int, views: dict[str, CameraView]) -> Obser
         index=index,
         timestamp_us=int(scene.timestamps_us[frame]),
         views=views,
+        lidar=scene.lidar,
         ego=ego_state(scene.ego, scene.timestamps_us, frame, CanBus(None, None)),
         past_poses=pose[np.maximum(past, 0)],
         past_valid=past >= 0,

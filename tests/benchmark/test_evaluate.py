@@ -194,7 +194,7 @@ def test_a_broken_image_is_the_datas_fault(tmp_path: Path) -> None:
 
     camera = Camera("CAM_FRONT", np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(3), 8, 8)
     data = town_of_two()
-    data.views["CAM_FRONT"] = CameraView(camera, Path("front.jpg"), 0, np.zeros(3), load)
+    data.views["CAM_FRONT"] = CameraView(camera, Path("front.jpg"), 0, np.eye(4), load)
     with pytest.raises(InputError, match=r"front\.jpg"):
         evaluate(data, "val", LooksAtImages(), tmp_path)
 

@@ -31,6 +31,13 @@ def test_versions_are_told_apart_by_what_differs_and_alike_on_every_split() -> N
         f"{name} (weights 00000000)",
         f"{name} (weights none)",
     ]
+    files = [
+        version(weights_sha256=sha * 64, settings={"checkpoint": f"{sha}.pth", "checkpoint_sha256": sha})
+        for sha in "ab"
+    ]
+    assert [found.label for found in labelled(files)] == [f"{name} (weights aaaaaaaa)", f"{name} (weights bbbbbbbb)"]
+    code = [version(settings={"shared_code_sha256": sha}) for sha in "ab"]
+    assert [found.label for found in labelled(code)] == [None, None]
     settings = [version(settings={"gap": 1.0, "same": 2}), version(settings={"gap": 1.5, "same": 2})]
     assert [found.label for found in labelled(settings)] == [f"{name} (gap 1.0)", f"{name} (gap 1.5)"]
 

@@ -84,6 +84,8 @@ def test_records_of_other_scenes_are_refused() -> None:
         transfer([])
     with pytest.raises(InputError, match="not judged by protocol 'vad'"):
         transfer([one], protocol="vad")
+    with pytest.raises(InputError, match="unknown protocol 'bogus'"):
+        transfer([one], protocol="bogus")
     unjudged = replace(one, run=one.run.model_copy(update={"protocols": {}}))
     with pytest.raises(InputError, match="not judged"):
         transfer([unjudged])

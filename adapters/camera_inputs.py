@@ -1,0 +1,238 @@
+"""From an `Observation` to what camera networks read: images, camera matrices and the ego motion vector.
+
+What is common to VAD, UniAD, SparseDrive and DiffusionDrive; a model says which `ImageFormat` and `Normalisation` it
+was trained with. All of them were trained on nuScenes images of 1600 x 900. Images of another size are brought to the
+size that the network expects, and the camera matrices with them, so that the geometry stays exact.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import CAMERA_NAMES
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, transform_matrix, yaw_of_quaternion
+from benchmark.planning import CameraView, EgoState, Observation
+from benchmark.scene import Camera
+
+NUSCENES_IMAGE: Final = (1600, 900)
+"""Width and height of the images that the published networks were trained on."""
+
+Pixels = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Normalisation:
+    """How pixel values of 0 to 255 become network inputs: ``(value - mean) / std`` for each channel.
+
+    Attributes:
+        name: Recorded with weights and runs.
+        mean: In the order of the network's channels.
+        std: In the same order.
+        rgb: Whether the channels are red, green, blue; else blue, green, red.
+    """
+
+    name: str
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+    rgb: bool
+
+
+BGR_MEAN: Final = Normalisation("bgr-mean", (103.530, 116.280, 123.675), (1.0, 1.0, 1.0), False)
+"""Blue first and the mean subtracted: the published VAD and UniAD weights."""
+RGB_MEAN_STD: Final = Normalisation("rgb-mean-std", (123.675, 116.28, 103.53), (58.395, 57.12, 57.375), True)
+"""Red first, mean and deviation: VAD's present configuration files, SparseDrive and DiffusionDrive."""
+NORMALISATIONS: Final = {variant.name: variant for variant in (BGR_MEAN, RGB_MEAN_STD)}
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFormat:
+    """The image that a network expects.
+
+    Attributes:
+        width: Pixels after resizing.
+        height: Pixels after resizing, before cropping.
+        crop_top: Rows that are cut off at the top.
+        divisor: Zeros are added at the right and at the bottom until both sides are multiples of it.
+        resize: ``linear``: floating-point pixels, bilinear (mmcv). ``bicubic``: bytes, with antialiasing (Pillow).
+    """
+
+    width: int
+    height: int
+    crop_top: int = 0
+    divisor: int = 32
+    resize: Literal["linear", "bicubic"] = "linear"
+
+    @classmethod
+    def scaled(cls, scale: float) -> Self:
+        """Images of 1600 x 900 made smaller by a factor, as VAD (0.4, 0.8) and UniAD (1.0) read them.
+
+        Args:
+            scale: Network image against 1600 x 900.
+
+        Returns:
+            The format; sides are cut to whole pixels.
+        """
+        width, height = NUSCENES_IMAGE
+        return cls(int(width * scale), int(height * scale))
+
+    @property
+    def padded(self) -> tuple[int, int]:
+        """Height and width of the network's input."""
+        rows = self.height - self.crop_top
+        return -(-rows // self.divisor) * self.divisor, -(-self.width // self.divisor) * self.divisor
+
+
+SPARSE_DRIVE_IMAGE: Final = ImageFormat(704, 396, crop_top=140, resize="bicubic")
+"""What SparseDrive and DiffusionDrive read: 704 x 256."""
+
+
+def camera_images(observation: Observation, image_format: ImageFormat, normalisation: Normalisation) -> Pixels:
+    """The six images of a sample as a network reads them.
+
+    Args:
+        observation: The sample.
+        image_format: Size, cropping, padding.
+        normalisation: Of the weights.
+
+    Returns:
+        (6, 3, H, W) in the order of `CAMERA_NAMES`; the padding is 0.
+
+    Raises:
+        InputError: If a camera or an image is missing, broken, or not of the size that the data set's tables say.
+    """
+    images = np.zeros((len(CAMERA_NAMES), 3, *image_format.padded), np.float32)
+    rows = image_format.height - image_format.crop_top
+    for image, view in zip(images, _six_views(observation), strict=True):
+        shown = image[:, :rows, : image_format.width]
+        _write_network_image(shown, _loaded(view), image_format, normalisation)
+    return images
+
+
+def lidar_to_image(observation: Observation, image_format: ImageFormat) -> Floats:
+    """Projections from the lidar frame of the sample into the network's images.
+
+    A camera is exposed up to 50 ms before or after the lidar's time stamp; the ego's motion in between is part of
+    the matrix: ``image affine @ K @ camera_T_ego @ ego_T_global(exposure) @ global_T_ego(sample) @ ego_T_lidar``.
+
+    Args:
+        observation: The sample.
+        image_format: Size and cropping.
+
+    Returns:
+        (6, 4, 4): (x, y, z, 1) in metres to (u d, v d, d, 1), u and v in pixels of the network's image, d the depth.
+
+    Raises:
+        InputError: If a camera is missing.
+    """
+    global_T_lidar = lidar_pose(observation)
+    matrices = []
+    for view in _six_views(observation):
+        global_T_camera = view.global_T_ego @ transform_matrix(view.camera.rotation, view.camera.translation)
+        intrinsic = np.eye(4)
+        intrinsic[:3, :3] = view.camera.intrinsic
+        camera_T_lidar = np.linalg.inv(global_T_camera) @ global_T_lidar
+        matrices.append(image_affine(view.camera, image_format) @ intrinsic @ camera_T_lidar)
+    return np.stack(matrices)
+
+
+def image_affine(camera: Camera, image_format: ImageFormat) -> Floats:
+    """Pixels of the recorded image to pixels of the network's image.
+
+    Args:
+        camera: The recorded size.
+        image_format: The size that the network expects.
+
+    Returns:
+        (4, 4) scale and shift of homogeneous image coordinates (u d, v d, d, 1).
+    """
+    affine = np.diag([image_format.width / camera.width, image_format.height / camera.height, 1.0, 1.0])
+    affine[1, 2] = -image_format.crop_top
+    return affine
+
+
+def lidar_pose(observation: Observation) -> Floats:
+    """Pose of LIDAR_TOP at the sample.
+
+    Args:
+        observation: The sample.
+
+    Returns:
+        (4, 4) lidar frame (x right, y forward) to global frame.
+    """
+    global_T_ego = transform_matrix(observation.ego.rotation, observation.ego.position)
+    return global_T_ego @ transform_matrix(observation.lidar.rotation, observation.lidar.translation)
+
+
+def can_bus_vector(ego: EgoState, *, repeat_w: bool = True) -> Floats:
+    """The 18 numbers that VAD and UniAD call ``can_bus``, as their data-set code gives them.
+
+    Args:
+        ego: Ego motion at the sample.
+        repeat_w: Put the scalar part of the rotation into all four places of the quaternion. The published code does so
+            by a mistake, and the published weights have never seen anything else.
+
+    Returns:
+        (18,) position; quaternion; acceleration, rotation rate and velocity of the last CAN message, zeros where
+        there is none; heading in radians and in degrees, from 0 to a full turn.
+    """
+    vector = np.zeros(18)
+    vector[0:3] = ego.position
+    vector[3:7] = ego.rotation[0] if repeat_w else ego.rotation
+    if ego.can_motion is not None:
+        velocity, acceleration, rotation_rate = ego.can_motion.reshape(3, 3)
+        vector[7:16] = np.concatenate([acceleration, rotation_rate, velocity])
+    heading_deg = float(np.degrees(yaw_of_quaternion(ego.rotation)))
+    vector[17] = heading_deg + 360 if heading_deg < 0 else heading_deg
+    vector[16] = np.radians(vector[17])
+    return vector
+
+
+def _six_views(observation: Observation) -> list[CameraView]:
+    missing = [name for name in CAMERA_NAMES if name not in observation.views]
+    if missing:
+        raise InputError(
+            f"sample {observation.sample_token} of scene {observation.scene} has no image of {missing[0]}; this model "
+            f"needs all of {', '.join(CAMERA_NAMES)}, choose a data set that has them or a model without cameras"
+        )
+    return [observation.views[name] for name in CAMERA_NAMES]
+
+
+def _loaded(view: CameraView) -> NDArray[np.uint8]:
+    image = view.load()
+    height, width = image.shape[:2]
+    if (width, height) != (view.camera.width, view.camera.height):
+        raise InputError(
+            f"image {view.path} is {width} x {height} pixels, but sample_data says {view.camera.width} x "
+            f"{view.camera.height}, so its calibration cannot be trusted; correct the table or the image"
+        )
+    return image
+
+
+def _write_network_image(
+    image: Pixels, rgb: NDArray[np.uint8], image_format: ImageFormat, normalisation: Normalisation
+) -> None:
+    """Fill ``image`` (3, rows, width), cropped and not padded.
+
+    Resizing is linear in the pixels, so normalising afterwards gives the same as before and touches fewer of them.
+    """
+    size = (image_format.width, image_format.height)
+    if image_format.resize == "bicubic":
+        resized = _resized_bytes(rgb, size).astype(np.float32)
+    else:
+        resized = np.asarray(cv2.resize(rgb.astype(np.float32), size, interpolation=cv2.INTER_LINEAR), np.float32)
+    cropped = resized[image_format.crop_top :]
+    # One plane at a time: ten times faster than arithmetic on the transposed image.
+    for channel, (mean, std) in enumerate(zip(normalisation.mean, normalisation.std, strict=True)):
+        plane = cropped[:, :, channel if normalisation.rgb else 2 - channel]
+        np.subtract(plane, np.float32(mean), out=image[channel])
+        image[channel] /= np.float32(std)
+
+
+def _resized_bytes(rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(rgb).resize(size, Image.Resampling.BICUBIC))

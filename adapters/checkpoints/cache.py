@@ -1,0 +1,150 @@
+"""Imported weights on disk: one safetensors file a checkpoint, which says where it comes from."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import safetensors
+import safetensors.torch
+from pydantic import BaseModel, ConfigDict, ValidationError
+from torch import Tensor, nn
+
+from benchmark.errors import InputError
+from benchmark.storage import canonical_json, write_bytes
+from benchmark.workspace import cache_root
+
+_METADATA_KEY: Final = "challenger-bench"
+
+
+class Provenance(BaseModel):
+    """Where weights come from; kept in the header of their file.
+
+    Attributes:
+        model: Which model they are for.
+        source: Name of the file they were imported from.
+        source_sha256: Its hash.
+        normalisation: Which pixel values they want (`adapters.camera_inputs.NORMALISATIONS`).
+        normalisation_from: Who says so: ``configuration`` of the file itself, ``publication`` or ``user``.
+        licence: Of the weights, as far as is known.
+        number_types: Number types in the source; the file here has the model's.
+        anchors_sha256: Of the anchors that they were given, if they came without.
+        tool: Version of this program that imported them.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    model: str
+    source: str
+    source_sha256: str
+    normalisation: str
+    normalisation_from: str
+    licence: str
+    number_types: tuple[str, ...]
+    anchors_sha256: str | None = None
+    tool: str
+
+
+def weights_folder() -> Path:
+    """Where imported weights are kept."""
+    return cache_root() / "weights"
+
+
+def weights_path(folder: Path, provenance: Provenance) -> Path:
+    """File of imported weights.
+
+    Args:
+        folder: Of all weights.
+        provenance: Of these.
+
+    Returns:
+        ``MODEL-NORMALISATION-HASH.safetensors``, the hash of anchors after that of the source.
+    """
+    hashes = (provenance.source_sha256, provenance.anchors_sha256)
+    parts = [provenance.model, provenance.normalisation, *(found[:16] for found in hashes if found is not None)]
+    return folder / f"{'-'.join(parts)}.safetensors"
+
+
+def write_weights(path: Path, tensors: Mapping[str, Tensor], provenance: Provenance) -> None:
+    """Write weights, whole or not at all.
+
+    Args:
+        path: A .safetensors file.
+        tensors: By name.
+        provenance: Of these; one metadata entry, because the order of several is not fixed.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    # Each on its own: safetensors refuses tensors that share memory, as slices of one storage do.
+    held = {name: tensor.clone().contiguous() for name, tensor in tensors.items()}
+    facts = canonical_json(provenance.model_dump(mode="json"))
+    write_bytes(path, safetensors.torch.save(held, {_METADATA_KEY: facts}))
+
+
+def read_provenance(path: Path) -> Provenance:
+    """What a weights file says of itself; the tensors are not read.
+
+    Args:
+        path: A .safetensors file.
+
+    Returns:
+        Its provenance.
+
+    Raises:
+        InputError: If it is absent, broken, or does not say which model it is for.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as stream:
+            facts = json.loads((stream.metadata() or {}).get(_METADATA_KEY, "null"))
+        return Provenance.model_validate(facts)
+    except ValidationError as error:
+        raise InputError(
+            f"{path} does not say which model its weights are for; import the official .pth file with: "
+            "challenger-bench weights import PATH"
+        ) from error
+    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        raise InputError(f"cannot read weights from {path} ({error}); import or fetch them again") from error
+
+
+def load_weights(network: nn.Module, path: Path) -> Provenance:
+    """Put weights into a network; all names and shapes must agree.
+
+    Args:
+        network: The network.
+        path: A .safetensors file.
+
+    Returns:
+        The provenance of the weights.
+
+    Raises:
+        InputError: If the file is broken or does not fit.
+    """
+    provenance = read_provenance(path)
+    try:
+        network.load_state_dict(safetensors.torch.load_file(path), strict=True)
+    except (OSError, RuntimeError, safetensors.SafetensorError) as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise InputError(f"the weights in {path} do not fit {provenance.model}: {reason}; import them again") from error
+    return provenance
+
+
+def cached_weights(folder: Path, model: str | None = None) -> dict[Path, Provenance]:
+    """Imported weights.
+
+    Args:
+        folder: Of all weights.
+        model: Of one model only.
+
+    Returns:
+        Provenance by file, in order of names; a damaged file counts as absent, importing makes it again.
+    """
+    found = {}
+    for path in sorted(folder.glob("*.safetensors")):
+        try:
+            provenance = read_provenance(path)
+        except InputError:
+            continue
+        if model in (None, provenance.model):
+            found[path] = provenance
+    return found

@@ -1,0 +1,181 @@
+"""A foreign checkpoint becomes weights of ours, once; ``--checkpoint`` of either form becomes a weights file."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from torch import Tensor
+
+from adapters.camera_inputs import NORMALISATIONS
+from adapters.checkpoints.cache import (
+    Provenance,
+    cached_weights,
+    read_provenance,
+    weights_folder,
+    weights_path,
+    write_weights,
+)
+from adapters.checkpoints.matching import matched
+from adapters.checkpoints.official import OFFICIAL_FILES
+from adapters.checkpoints.pickles import read_checkpoint
+from adapters.native_models import NativeModel, native_model
+from benchmark import __version__
+from benchmark.errors import InputError
+from benchmark.storage import file_sha256
+
+_NORM: Final = re.compile(
+    r"img_norm_cfg\s*=\s*dict\(\s*mean\s*=\s*\[([^\]]*)\]\s*,\s*std\s*=\s*\[([^\]]*)\]\s*,\s*to_rgb\s*=\s*(True|False)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedWeights:
+    """Weights in the cache.
+
+    Attributes:
+        path: The safetensors file.
+        provenance: What it says of itself.
+        tensors: How many.
+        parameters: How many numbers.
+    """
+
+    path: Path
+    provenance: Provenance
+    tensors: int
+    parameters: int
+
+
+def import_checkpoint(
+    path: Path,
+    model: str | None = None,
+    cache: Path | None = None,
+    *,
+    normalisation: str | None = None,
+    anchors: Path | None = None,
+) -> ImportedWeights:
+    """Check an official checkpoint and keep its weights as safetensors.
+
+    Args:
+        path: A ``.pth`` file.
+        model: The model that it must be for, or ``None`` to find out.
+        cache: Folder of weights; the user's by default.
+        normalisation: Name of the pixel normalisation that the weights want, or ``None``: what the training
+            configuration in the file says, else what the published files want.
+        anchors: Anchors for weights that come without them (``weights anchors``).
+
+    Returns:
+        The weights file, which is the same for the same checkpoint.
+
+    Raises:
+        InputError: If the file is refused (`read_checkpoint`), fits no model or not the one asked for, was trained with
+            other anchors, wants pixel values that are not known, or the cache cannot be written.
+    """
+    if model is not None:
+        native_model(model)
+    checkpoint = read_checkpoint(path)
+    found, tensors = matched(path, _with_anchors(checkpoint.tensors, anchors), model)
+    wanted, said_by = _normalisation(path, checkpoint.configuration, found, normalisation)
+    digest = file_sha256(path)
+    official = next((file for file in OFFICIAL_FILES if file.model == found.name), None)
+    provenance = Provenance(
+        model=found.name,
+        source=path.name,
+        source_sha256=digest,
+        normalisation=wanted,
+        normalisation_from=said_by,
+        licence=official.licence if official else "unknown",
+        number_types=tuple(sorted({str(t.dtype).removeprefix("torch.") for t in checkpoint.tensors.values()})),
+        anchors_sha256=None if anchors is None else file_sha256(anchors),
+        tool=__version__,
+    )
+    target = weights_path(cache or weights_folder(), provenance)
+    write_weights(target, tensors, provenance)
+    return ImportedWeights(target, provenance, len(tensors), sum(tensor.numel() for tensor in tensors.values()))
+
+
+def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None = None) -> Path:
+    """The weights file for a model, from what ``--checkpoint`` says or from what has been imported.
+
+    Args:
+        model: The model.
+        checkpoint: A ``.pth`` file (imported on the way, once), a ``.safetensors`` file of ours, or ``None``.
+        cache: Folder of weights; the user's by default.
+
+    Returns:
+        A .safetensors file whose metadata names the model.
+
+    Raises:
+        InputError: If there are no weights (it says what to get and where), several to choose from, or they are for
+            another model.
+    """
+    folder = cache or weights_folder()
+    if checkpoint is None:
+        return _imported(model, folder)
+    if not checkpoint.is_file():
+        raise InputError(f"there is no checkpoint {checkpoint}; {_what_to_get(model)}")
+    if checkpoint.suffix == ".safetensors":
+        provenance = read_provenance(checkpoint)
+        if provenance.model != model:
+            raise InputError(
+                f"{checkpoint} holds the weights of {provenance.model}, not of {model}; use it with --model "
+                f"{provenance.model}"
+            )
+        return checkpoint
+    digest = file_sha256(checkpoint)
+    known = [path for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest]
+    return known[0] if len(known) == 1 else import_checkpoint(checkpoint, model, folder).path
+
+
+def _with_anchors(tensors: Mapping[str, Tensor], anchors: Path | None) -> Mapping[str, Tensor]:
+    if anchors is None:
+        return tensors
+    # Here, because these modules import this one.
+    from adapters.sparse.anchor_files import read_anchors
+    from adapters.sparse.anchors import with_anchors
+
+    return with_anchors(tensors, read_anchors(anchors))
+
+
+def _imported(model: str, folder: Path) -> Path:
+    known = cached_weights(folder, model)
+    if not known:
+        raise InputError(f"there are no weights for {model}; {_what_to_get(model)}")
+    if len(known) > 1:
+        some = ", ".join(f"{path} (from {found.source})" for path, found in known.items())
+        raise InputError(f"there are several weights for {model}: {some}; choose one with --checkpoint")
+    return next(iter(known))
+
+
+def _what_to_get(model: str) -> str:
+    official = next((file for file in OFFICIAL_FILES if file.model == model), None)
+    if official is None:
+        return "give a file with --checkpoint"
+    return (
+        f"get {official.name} from {official.page} (or run: challenger-bench weights fetch {model}), then run: "
+        f"challenger-bench weights import {official.name}"
+    )
+
+
+def _normalisation(path: Path, configuration: str, model: NativeModel, asked: str | None) -> tuple[str, str]:
+    """Which pixel values the weights want, and who says so."""
+    if asked is not None:
+        if asked not in NORMALISATIONS:
+            raise InputError(f"there is no normalisation {asked!r}; known are {', '.join(NORMALISATIONS)}")
+        return asked, "user"
+    found = _NORM.search(configuration)
+    if found is None:
+        return model.published_normalisation, "publication"
+    mean, std = _numbers(found[1]), _numbers(found[2])
+    for name, variant in NORMALISATIONS.items():
+        if mean == list(variant.mean) and std == list(variant.std) and (found[3] == "True") == variant.rgb:
+            return name, "configuration"
+    raise InputError(
+        f"{path} was trained with pixel values that no normalisation here has ({' '.join(found[0].split())}); say "
+        f"which to use with --normalisation, one of {', '.join(NORMALISATIONS)}"
+    )
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(number) for number in re.findall(r"[-+.\deE]+", text)]

@@ -1,0 +1,163 @@
+"""Attention and feed-forward blocks with residual connections."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+class MultiheadAttention(nn.Module):
+    """Scaled dot-product attention with the parameters of `torch.nn.MultiheadAttention`.
+
+    Keys or values may lack the batch axis of the others, as when a batch of keys shares its values: they are projected
+    once for all.
+
+    Args:
+        channels: Width of queries, keys, values and result.
+        heads: Divides `channels`.
+    """
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.in_proj_weight = nn.Parameter(torch.empty(3 * channels, channels))
+        self.in_proj_bias = nn.Parameter(torch.zeros(3 * channels))
+        self.out_proj = nn.Linear(channels, channels)
+        nn.init.xavier_uniform_(self.in_proj_weight)
+        nn.init.zeros_(self.out_proj.bias)
+
+    def forward(self, query: Tensor, key: Tensor, value: Tensor, allowed: Tensor | None = None) -> Tensor:
+        """Attend.
+
+        Args:
+            query: (..., Q, C).
+            key: (..., K, C).
+            value: (..., K, C).
+            allowed: (..., Q or 1, K) booleans, ``False`` where a query may not look; a query needs one key at least.
+
+        Returns:
+            (..., Q, C).
+        """
+        weights, biases = self.in_proj_weight.chunk(3), self.in_proj_bias.chunk(3)
+        q, k, v = (
+            F.linear(tokens, weight, bias)
+            .view(*tokens.shape[:-1], self.heads, len(bias) // self.heads)
+            .transpose(-3, -2)
+            for tokens, weight, bias in zip((query, key, value), weights, biases, strict=True)
+        )
+        axes = max(q.dim(), k.dim(), v.dim())
+        leading = next(tokens.shape[:-2] for tokens in (q, k, v) if tokens.dim() == axes)
+        q, k, v = (tokens.expand(*leading, *tokens.shape[-2:]) for tokens in (q, k, v))
+        mask = None if allowed is None else allowed.unsqueeze(-3)
+        attended = F.scaled_dot_product_attention(q, k, v, attn_mask=mask)
+        result: Tensor = self.out_proj(attended.transpose(-3, -2).flatten(-2))
+        return result
+
+
+class Attention(nn.Module):
+    """Attention, added to what it came from; positions enter queries and keys only.
+
+    Args:
+        channels: Width of the tokens.
+        heads: Divides `channels`.
+    """
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.attn = MultiheadAttention(channels, heads)
+
+    def forward(
+        self,
+        tokens: Tensor,
+        positions: Tensor,
+        keys: Tensor | None = None,
+        values: Tensor | None = None,
+        allowed: Tensor | None = None,
+    ) -> Tensor:
+        """Attend to other tokens or, without `keys`, to each other.
+
+        Args:
+            tokens: (..., Q, C).
+            positions: Of the tokens; broadcast.
+            keys: (..., K, C), positions already added.
+            values: (..., K, C).
+            allowed: As in `MultiheadAttention`.
+
+        Returns:
+            (..., Q, C).
+        """
+        query = tokens + positions
+        attended: Tensor = self.attn(
+            query, query if keys is None else keys, tokens if values is None else values, allowed
+        )
+        return tokens + attended
+
+
+class FeedForward(nn.Module):
+    """Two linear layers, added to what they came from.
+
+    Args:
+        channels: Width of the tokens.
+        hidden: Width in between.
+    """
+
+    def __init__(self, channels: int, hidden: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Sequential(nn.Linear(channels, hidden), nn.ReLU()),
+            nn.Linear(hidden, channels),
+        )
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """(..., C) to (..., C)."""
+        result: Tensor = tokens + self.layers(tokens)
+        return result
+
+
+class CrossAttentionLayer(nn.Module):
+    """Attention to other tokens, then a feed-forward block; each is normalised after its addition.
+
+    Args:
+        channels: Width of the tokens.
+        heads: Divides `channels`.
+        hidden: Width of the feed-forward block.
+    """
+
+    def __init__(self, channels: int, heads: int, hidden: int) -> None:
+        super().__init__()
+        self.attentions = nn.ModuleList([Attention(channels, heads)])
+        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(2)])
+
+    def forward(
+        self,
+        tokens: Tensor,
+        positions: Tensor,
+        keys: Tensor | None = None,
+        values: Tensor | None = None,
+        allowed: Tensor | None = None,
+    ) -> Tensor:
+        """Arguments and result as in `Attention`."""
+        tokens = self.norms[0](self.attentions[0](tokens, positions, keys, values, allowed))
+        result: Tensor = self.norms[1](self.ffns[0](tokens))
+        return result
+
+
+class CrossAttentionDecoder(nn.Module):
+    """A stack of `CrossAttentionLayer`; arguments as there, and how many."""
+
+    def __init__(self, channels: int, heads: int, hidden: int, layers: int = 1) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList([CrossAttentionLayer(channels, heads, hidden) for _ in range(layers)])
+
+    def forward(
+        self,
+        tokens: Tensor,
+        positions: Tensor,
+        keys: Tensor | None = None,
+        values: Tensor | None = None,
+        allowed: Tensor | None = None,
+    ) -> Tensor:
+        """Arguments and result as in `Attention`."""
+        for layer in self.layers:
+            tokens = layer(tokens, positions, keys, values, allowed)
+        return tokens

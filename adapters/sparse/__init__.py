@@ -1,0 +1,1 @@
+"""SparseDrive and DiffusionDrive, planners on sparse queries, in plain PyTorch."""

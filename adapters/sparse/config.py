@@ -1,0 +1,104 @@
+"""Sizes of the sparse networks: the published ones, and any other for tests and miniatures."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+STRIDE = 32
+"""Pixels of a cell of the coarsest feature map."""
+
+
+def image_length_fits(pixels: int) -> bool:
+    """Whether images can be so high or wide: whole cells, of which the planner makes a single one for the ego."""
+    cells = pixels // STRIDE
+    return pixels % STRIDE == 0 and cells >= 2 and (cells + 1) // 2 < 2 * (cells // 2)
+
+
+@dataclass(frozen=True, slots=True)
+class SparseConfig:
+    """What fixes the names and the shapes of a network's parameters, and how it remembers.
+
+    The two planners have the same sizes; which one it is, the class of the network says.
+
+    Attributes:
+        image_height_px: Of the input images, one of `image_length_fits`.
+        image_width_px: Of the input images, one of `image_length_fits`.
+        backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 6, 3) is ResNet-50.
+        backbone_width: Channels after its first convolution; 64 in ResNet-50.
+        cameras: Cameras, in the order of the specification, the front one first.
+        channels: Width of all tokens; a multiple of `heads` and of 8.
+        heads: Attention heads, and groups of channels that are sampled from images together.
+        hidden_channels: Hidden width of the feed-forward blocks of the decoders of boxes and lines.
+        planner_hidden_channels: The same in the planner.
+        stages: Stages of the decoders; the first sees the present frame alone.
+        anchors: Box queries.
+        remembered_anchors: Of these, how many the next frame gets.
+        lines: Map queries.
+        remembered_lines: Of these, how many the next frame gets.
+        points_per_line: Points of a map element.
+        agent_classes: Kinds of agents.
+        map_classes: Kinds of map elements.
+        learned_points: Points of a box at which images are sampled, besides its centre and six near its faces.
+        samples_per_height: Points at each height of a map point at which images are sampled.
+        queue_frames: Frames that the planner looks back on, the present one included.
+        interaction_blocks: Blocks in which agents, the ego and the map look at each other.
+        watched_agents: Agents, the most certain ones, that all others look at.
+        watched_lines: Map elements, the most certain ones, that agents look at.
+        modes: Forecasts per agent, and plans per driving command.
+        steps: Planned steps of 0.5 s.
+        agent_steps: Forecast steps of 0.5 s, at least `steps`.
+        commands: Driving commands.
+        reported_boxes: Boxes that are reported.
+        reported_lines: Map elements that are reported.
+        memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
+            models: there time alone decides how much of it is used, and a stale memory is still attended to once.
+    """
+
+    image_height_px: int = 256
+    image_width_px: int = 704
+    backbone_blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
+    backbone_width: int = 64
+    cameras: int = 6
+    channels: int = 256
+    heads: int = 8
+    hidden_channels: int = 1024
+    planner_hidden_channels: int = 512
+    stages: int = 6
+    anchors: int = 900
+    remembered_anchors: int = 600
+    lines: int = 100
+    remembered_lines: int = 33
+    points_per_line: int = 20
+    agent_classes: int = 10
+    map_classes: int = 3
+    learned_points: int = 6
+    samples_per_height: int = 3
+    queue_frames: int = 4
+    interaction_blocks: int = 3
+    watched_agents: int = 50
+    watched_lines: int = 10
+    modes: int = 6
+    steps: int = 6
+    agent_steps: int = 12
+    commands: int = 3
+    reported_boxes: int = 300
+    reported_lines: int = 100
+    memory_crosses_scenes: bool = True
+
+    def __post_init__(self) -> None:
+        if not (image_length_fits(self.image_height_px) and image_length_fits(self.image_width_px)):
+            raise ValueError(f"the networks have no images of {self.image_width_px} x {self.image_height_px} pixels")
+
+    @classmethod
+    def sparsedrive(cls) -> Self:
+        """SparseDrive-S: ResNet-50, images of 704 x 256."""
+        return cls()
+
+    @classmethod
+    def sparsedrive_base(cls) -> Self:
+        """SparseDrive-B: ResNet-101, images of 1408 x 512; its weights were never published."""
+        return replace(cls(), image_height_px=512, image_width_px=1408, backbone_blocks=(3, 4, 23, 3))
+
+    @classmethod
+    def diffusiondrive(cls) -> Self:
+        """DiffusionDrive for nuScenes, which keeps the sizes of SparseDrive-S."""
+        return cls()

@@ -1,0 +1,243 @@
+"""``sparsedrive`` and ``diffusiondrive`` under test: from an observation to inputs, from outputs to a plan."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import torch
+
+from adapters.camera_inputs import (
+    NORMALISATIONS,
+    NUSCENES_IMAGE,
+    ImageFormat,
+    Normalisation,
+    camera_images,
+    lidar_pose,
+    lidar_to_image,
+)
+from adapters.checkpoints.cache import load_weights
+from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.devices import Precision, device_of, require_precision
+from adapters.example_inputs import example_images, example_projections
+from adapters.sparse.config import SparseConfig
+from adapters.sparse.model import DiffusionDrive, SparseDrive, SparseInputs, SparseNetwork
+from adapters.sparse.selection import SparseOutputs
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Floats
+from benchmark.plan_rows import code_sha256
+from benchmark.planning import Command, Forecasts, Observation, Plan, PlanFrame, SceneInfo
+from benchmark.storage import file_sha256
+
+VARIANTS: Final = {"sparsedrive": SparseConfig.sparsedrive, "diffusiondrive": SparseConfig.diffusiondrive}
+FORECAST_SCORE: Final = 0.3
+"""Boxes of a lower score are not counted as what the model expects: it always reports three hundred."""
+
+
+class SparsePlanner:
+    """SparseDrive or DiffusionDrive with given weights.
+
+    Every scene starts without a past, whatever the configuration says: what a plan is must not depend on which scene
+    a process happened to see before. The published evaluation lets memory outlive a change of scene.
+
+    Args:
+        network: The network, its weights loaded.
+        name: Shown in tables.
+        normalisation: What the weights were trained with.
+        weights_sha256: Of the weights file, if there is one.
+        settings: What else identifies the run.
+        device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
+        precision: ``bfloat16`` computes the matrix products in half the bytes.
+
+    Attributes:
+        seed: Of the noise that DiffusionDrive plans from. SparseDrive has none.
+
+    Raises:
+        InputError: If there is no such device or precision.
+    """
+
+    def __init__(
+        self,
+        network: SparseNetwork,
+        *,
+        name: str,
+        normalisation: Normalisation,
+        weights_sha256: str | None = None,
+        settings: dict[str, Any] | None = None,
+        device: str = "auto",
+        precision: Precision = "float32",
+    ) -> None:
+        require_precision(precision)
+        self.name = name
+        self.native_protocol = "diffusiondrive" if isinstance(network, DiffusionDrive) else "sparsedrive"
+        self.seed = network.seed
+        self.weights_sha256 = weights_sha256
+        self._device = device_of(device)
+        self._half = precision == "bfloat16"
+        self._network = network.eval().to(self._device)
+        self._format = image_format(network.config)
+        self._normalisation = normalisation
+        self.settings = {
+            **(settings or {}),
+            "normalisation": normalisation.name,
+            "device": self._device.type,
+            "precision": precision,
+            "forecast_score": FORECAST_SCORE,
+            "memory_crosses_scenes": False,
+            # The network's layers and its inputs are outside this package, whose code the run's key covers already.
+            "shared_code_sha256": code_sha256(ImageFormat),
+        }
+
+    @classmethod
+    def from_checkpoint(
+        cls,
+        name: str,
+        checkpoint: Path | None,
+        *,
+        seed: int = 0,
+        device: str = "auto",
+        precision: Precision = "float32",
+    ) -> Self:
+        """A published model with weights from a file or from what has been imported.
+
+        Args:
+            name: ``sparsedrive`` or ``diffusiondrive``.
+            checkpoint: See `resolve_checkpoint`.
+            seed: Of the noise; SparseDrive has none.
+            device: See the class.
+            precision: See the class.
+
+        Returns:
+            The planner.
+
+        Raises:
+            InputError: If there are no weights, they are refused, or they are for another model.
+        """
+        path = resolve_checkpoint(name, checkpoint)
+        network = sparse_network(name, seed)
+        provenance = load_weights(network, path)
+        return cls(
+            network,
+            name=name,
+            normalisation=NORMALISATIONS[provenance.normalisation],
+            weights_sha256=file_sha256(path),
+            settings={"weights": provenance.model_dump(mode="json")},
+            device=device,
+            precision=precision,
+        )
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Forget the previous scene."""
+        self._network.reset()
+
+    def plan(self, observation: Observation) -> Plan:
+        """Plan from six images, their cameras, time, place and the command; earlier samples are remembered.
+
+        Args:
+            observation: The next sample of the scene.
+
+        Returns:
+            Waypoints, the modes of the command with their scores (0 where a mode was refused because it hits a
+            forecast), and forecasts; lidar frame.
+
+        Raises:
+            InputError: If an image is missing or broken.
+        """
+        with torch.inference_mode(), torch.autocast(self._device.type, torch.bfloat16, enabled=self._half):
+            return _plan(self._network(self._inputs(observation)), int(observation.command))
+
+    def _inputs(self, observation: Observation) -> SparseInputs:
+        images = camera_images(observation, self._format, self._normalisation)
+        return SparseInputs(
+            images=torch.from_numpy(images).to(self._device),
+            projections=torch.from_numpy(lidar_to_image(observation, self._format)),
+            timestamp_s=observation.timestamp_us / 1e6,
+            global_T_lidar=torch.from_numpy(lidar_pose(observation)),
+            command=int(observation.command),
+            scene_token=observation.scene,
+        )
+
+
+def sparsedrive(
+    checkpoint: Path | None = None, device: str = "auto", precision: Precision = "float32"
+) -> SparsePlanner:
+    """SparseDrive-S; see `SparsePlanner.from_checkpoint`."""
+    return SparsePlanner.from_checkpoint("sparsedrive", checkpoint, device=device, precision=precision)
+
+
+def diffusiondrive(
+    checkpoint: Path | None = None, seed: int = 0, device: str = "auto", precision: Precision = "float32"
+) -> SparsePlanner:
+    """DiffusionDrive for nuScenes; see `SparsePlanner.from_checkpoint`."""
+    return SparsePlanner.from_checkpoint("diffusiondrive", checkpoint, seed=seed, device=device, precision=precision)
+
+
+def sparse_network(name: str, seed: int = 0) -> SparseNetwork:
+    """A network as it is evaluated, with random weights.
+
+    Args:
+        name: ``sparsedrive`` or ``diffusiondrive``.
+        seed: Of DiffusionDrive's noise.
+
+    Returns:
+        The network; a change of scene makes it forget.
+    """
+    config = replace(VARIANTS[name](), memory_crosses_scenes=False)
+    return DiffusionDrive(config, seed) if name == "diffusiondrive" else SparseDrive(config)
+
+
+def image_format(config: SparseConfig) -> ImageFormat:
+    """How images of 1600 x 900 become those of a network: scaled to its width, cut off at the top.
+
+    Args:
+        config: Of the network.
+
+    Returns:
+        The format; `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes.
+    """
+    width, height = NUSCENES_IMAGE
+    rows = height * config.image_width_px // width
+    return ImageFormat(config.image_width_px, rows, crop_top=max(rows - config.image_height_px, 0), resize="bicubic")
+
+
+def example_frame(config: SparseConfig) -> SparseInputs:
+    """Made-up inputs of one key frame, the same every time.
+
+    Args:
+        config: Sizes of the network.
+
+    Returns:
+        Inputs on the processor.
+    """
+    form = image_format(config)
+    return SparseInputs(
+        images=torch.from_numpy(example_images(form)),
+        projections=torch.from_numpy(example_projections(form)),
+        timestamp_s=0.0,
+        global_T_lidar=torch.eye(4, dtype=torch.float64),
+        command=int(Command.STRAIGHT),
+        scene_token="example",
+    )
+
+
+def _plan(outputs: SparseOutputs, command: int) -> Plan:
+    kept = outputs.box_scores >= FORECAST_SCORE
+    likely = outputs.trajectory_scores[kept].double()
+    # Length before width, as boxes are everywhere here; the network has them the other way round.
+    boxes = outputs.boxes[kept][:, [0, 1, 4, 3, 6]]
+    return Plan(
+        waypoints=_numbers(outputs.plan),
+        frame=PlanFrame.LIDAR,
+        modes=_numbers(outputs.plan_modes[command]),
+        mode_scores=_numbers(outputs.plan_scores[command]),
+        forecasts=Forecasts(
+            boxes=_numbers(boxes),
+            trajectories=_numbers(outputs.trajectories[kept][:, :, :PLAN_STEPS]),
+            # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
+            scores=_numbers(likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)),
+        ),
+    )
+
+
+def _numbers(tensor: torch.Tensor) -> Floats:
+    return np.asarray(tensor.double().cpu().numpy(), np.float64)

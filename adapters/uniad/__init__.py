@@ -1,0 +1,1 @@
+"""UniAD, planning on tracks, map, forecasts and occupancy, in plain PyTorch."""

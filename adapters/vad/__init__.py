@@ -1,0 +1,1 @@
+"""VAD, the vectorised planner, in plain PyTorch."""

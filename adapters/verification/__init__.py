@@ -1,0 +1,1 @@
+"""`challenger-bench verify model`: networks under test against golden sets of their official code."""
