@@ -48,6 +48,23 @@ RGB_MEAN_STD: Final = Normalisation("rgb-mean-std", (123.675, 116.28, 103.53), (
 NORMALISATIONS: Final = {variant.name: variant for variant in (BGR_MEAN, RGB_MEAN_STD)}
 
 
+def normalisation_of(name: str) -> Normalisation:
+    """A normalisation by name.
+
+    Args:
+        name: For example ``bgr-mean``.
+
+    Returns:
+        The normalisation.
+
+    Raises:
+        InputError: If there is none of that name.
+    """
+    if name not in NORMALISATIONS:
+        raise InputError(f"there is no normalisation {name!r}; known are {', '.join(NORMALISATIONS)}")
+    return NORMALISATIONS[name]
+
+
 @dataclass(frozen=True, slots=True)
 class ImageFormat:
     """The image that a network expects.

@@ -1,5 +1,7 @@
 """Where networks run, and in which precision."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final, Literal, get_args
 
 import torch
@@ -28,7 +30,7 @@ def device_of(name: str) -> torch.device:
         device = torch.device(name)
     except RuntimeError as error:
         raise InputError(f"there is no device {name!r}; use cpu, cuda or auto") from error
-    if device.type == "cuda" and not torch.cuda.is_available():
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise InputError(f"there is no GPU for device {name!r}; use cpu or auto")
     return device
 
@@ -44,3 +46,15 @@ def require_precision(name: str) -> None:
     """
     if name not in PRECISIONS:
         raise InputError(f"there is no precision {name!r}; use {' or '.join(PRECISIONS)}")
+
+
+@contextmanager
+def single_precision() -> Iterator[None]:
+    """No shortcuts of graphics cards in products and convolutions: PyTorch lets them round to 10 bits by default."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
+            yield
+    finally:
+        torch.set_float32_matmul_precision(before)

@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import torch
 
+from adapters.devices import single_precision
 from adapters.native_models import NATIVE_MODELS, native_model
 
 PUBLISHED_FPS = {"vad-tiny": 16.8, "vad-base": 4.5, "sparsedrive": 9.0, "diffusiondrive": 8.2}
@@ -55,7 +56,7 @@ def measured(name: str, device_name: str, mode: str, frames: int) -> Speed:
     inputs = on_device(model.example(), device)
     step = torch.compile(network) if mode.endswith("compiled") else network
     half = torch.autocast(device.type, torch.bfloat16, enabled=mode.startswith("bfloat16"))
-    with torch.inference_mode(), half:
+    with torch.inference_mode(), single_precision(), half:
         # A compiled network is compiled anew for the second frame, the first that remembers one.
         for _ in range(1 + max(WARM_UP_FRAMES[device.type], 2 if mode.endswith("compiled") else 0)):
             step(inputs)

@@ -56,7 +56,8 @@ class EgoState:
         steering_angle: Steering wheel angle in radians, or ``None`` where nothing measures it.
         source: Whether the motion was measured (CAN bus) or derived from past poses.
         can_motion: (9,) velocity, acceleration and rotation rate (x, y, z each) as the CAN bus has them, or ``None``
-            where it has none. Networks that were trained on the raw message want it; others want the fields above.
+            where it has none. Networks that were trained on the raw message want it; others want the fields above. At
+            the start of a scene whose messages begin milliseconds later it is the first message, as in training.
     """
 
     pose: Floats

@@ -59,6 +59,8 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
         others, under ``exact``.
     """
     ordered = sorted(in_table_order(records), key=lambda record: record.run.planner.native_protocol is None)
+    without = any(record.run.planner.native_protocol is None for record in records)
+    said = " The last rows, under exact, are planners without a repository of their own." if without else ""
     return _table(
         "collision-native",
         f"{data_name}: collision rate (%) and L2 (m), each planner under its own protocol",
@@ -66,7 +68,7 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
         lambda record: record.native_protocol,
         notes=(
             "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
-            "protocols are not comparable. The last rows, under exact, are planners without a repository of their own.",
+            f"protocols are not comparable.{said}",
             RATES_NOTE,
         ),
         names_protocol=True,

@@ -8,7 +8,7 @@ from typing import Final
 
 from torch import Tensor
 
-from adapters.camera_inputs import NORMALISATIONS
+from adapters.camera_inputs import NORMALISATIONS, normalisation_of
 from adapters.checkpoints.cache import (
     Provenance,
     cached_weights,
@@ -124,8 +124,8 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
             )
         return checkpoint
     digest = file_sha256(checkpoint)
-    known = [path for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest]
-    return known[0] if len(known) == 1 else import_checkpoint(checkpoint, model, folder).path
+    known = {path: found for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest}
+    return _only(model, known) if known else import_checkpoint(checkpoint, model, folder).path
 
 
 def _with_anchors(tensors: Mapping[str, Tensor], anchors: Path | None) -> Mapping[str, Tensor]:
@@ -142,6 +142,10 @@ def _imported(model: str, folder: Path) -> Path:
     known = cached_weights(folder, model)
     if not known:
         raise InputError(f"there are no weights for {model}; {_what_to_get(model)}")
+    return _only(model, known)
+
+
+def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
     if len(known) > 1:
         some = ", ".join(f"{path} (from {found.source})" for path, found in known.items())
         raise InputError(f"there are several weights for {model}: {some}; choose one with --checkpoint")
@@ -161,9 +165,7 @@ def _what_to_get(model: str) -> str:
 def _normalisation(path: Path, configuration: str, model: NativeModel, asked: str | None) -> tuple[str, str]:
     """Which pixel values the weights want, and who says so."""
     if asked is not None:
-        if asked not in NORMALISATIONS:
-            raise InputError(f"there is no normalisation {asked!r}; known are {', '.join(NORMALISATIONS)}")
-        return asked, "user"
+        return normalisation_of(asked).name, "user"
     found = _NORM.search(configuration)
     if found is None:
         return model.published_normalisation, "publication"

@@ -67,12 +67,16 @@ class CameraHits:
         camera: (P,) int32.
         cell: (P,) int64.
         image_points: (P, heights, 2) x, y of the cell's pillar in the image, 0 to 1 over it; also what lies outside.
+        cell_order: (P,) int64, the pairs cell after cell, those of a cell in the order of cameras.
+        cell_starts: (cells,) int64, where each cell begins in `cell_order`.
         cameras_per_cell: (cells, 1) how many cameras see each cell, at least 1.
     """
 
     camera: Tensor
     cell: Tensor
     image_points: Tensor
+    cell_order: Tensor
+    cell_starts: Tensor
     cameras_per_cell: Tensor
 
 
@@ -101,8 +105,9 @@ def camera_hits(pillars: Tensor, projections: Tensor, height: int, width: int) -
     hits = seen.any(-1)
     camera, cell = hits.nonzero().unbind(-1)
     points = torch.stack([u, v], -1)[camera, cell]
-    count = hits.sum(0).clamp(min=1)[:, None]
-    return CameraHits(camera.to(torch.int32), cell, points, count)
+    count = hits.sum(0)
+    order, starts = cell.argsort(stable=True), count.cumsum(0) - count
+    return CameraHits(camera.to(torch.int32), cell, points, order, starts, count.clamp(min=1)[:, None])
 
 
 def previous_cell_matrix(grid: BEVGrid, angle_deg: float, centre: tuple[float, float]) -> Tensor:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from adapters.layers.attention import FeedForward
@@ -108,7 +109,8 @@ class SpatialCrossAttention(nn.Module):
             pattern.weights(cells)[hits.cell],
             hits.camera,
         )
-        summed = sampled.new_zeros(len(cells), sampled.shape[-1]).index_add(0, hits.cell, sampled)
+        # Summed in one order on every device; graphics cards add to an index in any order.
+        summed = F.embedding_bag(hits.cell_order, sampled, hits.cell_starts, mode="sum")
         attended: Tensor = self.output_proj(summed / hits.cameras_per_cell.to(summed.dtype))
         return cells + attended
 

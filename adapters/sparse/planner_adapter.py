@@ -8,17 +8,17 @@ import numpy as np
 import torch
 
 from adapters.camera_inputs import (
-    NORMALISATIONS,
     NUSCENES_IMAGE,
     ImageFormat,
     Normalisation,
     camera_images,
     lidar_pose,
     lidar_to_image,
+    normalisation_of,
 )
 from adapters.checkpoints.cache import load_weights
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.devices import Precision, device_of, require_precision
+from adapters.devices import Precision, device_of, require_precision, single_precision
 from adapters.example_inputs import example_images, example_projections
 from adapters.sparse.config import SparseConfig
 from adapters.sparse.model import DiffusionDrive, SparseDrive, SparseInputs, SparseNetwork
@@ -119,7 +119,7 @@ class SparsePlanner:
         return cls(
             network,
             name=name,
-            normalisation=NORMALISATIONS[provenance.normalisation],
+            normalisation=normalisation_of(provenance.normalisation),
             weights_sha256=file_sha256(path),
             settings={"weights": provenance.model_dump(mode="json")},
             device=device,
@@ -143,7 +143,8 @@ class SparsePlanner:
         Raises:
             InputError: If an image is missing or broken.
         """
-        with torch.inference_mode(), torch.autocast(self._device.type, torch.bfloat16, enabled=self._half):
+        half = torch.autocast(self._device.type, torch.bfloat16, enabled=self._half)
+        with torch.inference_mode(), single_precision(), half:
             return _plan(self._network(self._inputs(observation)), int(observation.command))
 
     def _inputs(self, observation: Observation) -> SparseInputs:

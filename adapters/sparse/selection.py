@@ -12,20 +12,7 @@ from adapters.sparse.decoder import Decoded
 from adapters.sparse.planner import PlannerPredictions
 from adapters.sparse.rescoring import colliding
 
-AGENT_CLASSES: Final = (
-    "car",
-    "truck",
-    "construction_vehicle",
-    "bus",
-    "trailer",
-    "barrier",
-    "motorcycle",
-    "bicycle",
-    "pedestrian",
-    "traffic_cone",
-)
 MAP_CLASSES: Final = ("ped_crossing", "divider", "boundary")
-COMMANDS: Final = ("right", "left", "straight")
 REFUSED: Final = -999.0
 """Logit of a plan that collides."""
 
@@ -59,7 +46,7 @@ class SparseOutputs:
         boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the
             heading, counter-clockwise from the x axis; length lies along it.
         box_scores: (N,) 0 to 1, falling.
-        box_labels: (N,) index into `AGENT_CLASSES`.
+        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
         track_ids: (N,) int64, the same number for the same agent from frame to frame.
         trajectories: (N, 6 modes, 12 steps, 2) forecast centres.
         trajectory_scores: (N, 6) 0 to 1, each mode for itself.

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 import shapely
 
+from adapters.detection_classes import AGENT_CLASSES
 from adapters.sparse.anchors import Sightings
 from adapters.sparse.config import SparseConfig
-from adapters.sparse.selection import AGENT_CLASSES
 from benchmark.constants import PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses

@@ -11,10 +11,8 @@ from adapters.layers.resnet import EXPANSION, ResNet
 from adapters.vad.config import VADConfig
 from adapters.vad.head import VADHead
 from adapters.vad.predictions import Predictions
-from adapters.vad.selection import AGENT_CLASSES, COMMANDS, MAP_CLASSES, VADOutputs, select
+from adapters.vad.selection import VADOutputs, select
 from benchmark.errors import InputError
-
-__all__ = ["AGENT_CLASSES", "COMMANDS", "MAP_CLASSES", "VAD", "VADInputs", "VADOutputs"]
 
 
 @dataclass(frozen=True, slots=True)

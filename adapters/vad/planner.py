@@ -7,16 +7,16 @@ import numpy as np
 import torch
 
 from adapters.camera_inputs import (
-    NORMALISATIONS,
     ImageFormat,
     Normalisation,
     camera_images,
     can_bus_vector,
     lidar_to_image,
+    normalisation_of,
 )
 from adapters.checkpoints.cache import load_weights
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.devices import Precision, device_of, require_precision
+from adapters.devices import Precision, device_of, require_precision, single_precision
 from adapters.example_inputs import example_images, example_projections
 from adapters.vad.config import VADConfig
 from adapters.vad.model import VAD, VADInputs
@@ -102,7 +102,7 @@ class VADPlanner:
         return cls(
             network,
             name=name,
-            normalisation=NORMALISATIONS[provenance.normalisation],
+            normalisation=normalisation_of(provenance.normalisation),
             weights_sha256=file_sha256(path),
             settings={"weights": provenance.model_dump(mode="json")},
             device=device,
@@ -125,7 +125,8 @@ class VADPlanner:
         Raises:
             InputError: If an image is missing or broken.
         """
-        with torch.inference_mode(), torch.autocast(self._device.type, torch.bfloat16, enabled=self._half):
+        half = torch.autocast(self._device.type, torch.bfloat16, enabled=self._half)
+        with torch.inference_mode(), single_precision(), half:
             return _plan(self._network(self._inputs(observation)))
 
     def _inputs(self, observation: Observation) -> VADInputs:

@@ -10,21 +10,7 @@ from adapters.layers.coders import decode_boxes, extent_corners, metres, stronge
 from adapters.vad.config import VADConfig
 from adapters.vad.predictions import Predictions
 
-AGENT_CLASSES = (
-    "car",
-    "truck",
-    "construction_vehicle",
-    "bus",
-    "trailer",
-    "barrier",
-    "motorcycle",
-    "bicycle",
-    "pedestrian",
-    "traffic_cone",
-)
 MAP_CLASSES = ("divider", "ped_crossing", "boundary")
-COMMANDS = ("right", "left", "straight")
-
 
 MARGIN_M = 5.0
 """How far outside the perception range, on the ground, boxes and lines are still reported."""
@@ -42,7 +28,7 @@ class VADOutputs:
         boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the
             heading, counter-clockwise from the x axis; length lies along it.
         box_scores: (N,) 0 to 1, falling.
-        box_labels: (N,) index into `AGENT_CLASSES`.
+        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
         trajectories: (N, 6 modes, 6 steps, 2) forecast centres.
         trajectory_scores: (N, 6) probabilities of the modes, sum 1.
         map_points: (L, 20, 2).

@@ -1,22 +1,6 @@
-"""What every comparison of a network needs: the folders of its sets, and arithmetic without shortcuts."""
+"""Where the sets are that networks are compared with."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-
-import torch
-
-
-@contextmanager
-def single_precision() -> Iterator[None]:
-    """No shortcuts of graphics cards in products and convolutions."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    try:
-        with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):
-            yield
-    finally:
-        torch.set_float32_matmul_precision(before)
 
 
 def set_folders(golden: Path) -> list[Path]:

@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import Final
 
+from adapters.devices import single_precision
 from adapters.vad.config import VADConfig
 from adapters.vad.model import VAD
-from adapters.verification.conditions import set_folders, single_precision
+from adapters.verification.conditions import set_folders
 from adapters.verification.filling import fill, same_names_and_shapes
 from adapters.verification.parity_set import ParitySet
 from adapters.verification.sparse import NETWORKS, verify_sparse

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from adapters.devices import single_precision
 from adapters.sparse.config import SparseConfig
 from adapters.sparse.ego_passage import Passage
 from adapters.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork, moment_of
-from adapters.verification.conditions import set_folders, single_precision
+from adapters.verification.conditions import set_folders
 from adapters.verification.filling import fill, same_names_and_shapes
 from adapters.verification.sparse_order import Order, follow
 from adapters.verification.sparse_quantities import Quantity, Rule, frame_quantities, map_quantities

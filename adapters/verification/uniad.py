@@ -11,9 +11,10 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor, nn
 
+from adapters.devices import single_precision
 from adapters.uniad.config import UniADConfig
 from adapters.uniad.model import UniAD, UniADInputs
-from adapters.verification.conditions import set_folders, single_precision
+from adapters.verification.conditions import set_folders
 from adapters.verification.filling import fill, same_names_and_shapes
 from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor
 from adapters.verification.quantities import SAMPLED, STATISTICS, Quantity, compare_frame

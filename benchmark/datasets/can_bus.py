@@ -1,5 +1,7 @@
 """Ego motion at a sample: measured (CAN bus expansion) or derived from past poses, and never from the future.
 
+The one exception is `EgoState.can_motion` at the start of a scene whose messages begin after its first sample.
+
 The files are those of the CAN bus expansion. The devkit's reader refuses scene names that are not ``scene-dddd``, which
 the published Adv-nuSc has, so they are read here.
 """
@@ -86,6 +88,20 @@ class CanMessages:
             return None
         return np.asarray(self.values[index])
 
+    def before_or_first(self, timestamp_us: int) -> Floats | None:
+        """As `before`; where a scene begins up to half a second ahead of its messages, the first of them.
+
+        Args:
+            timestamp_us: Now.
+
+        Returns:
+            (F,) values.
+        """
+        first_us = int(self.times_us[0])
+        if timestamp_us < first_us <= timestamp_us + _STALE_AFTER_US:
+            return np.asarray(self.values[0])
+        return self.before(timestamp_us)
+
 
 def _column(messages: list[dict[str, Any]], name: str) -> Floats:
     return np.array([message[name] for message in messages], dtype=np.float64)
@@ -158,7 +174,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
         yaw_rate=yaw_rate,
         steering_angle=None if steering is None else float(steering[0]),
         source="derived" if measured is None else "can_bus",
-        can_motion=measured,
+        can_motion=can_bus.motion.before_or_first(now_us) if can_bus.motion else None,
     )
 
 

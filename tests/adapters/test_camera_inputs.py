@@ -221,6 +221,25 @@ def test_what_a_data_set_knows_reaches_the_network(tmp_path: Path) -> None:
     assert np.array_equal(first.lidar.translation, scene.lidar.translation)
 
 
+@pytest.mark.parametrize(("late_us", "counts"), [(20_000, True), (600_000, False)])
+def test_the_first_sample_has_the_first_message_even_if_it_comes_a_little_later(
+    tmp_path: Path, late_us: int, counts: bool
+) -> None:
+    scene = short_scene()
+    root = TinyRoot.of(tmp_path, [scene], cameras=CAMERA_NAMES).write()
+    (root / "can_bus").mkdir()
+    start_us = int(scene.timestamps_us[0]) + late_us
+    messages = [
+        {"vel": [number, 0, 0], "accel": [0, 0, 9.8], "rotation_rate": [0, 0, 0], "utime": start_us + 20_000 * number}
+        for number in range(1, 200)
+    ]
+    (root / "can_bus" / "scene-9901_pose.json").write_text(json.dumps(messages))
+    first, _, third, *_ = NuScenesData.open(root).observations("scene-9901")
+    assert first.ego.source == "derived", "planners that read speeds get nothing of the future"
+    assert can_bus_vector(first.ego)[13] == (1.0 if counts else 0.0)
+    assert third.ego.source == "can_bus" and can_bus_vector(third.ego)[13] == third.ego.velocity[0]
+
+
 def test_small_rendered_images_come_with_matching_matrices(tmp_path: Path) -> None:
     scene = short_scene()
     write_root(tmp_path, [scene])

@@ -215,7 +215,12 @@ def test_a_scene_without_images_is_one_sentence(data: NuScenesData) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "says"), [({"device": "abacus"}, "no device 'abacus'"), ({"precision": "int4"}, "int4")]
+    ("options", "says"),
+    [
+        ({"device": "abacus"}, "no device 'abacus'"),
+        ({"device": "cuda:97"}, "no GPU for device 'cuda:97'"),
+        ({"precision": "int4"}, "int4"),
+    ],
 )
 def test_unknown_devices_and_precisions_are_one_sentence(options: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
@@ -299,7 +304,7 @@ def test_one_command_verifies_these_networks_too(tmp_path: Path) -> None:
     for name in NAMES:
         with pytest.raises(InputError, match=str(tmp_path)):
             verify_model(name, tmp_path)
-    with pytest.raises(InputError, match="choose one of vad-tiny, vad-base, sparsedrive, diffusiondrive"):
+    with pytest.raises(InputError, match="choose one of vad-tiny, vad-base, uniad, sparsedrive, diffusiondrive"):
         verify_model("nonsense", tmp_path)
 
 

@@ -9,12 +9,12 @@ import shapely
 import torch
 from numpy.typing import ArrayLike
 
+from adapters.detection_classes import AGENT_CLASSES
 from adapters.sparse.anchor_files import read_anchors, write_anchors
 from adapters.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, anchors_of, with_anchors
 from adapters.sparse.config import SparseConfig
 from adapters.sparse.model import SparseDrive
 from adapters.sparse.planner_adapter import VARIANTS
-from adapters.sparse.selection import AGENT_CLASSES
 from adapters.sparse.sightings import (
     CLASS_OF_CATEGORY,
     agent_futures,

@@ -10,8 +10,8 @@ from adapters.layers.bev_geometry import BEVGrid
 from adapters.layers.coders import within
 from adapters.layers.ego_motion import EgoMotion
 from adapters.vad.config import VADConfig
-from adapters.vad.model import VAD, VADInputs, VADOutputs
-from adapters.vad.selection import select_boxes, select_lines
+from adapters.vad.model import VAD, VADInputs
+from adapters.vad.selection import VADOutputs, select_boxes, select_lines
 from benchmark.errors import InputError
 from tests.adapters.small_vad import SMALL, small_frame, small_network, with_command
 

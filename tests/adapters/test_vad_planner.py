@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, ImageFormat, Normalisation
+from adapters.checkpoints.cache import write_weights
 from adapters.checkpoints.importing import import_checkpoint
 from adapters.native_models import NATIVE_MODELS
 from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
@@ -125,6 +127,23 @@ def test_the_normalisation_of_the_weights_reaches_the_pixels(data: NuScenesData)
     assert first.can_bus.shape == (18,) and first.can_bus.dtype == torch.float64
 
 
+def test_single_precision_is_not_rounded_on_graphics_cards(data: NuScenesData) -> None:
+    inside: list[tuple[bool, str]] = []
+
+    def arithmetic() -> tuple[bool, str]:
+        return torch.backends.cudnn.allow_tf32, torch.get_float32_matmul_precision()
+
+    class Listening(VAD):
+        def forward(self, inputs: VADInputs) -> VADOutputs:
+            inside.append(arithmetic())
+            return super().forward(inputs)
+
+    before = arithmetic()
+    built = VADPlanner(Listening(SMALL), name="listening", normalisation=BGR_MEAN, device="cpu")
+    built.plan(next(data.observations("scene-9901")))
+    assert inside == [(False, "highest")] and arithmetic() == before
+
+
 def test_half_precision_plans_nearly_the_same(data: NuScenesData) -> None:
     full, half = (plans(small_vad(precision=kind), data, "scene-9902") for kind in ("float32", "bfloat16"))
     assert not np.array_equal(full, half) and np.abs(full - half).max() < 0.1
@@ -156,7 +175,12 @@ def test_a_scene_without_images_is_one_sentence(data: NuScenesData) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "says"), [({"device": "abacus"}, "no device 'abacus'"), ({"precision": "int4"}, "int4")]
+    ("options", "says"),
+    [
+        ({"device": "abacus"}, "no device 'abacus'"),
+        ({"device": "cuda:97"}, "no GPU for device 'cuda:97'"),
+        ({"precision": "int4"}, "int4"),
+    ],
 )
 def test_unknown_devices_and_precisions_are_one_sentence(options: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
@@ -208,8 +232,17 @@ def test_other_weights_are_another_planner(cache: Path, tmp_path: Path) -> None:
     other = planner_factory("vad-tiny", checkpoint=changed).facts
     assert usual.settings["normalisation"] == "bgr-mean" and other.settings["normalisation"] == "rgb-mean-std"
     assert usual.weights_sha256 != other.weights_sha256
-    with pytest.raises(InputError, match="several weights for vad-tiny"):
-        planner("vad-tiny")
+    for checkpoint in (None, path):
+        with pytest.raises(InputError, match="several weights for vad-tiny"):
+            planner("vad-tiny", checkpoint=checkpoint)
+
+
+def test_weights_with_pixel_values_of_a_later_version_are_one_sentence(cache: Path, tmp_path: Path) -> None:
+    found = import_checkpoint(published(tmp_path / "a.pth"))
+    later = tmp_path / "later.safetensors"
+    write_weights(later, load_file(found.path), found.provenance.model_copy(update={"normalisation": "grey"}))
+    with pytest.raises(InputError, match="there is no normalisation 'grey'; known are bgr-mean, rgb-mean-std"):
+        planner("vad-tiny", checkpoint=later)
 
 
 def test_an_import_finds_out_the_model(cache: Path, tmp_path: Path) -> None:

@@ -62,6 +62,9 @@ def test_hits_are_what_each_camera_sees(seed: int) -> None:
             counts[cell] += seen
     assert hits.cameras_per_cell.flatten().tolist() == [max(1, count) for count in counts]
     assert hits.camera.tolist() == sorted(hits.camera.tolist())
+    by_cell = sorted(range(len(hits.cell)), key=lambda pair: (int(hits.cell[pair]), int(hits.camera[pair])))
+    assert hits.cell_order.tolist() == by_cell
+    assert hits.cell_starts.tolist() == [sum(counts[:cell]) for cell in range(GRID.cells)]
 
 
 def test_what_is_behind_a_camera_is_not_seen() -> None:

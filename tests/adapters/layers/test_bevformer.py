@@ -94,6 +94,14 @@ def test_spatial_attention_is_the_mean_of_the_cameras_that_see_a_cell(seed: int)
     torch.testing.assert_close(found.double(), expected, rtol=1e-3, atol=1e-3)
 
 
+def test_cells_that_no_camera_sees_stay_as_they_are() -> None:
+    module: Any = SpatialCrossAttention(8, 2, len(SHAPES), 4)
+    cells, features = torch.randn(GRID.cells, 8), torch.randn(2, 21, 8)
+    nothing = camera_hits(GRID.pillars(2), torch.zeros(2, 4, 4), 60, 100)
+    with torch.no_grad():
+        assert torch.equal(module(cells, features, SHAPES, nothing), cells)
+
+
 @pytest.mark.parametrize("past", [False, True])
 def test_an_encoder_keeps_the_first_queries_as_the_present(past: bool) -> None:
     torch.manual_seed(3)
