@@ -1,5 +1,6 @@
 """The decoder of boxes and that of lines: one implementation, of which each fills in what a place in space is."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -114,7 +115,7 @@ class InstanceBank(nn.Module):
             self.anchor_handler = HandleScale()
 
 
-class SparseDecoder(nn.Module):
+class SparseDecoder(nn.Module, ABC):
     """Instances look at the past, at each other and at images, and are refined, stage after stage.
 
     Attributes:
@@ -131,15 +132,15 @@ class SparseDecoder(nn.Module):
         super().__init__()
         self.remembered, self.operations = remembered, operations
 
+    @abstractmethod
     def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
         """Places of a remembered frame, seen from the present one."""
-        raise NotImplementedError
 
+    @abstractmethod
     def attend(
         self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None
     ) -> Tensor:
         """Attention to `key`, features and embeddings, or without it, as on the first frame, to each other."""
-        raise NotImplementedError
 
     def forward(
         self, cameras: CameraFeatures, past: Remembered | None, passage: Passage | None

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Self
 
-import numpy as np
 import torch
 
 from adapters.camera_inputs import (
@@ -14,46 +13,28 @@ from adapters.camera_inputs import (
     camera_images,
     lidar_pose,
     lidar_to_image,
-    normalisation_of,
 )
-from adapters.checkpoints.cache import load_weights
-from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.devices import Precision, device_of, require_precision, single_precision
+from adapters.devices import Precision
 from adapters.example_inputs import example_images, example_projections
+from adapters.native_planner import FORECAST_SCORE, NativePlanner, Weights, numbers
 from adapters.sparse.config import SparseConfig
 from adapters.sparse.model import DiffusionDrive, SparseDrive, SparseInputs, SparseNetwork
 from adapters.sparse.selection import SparseOutputs
 from benchmark.constants import PLAN_STEPS
-from benchmark.geometry import Floats
-from benchmark.plan_rows import code_sha256
 from benchmark.planning import Command, Forecasts, Observation, Plan, PlanFrame, SceneInfo
-from benchmark.storage import file_sha256
 
 VARIANTS: Final = {"sparsedrive": SparseConfig.sparsedrive, "diffusiondrive": SparseConfig.diffusiondrive}
-FORECAST_SCORE: Final = 0.3
-"""Boxes of a lower score are not counted as what the model expects: it always reports three hundred."""
 
 
-class SparsePlanner:
-    """SparseDrive or DiffusionDrive with given weights.
+class SparsePlanner(NativePlanner[SparseNetwork]):
+    """SparseDrive or DiffusionDrive with given weights; arguments and errors as in `NativePlanner`.
 
     Every scene starts without a past, whatever the configuration says: what a plan is must not depend on which scene
-    a process happened to see before. The published evaluation lets memory outlive a change of scene.
-
-    Args:
-        network: The network, its weights loaded.
-        name: Shown in tables.
-        normalisation: What the weights were trained with.
-        weights_sha256: Of the weights file, if there is one.
-        settings: What else identifies the run.
-        device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
-        precision: ``bfloat16`` computes the matrix products in half the bytes.
+    a process happened to see before. The published evaluation lets memory outlive a change of scene. Modes of the
+    command that were refused because they hit a forecast have the score 0.
 
     Attributes:
         seed: Of the noise that DiffusionDrive plans from. SparseDrive has none.
-
-    Raises:
-        InputError: If there is no such device or precision.
     """
 
     def __init__(
@@ -67,26 +48,18 @@ class SparsePlanner:
         device: str = "auto",
         precision: Precision = "float32",
     ) -> None:
-        require_precision(precision)
-        self.name = name
+        super().__init__(
+            network,
+            name=name,
+            image_format=image_format(network.config),
+            normalisation=normalisation,
+            weights_sha256=weights_sha256,
+            settings={**(settings or {}), "memory_crosses_scenes": False},
+            device=device,
+            precision=precision,
+        )
         self.native_protocol = "diffusiondrive" if isinstance(network, DiffusionDrive) else "sparsedrive"
         self.seed = network.seed
-        self.weights_sha256 = weights_sha256
-        self._device = device_of(device)
-        self._half = precision == "bfloat16"
-        self._network = network.eval().to(self._device)
-        self._format = image_format(network.config)
-        self._normalisation = normalisation
-        self.settings = {
-            **(settings or {}),
-            "normalisation": normalisation.name,
-            "device": self._device.type,
-            "precision": precision,
-            "forecast_score": FORECAST_SCORE,
-            "memory_crosses_scenes": False,
-            # The network's layers and its inputs are outside this package, whose code the run's key covers already.
-            "shared_code_sha256": code_sha256(ImageFormat),
-        }
 
     @classmethod
     def from_checkpoint(
@@ -113,15 +86,14 @@ class SparsePlanner:
         Raises:
             InputError: If there are no weights, they are refused, or they are for another model.
         """
-        path = resolve_checkpoint(name, checkpoint)
         network = sparse_network(name, seed)
-        provenance = load_weights(network, path)
+        weights = Weights.load(network, name, checkpoint)
         return cls(
             network,
             name=name,
-            normalisation=normalisation_of(provenance.normalisation),
-            weights_sha256=file_sha256(path),
-            settings={"weights": provenance.model_dump(mode="json")},
+            normalisation=weights.normalisation,
+            weights_sha256=weights.sha256,
+            settings=weights.settings,
             device=device,
             precision=precision,
         )
@@ -130,22 +102,8 @@ class SparsePlanner:
         """Forget the previous scene."""
         self._network.reset()
 
-    def plan(self, observation: Observation) -> Plan:
-        """Plan from six images, their cameras, time, place and the command; earlier samples are remembered.
-
-        Args:
-            observation: The next sample of the scene.
-
-        Returns:
-            Waypoints, the modes of the command with their scores (0 where a mode was refused because it hits a
-            forecast), and forecasts; lidar frame.
-
-        Raises:
-            InputError: If an image is missing or broken.
-        """
-        half = torch.autocast(self._device.type, torch.bfloat16, enabled=self._half)
-        with torch.inference_mode(), single_precision(), half:
-            return _plan(self._network(self._inputs(observation)), int(observation.command))
+    def _computed(self, observation: Observation) -> Plan:
+        return _plan(self._network(self._inputs(observation)), int(observation.command))
 
     def _inputs(self, observation: Observation) -> SparseInputs:
         images = camera_images(observation, self._format, self._normalisation)
@@ -227,18 +185,14 @@ def _plan(outputs: SparseOutputs, command: int) -> Plan:
     # Length before width, as boxes are everywhere here; the network has them the other way round.
     boxes = outputs.boxes[kept][:, [0, 1, 4, 3, 6]]
     return Plan(
-        waypoints=_numbers(outputs.plan),
+        waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
-        modes=_numbers(outputs.plan_modes[command]),
-        mode_scores=_numbers(outputs.plan_scores[command]),
+        modes=numbers(outputs.plan_modes[command]),
+        mode_scores=numbers(outputs.plan_scores[command]),
         forecasts=Forecasts(
-            boxes=_numbers(boxes),
-            trajectories=_numbers(outputs.trajectories[kept][:, :, :PLAN_STEPS]),
+            boxes=numbers(boxes),
+            trajectories=numbers(outputs.trajectories[kept][:, :, :PLAN_STEPS]),
             # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
-            scores=_numbers(likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)),
+            scores=numbers(likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)),
         ),
     )
-
-
-def _numbers(tensor: torch.Tensor) -> Floats:
-    return np.asarray(tensor.double().cpu().numpy(), np.float64)

@@ -16,12 +16,12 @@ from adapters.checkpoints.importing import import_checkpoint
 from adapters.checkpoints.matching import matched
 from adapters.checkpoints.official import official_file
 from adapters.native_models import NATIVE_MODELS
+from adapters.native_planner import FORECAST_SCORE
 from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
 from adapters.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.sparse.config import SparseConfig
 from adapters.sparse.model import SparseDrive, SparseInputs
 from adapters.sparse.planner_adapter import (
-    FORECAST_SCORE,
     VARIANTS,
     SparsePlanner,
     example_frame,

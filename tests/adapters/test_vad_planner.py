@@ -13,10 +13,11 @@ from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, ImageFormat, Normalis
 from adapters.checkpoints.cache import write_weights
 from adapters.checkpoints.importing import import_checkpoint
 from adapters.native_models import NATIVE_MODELS
+from adapters.native_planner import FORECAST_SCORE
 from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
 from adapters.vad.config import VADConfig
 from adapters.vad.model import VAD, VADInputs
-from adapters.vad.planner import FORECAST_SCORE, VARIANTS, VADPlanner, example_frame
+from adapters.vad.planner import VARIANTS, VADPlanner, example_frame
 from adapters.vad.selection import VADOutputs
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
