@@ -74,6 +74,8 @@ app.add_typer(data_app, name="data")
 app.add_typer(train_app, name="train")
 weights_app = typer.Typer(help="Official weights of the native models.", no_args_is_help=True)
 app.add_typer(weights_app, name="weights")
+leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV) from run records; check submissions.")
+app.add_typer(leaderboard_app, name="leaderboard")
 
 
 OUT = Path("challenger-out")
@@ -395,8 +397,9 @@ def transfer_command(
         typer.echo(agreement_table(name, matrix).plain())
 
 
-@app.command("leaderboard")
+@leaderboard_app.callback(invoke_without_command=True)
 def leaderboard_command(
+    context: typer.Context,
     out: OutOption = OUT,
     records: RecordsOption = None,
     to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
@@ -404,6 +407,8 @@ def leaderboard_command(
     json_output: JsonOption = False,
 ) -> None:
     """Write the tables (Markdown, LaTeX, CSV) from run records."""
+    if context.invoked_subcommand is not None:
+        return
     from leaderboard.build import stale_files, write_leaderboard
 
     found, folder = _records(out, records), to or out / "leaderboard"
@@ -419,6 +424,32 @@ def leaderboard_command(
         print_json({"files": [str(path) for path in written]})
     else:
         typer.echo(f"{len(written)} files in {folder}; start with {folder / 'README.md'}")
+
+
+@leaderboard_app.command("submit-check")
+def submit_check_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of submitted run records.")],
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
+    from benchmark.submissions import Level, check_submission
+
+    source, space = _open_source(data, tables, workers), _workspace(out)
+    sound, findings = check_submission(folder, source.name, lambda split: space.open_split(source, split))
+    if json_output:
+        print_json(
+            {"sound": [str(record.directory) for record in sound], "findings": [found.as_json() for found in findings]}
+        )
+    else:
+        for found in findings:
+            typer.echo(f"{found.level}: {found.directory}: {found.sentence}")
+        for record in sound:
+            typer.echo(f"fit: {record.directory}: {record.planner} on {record.run.split}, {len(record.rows)} samples")
+    raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
 
 
 @app.command("verify")

@@ -115,8 +115,8 @@ def _rescore(
         data = open_for(old)
         if data is None:
             return old, f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
-        _require_same_data(old, data)
-        rows = [row for scene in old.run.scenes for row in _judged_anew(old, data, scene, tuple(versions))]
+        require_same_data(old, data)
+        rows = [row for scene in old.run.scenes for row in judged_anew(old, data, scene, tuple(versions))]
         facts = {
             **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
             "scene_facts": data.scene_facts(old.run.scenes),
@@ -128,7 +128,16 @@ def _rescore(
         return write_record(directory, facts, rows, versions, seed=old.run.seed), "rescored"
 
 
-def _require_same_data(record: RunRecord, data: "DataSet") -> None:
+def require_same_data(record: RunRecord, data: "DataSet") -> None:
+    """Whether a data set is the one that a planner ran on.
+
+    Args:
+        record: Of the run.
+        data: The data set.
+
+    Raises:
+        InputError: If its content is another.
+    """
     if record.run.data.fingerprint != data.fingerprint():
         raise InputError(
             f"{record.directory} ran on other content of {record.run.data.name} than {data.root} holds (the data "
@@ -136,7 +145,21 @@ def _require_same_data(record: RunRecord, data: "DataSet") -> None:
         )
 
 
-def _judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple[str, ...]) -> list[SampleRow]:
+def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple[str, ...]) -> list[SampleRow]:
+    """Rows of one scene, computed from the stored plans and the data set.
+
+    Args:
+        record: Holds the plans.
+        data: What the planner ran on.
+        scene: One of the record's.
+        protocols: Who judges.
+
+    Returns:
+        One row for each sample.
+
+    Raises:
+        InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
+    """
     plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows if row.scene == scene]
     truths = data.truth(scene)
     if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in truths]:
