@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo test check bench clean
+.PHONY: setup demo paper test check bench clean
 
 setup: $(VENV)/.complete
 
@@ -14,6 +14,9 @@ $(VENV)/.complete: pyproject.toml constraints.txt
 
 demo: setup
 	$(BIN)/challenger-bench demo
+
+paper: setup
+	$(BIN)/challenger-bench demo --full
 
 check: setup
 	$(BIN)/ruff check .

@@ -105,6 +105,8 @@ class ImageFormat:
 
 SPARSE_DRIVE_IMAGE: Final = ImageFormat(704, 396, crop_top=140, resize="bicubic")
 """What SparseDrive and DiffusionDrive read: 704 x 256."""
+MINIATURE_IMAGE: Final = ImageFormat(224, 128)
+"""What the miniatures of all four models read."""
 
 
 def camera_images(observation: Observation, image_format: ImageFormat, normalisation: Normalisation) -> Pixels:

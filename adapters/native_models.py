@@ -4,7 +4,7 @@ One entry a model; checkpoints, planners and the speed figures all go through th
 asked for.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,6 +12,9 @@ import torch
 from torch import nn
 
 from benchmark.errors import InputError
+
+MOTION_ANCHORS: Final = "motion_head.anchors"
+"""UniAD's typical forecasts, (groups, modes, steps, 2) metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +28,9 @@ class NativeModel:
         published_normalisation: What the official weights were trained with (`adapters.camera_inputs.NORMALISATIONS`).
         renamed: Patterns and replacements for tensor names that official files have under an older name.
         ignored: Patterns of tensor names that official files may have and the network does not need.
+        fitted: Makes the network for tensors of given shapes by name, where official files differ in theirs.
+        anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
+            (`adapters.checkpoints.motion_anchors`).
     """
 
     name: str
@@ -33,11 +39,21 @@ class NativeModel:
     published_normalisation: str
     renamed: tuple[tuple[str, str], ...] = ()
     ignored: tuple[str, ...] = ()
+    fitted: Callable[[Mapping[str, Sequence[int]]], nn.Module] | None = None
+    anchors: str | None = None
 
-    def expected(self) -> dict[str, torch.Tensor]:
-        """Names, shapes and types of all tensors, without their memory."""
+    def expected(self, shapes: Mapping[str, Sequence[int]] | None = None) -> dict[str, torch.Tensor]:
+        """Names, shapes and types of all tensors, without their memory.
+
+        Args:
+            shapes: Of the tensors that the network is for, by name.
+
+        Returns:
+            By name, in the network's order.
+        """
         with torch.device("meta"):
-            return dict(self.build().state_dict())
+            network = self.build() if self.fitted is None or shapes is None else self.fitted(shapes)
+            return dict(network.state_dict())
 
 
 def native_model(name: str) -> NativeModel:
@@ -83,6 +99,21 @@ def _sparse_frame(name: str) -> Any:
     return example_frame(VARIANTS[name]())
 
 
+def _uniad(shapes: Mapping[str, Sequence[int]]) -> nn.Module:
+    # Constants are computed where the modules are first read, and need memory whatever the network is built on.
+    with torch.device("cpu"):
+        from adapters.uniad.config import UniADConfig
+        from adapters.uniad.model import UniAD
+    return UniAD(UniADConfig.base_of(shapes), stores_anchors=True)
+
+
+def _uniad_frame() -> Any:
+    from adapters.uniad.config import UniADConfig
+    from adapters.uniad.planner import example_frame
+
+    return example_frame(UniADConfig.base())
+
+
 NATIVE_MODELS: Final = {
     "vad-tiny": NativeModel("vad-tiny", lambda: _vad("vad-tiny"), lambda: _vad_frame("vad-tiny"), "bgr-mean"),
     "vad-base": NativeModel("vad-base", lambda: _vad("vad-base"), lambda: _vad_frame("vad-base"), "bgr-mean"),
@@ -91,5 +122,20 @@ NATIVE_MODELS: Final = {
     ),
     "diffusiondrive": NativeModel(
         "diffusiondrive", lambda: _sparse("diffusiondrive"), lambda: _sparse_frame("diffusiondrive"), "rgb-mean-std"
+    ),
+    "uniad": NativeModel(
+        "uniad",
+        lambda: _uniad({}),
+        _uniad_frame,
+        "bgr-mean",
+        fitted=_uniad,
+        anchors=MOTION_ANCHORS,
+        renamed=((r"\.conv(\d)_offset\.", r".conv\1.conv_offset."),),
+        # Left over from a rewrite of the official code, whose authors say that nothing reads them.
+        ignored=(
+            r"^bbox_size_fc\.",
+            r"^pts_bbox_head\.query_embedding\.",
+            r"^pts_bbox_head\.transformer\.reference_points\.",
+        ),
     ),
 }

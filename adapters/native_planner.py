@@ -12,10 +12,11 @@ from torch import nn
 from adapters.camera_inputs import ImageFormat, Normalisation, normalisation_of
 from adapters.checkpoints.cache import load_weights
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.devices import Precision, device_of, require_precision, single_precision
+from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
+from benchmark.devices import Precision, device_of, require_precision, single_precision
 from benchmark.geometry import Floats
 from benchmark.plan_rows import code_sha256
-from benchmark.planning import Observation, Plan
+from benchmark.planning import Forecasts, Observation, Plan
 from benchmark.storage import file_sha256
 
 FORECAST_SCORE: Final = 0.3
@@ -129,3 +130,29 @@ class NativePlanner(ABC, Generic[Network]):
 def numbers(tensor: torch.Tensor) -> Floats:
     """Numbers of any network as arrays of the benchmark."""
     return np.asarray(tensor.double().cpu().numpy(), np.float64)
+
+
+def forecasts_of(
+    boxes: torch.Tensor, scores: torch.Tensor, trajectories: torch.Tensor, shares: torch.Tensor
+) -> Forecasts:
+    """What a network expects of the others.
+
+    What is no box (a number that is not finite, a side that is not above zero, a place 10 km away) is left out like a
+    box with a low score: it means nothing, and would make the whole plan unusable.
+
+    Args:
+        boxes: (N, 7 or more) centre x, y, z, width, length, height, yaw.
+        scores: (N,) 0 to 1.
+        trajectories: (N, modes, steps, 2) centres, at least as many steps as a plan has.
+        shares: (N, modes) probabilities.
+
+    Returns:
+        Boxes with a score of `FORECAST_SCORE` or more.
+    """
+    kept = scores >= FORECAST_SCORE
+    # Length before width, as boxes are everywhere here; networks have them the other way round.
+    listed, paths = numbers(boxes[kept][:, [0, 1, 4, 3, 6]]), numbers(trajectories[kept][:, :, :PLAN_STEPS])
+    likely = numbers(shares[kept])
+    near = (np.abs(listed) <= FARTHEST_WAYPOINT_M).all(1) & (np.abs(paths) <= FARTHEST_WAYPOINT_M).all((1, 2, 3))
+    sound = near & (listed[:, 2:4] > 0).all(1) & np.isfinite(likely).all(1)
+    return Forecasts(boxes=listed[sound], trajectories=paths[sound], scores=likely[sound])

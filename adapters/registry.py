@@ -27,8 +27,18 @@ WITH_WEIGHTS = {
     "vad-base": "adapters.vad.planner:vad_base",
     "sparsedrive": "adapters.sparse.planner_adapter:sparsedrive",
     "diffusiondrive": "adapters.sparse.planner_adapter:diffusiondrive",
+    "uniad": "adapters.uniad.planner:uniad",
+    "uniad-unoptimised": "adapters.uniad.planner:uniad_unoptimised",
+    "uniad-ipopt": "adapters.uniad.planner:uniad_ipopt",
 }
 """Built-in planners that need weights from elsewhere (docs/models.md); ``vad`` is short for ``vad-base``."""
+MINIATURES = {
+    "uniad-mini": "adapters.miniatures:uniad_mini",
+    "vad-mini": "adapters.miniatures:vad_mini",
+    "sparsedrive-mini": "adapters.miniatures:sparsedrive_mini",
+    "diffusiondrive-mini": "adapters.miniatures:diffusiondrive_mini",
+}
+"""Built-in planners whose weights come with this package (docs/miniatures.md)."""
 BLIND = frozenset({"constant-velocity", "log-replay", "idm", "ego-status"})
 """Built-in planners that look at no image: nothing needs to be drawn for them."""
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
@@ -124,7 +134,7 @@ def planner(
         InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
     """
     installed = installed_planners()
-    built_in = BUILT_IN | WITH_WEIGHTS
+    built_in = BUILT_IN | WITH_WEIGHTS | MINIATURES
     if name in built_in:
         made = _import(built_in[name], name)
     elif name in installed:
@@ -143,7 +153,7 @@ def planner(
 def installed_planners() -> dict[str, EntryPoint]:
     """Planners of installed packages, by name; built-in names cannot be taken over."""
     found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return {point.name: point for point in found if point.name not in BUILT_IN | WITH_WEIGHTS}
+    return {point.name: point for point in found if point.name not in BUILT_IN | WITH_WEIGHTS | MINIATURES}
 
 
 def _import(reference: str, name: str) -> Any:

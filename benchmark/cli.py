@@ -11,10 +11,14 @@ import typer
 from benchmark import __version__
 from benchmark.cli_options import (
     AddressOption,
+    AskedLook,
+    AskedLookOption,
     CallsOption,
     DataOption,
     DenoiserOption,
     DeviceOption,
+    DrawnSize,
+    DrawnSizeOption,
     DropoutOption,
     DryRunOption,
     ExecutorName,
@@ -24,21 +28,28 @@ from benchmark.cli_options import (
     JsonOption,
     Layout,
     LimitOption,
+    LosslessOption,
     NormalisationOption,
     OutOption,
     Preset,
     PresetOption,
+    QuickRendererName,
     RecordsOption,
+    RenderDeviceOption,
     RendererName,
     ScenesOption,
     SeedOption,
     SetOption,
     SizeOption,
+    SpeedOption,
     SplitOption,
     TablesOption,
     TogetherOption,
     Verifiable,
+    WeightsFolderOption,
     WorkersOption,
+    WrittenSize,
+    WrittenSizeOption,
     executor_of,
     image_size,
     name_list,
@@ -50,6 +61,7 @@ from benchmark.errors import InputError
 if TYPE_CHECKING:
     from adapters.checkpoints.importing import ImportedWeights
     from benchmark.datasets.roots import DataSet
+    from benchmark.hub_weights import HubWeights
     from benchmark.plan_rows import PlannerFactory
     from benchmark.records import RunRecord
     from benchmark.verification import Check
@@ -149,6 +161,13 @@ def generate_command(
     ),
     renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
     size: SizeOption = "448x256",
+    render_size: DrawnSizeOption = DrawnSize.SMALL,
+    written_size: WrittenSizeOption = WrittenSize.MODEL,
+    prompt_look: AskedLookOption = AskedLook.RECORDED,
+    lossless: LosslessOption = False,
+    weights_folder: WeightsFolderOption = None,
+    render_device: RenderDeviceOption = "auto",
+    tflops: SpeedOption = None,
     frames: FramesOption = Frames.ALL,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
@@ -159,13 +178,29 @@ def generate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from generation.build import BuildSettings
+    from generation.build import BuildSettings, source_scenes
 
     _require_generated(split)
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
     hyper = _hyper_parameters(preset, shortcuts, changes)
-    under_test = _planner_under_test(surrogate, surrogate_checkpoint, seed, workers)
+    under_test = _planner_under_test(surrogate, surrogate_checkpoint, data, seed, workers)
     drawing, place = _renderer(renderer, size), executor_of(executor, address, workers)
+    rendering = None
+    if renderer is RendererName.MAGICDRIVE:
+        from generation.magicdrive.command import magicdrive_renderer, rendering_executor
+
+        drawing = magicdrive_renderer(
+            _workspace(out).rendering_root(),
+            weights_folder,
+            drawn_size=render_size.value,
+            written_size=written_size.value,
+            look=prompt_look.value,
+            device=render_device,
+            seed=seed,
+            tera_operations=tflops,
+            estimates_only=dry_run,
+        )
+        rendering = rendering_executor(place, render_device)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
     source = _open_source(data, tables, workers)
     settings = BuildSettings(
@@ -182,11 +217,15 @@ def generate_command(
         layout=layout.value,
         renderer=drawing,
         frames=frames.value,
+        lossless=lossless,
         seed=seed,
         executor=place,
+        rendering=rendering,
         together=together,
         dry_run=dry_run,
     )
+    if renderer is RendererName.MAGICDRIVE:
+        typer.echo(drawing.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
     report = _generate(source, split, settings)
     runtime = report.runtime if profile else None
     if json_output:
@@ -227,7 +266,7 @@ def ablate_command(
     from generation.ablation import ablate, ablation_estimate
     from generation.build import BuildSettings
 
-    planner = _planner_under_test(model, checkpoint, seed, workers)
+    planner = _planner_under_test(model, checkpoint, data, seed, workers)
     assert planner is not None
     hyper = _hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes)
     drawing, place = _renderer(RendererName.SCHEMATIC, size), executor_of(executor, address, workers)
@@ -304,7 +343,10 @@ def eval_command(
     dataset = _open_split(source, split, out, workers)
     settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=worker_count(workers))
     factories: list[PlannerFactory] = [
-        planner_factory(name, checkpoint=checkpoint, seed=seed, device=device, precision=precision) for name in model
+        planner_factory(
+            _model_on(data, name, checkpoint), checkpoint=checkpoint, seed=seed, device=device, precision=precision
+        )
+        for name in model
     ]
     if plans is not None:
         from adapters.plan_file import plan_file_factory
@@ -397,6 +439,46 @@ def transfer_command(
         typer.echo(agreement_table(name, matrix).plain())
 
 
+@app.command("quality")
+def quality_command(
+    split: SplitOption = "val",
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    masks: Annotated[
+        str, typer.Option(help="Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).")
+    ] = "grounded-sam2",
+    frames: FramesOption = Frames.KEYFRAMES,
+    lossless: Annotated[bool, typer.Option("--lossless", help="Score the PNG frames beside the split's own.")] = False,
+    weights_folder: WeightsFolderOption = None,
+    device: Annotated[str, typer.Option(help="Where networks run: cpu, cuda, cuda:1; the first GPU if any.")] = "auto",
+    batch: Annotated[int, typer.Option(min=1, help="Pictures that go through a network together.")] = 16,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Subject consistency and imaging quality of a split's videos; the same command goes on."""
+    from benchmark.quality.definition import Definition, mask_source
+    from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
+    from leaderboard.quality_table import quality_tables
+
+    files: Literal["own", "lossless"] = "lossless" if lossless else "own"
+    definition = Definition(mask_source(masks), frames.value, files, batch=batch)
+    settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
+    dataset = _open_split(_open_source(data, tables, workers), split, out, workers)
+    if dry_run:
+        typer.echo(plan_of(dataset, split, settings))
+        return
+    record = measure_quality(dataset, split, _workspace(out).quality_root(), settings)
+    if json_output:
+        facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
+        print_json({"directory": str(record.directory), **facts})
+    else:
+        typer.echo(quality_tables([record])[0].plain())
+
+
 @leaderboard_app.callback(invoke_without_command=True)
 def leaderboard_command(
     context: typer.Context,
@@ -409,17 +491,21 @@ def leaderboard_command(
     """Write the tables (Markdown, LaTeX, CSV) from run records."""
     if context.invoked_subcommand is not None:
         return
+    from benchmark.quality.records import find_quality
     from leaderboard.build import stale_files, write_leaderboard
 
-    found, folder = _records(out, records), to or out / "leaderboard"
+    space, folder = _workspace(out), to or out / "leaderboard"
+    quality = find_quality(space.quality_root())
+    only_quality = bool(quality) and records is None and not space.run_root().exists()
+    found = [] if only_quality else _records(out, records)
     if check:
-        stale = stale_files(found, folder)
+        stale = stale_files(found, folder, quality)
         if json_output:
             print_json({"stale": stale})
         else:
             typer.echo("\n".join(stale) or f"{folder} is current")
         raise typer.Exit(1 if stale else 0)
-    written = write_leaderboard(found, folder)
+    written = write_leaderboard(found, folder, quality)
     if json_output:
         print_json({"files": [str(path) for path in written]})
     else:
@@ -496,22 +582,34 @@ def _numerics(what: Verifiable) -> "Callable[[Path | None], list[Check]]":
 
 def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
     from adapters.verification.models import VERIFIED_MODELS, verify_model
+    from generation.verification.magicdrive import verify_magicdrive
 
-    if model is None:
-        raise InputError(f"verify model needs --model; known are {', '.join(VERIFIED_MODELS)}")
+    if model not in (*VERIFIED_MODELS, "magicdrive"):
+        missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
+        raise InputError(f"{missing}; known are {', '.join(VERIFIED_MODELS)}, magicdrive")
     if golden is None:
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
-    return verify_model(model, golden)
+    return verify_magicdrive(golden) if model == "magicdrive" else verify_model(model, golden)
 
 
 @app.command("demo")
 def demo_command(
     out: OutOption = OUT,
     town_scenes: Annotated[int, typer.Option(min=1, help="Scenes of the embedded town.")] = 4,
+    full: Annotated[
+        bool, typer.Option("--full", help="All splits of mini, all built-in planners, the ablation; write --to.")
+    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="With --full: only say whether --to is current.")] = False,
+    to: Annotated[Path, typer.Option(help="With --full: folder of the page and its numbers.")] = Path("docs/results"),
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
     """The whole story on the embedded data: generate, evaluate, transfer, tables."""
+    if check and not full:
+        raise InputError("--check belongs to demo --full, whose results it looks at")
+    if full:
+        _full_demo(out, to, workers, check=check, json_output=json_output)
+        return
     from adapters.registry import planner_factory
     from benchmark.evaluate import EvalSettings, evaluate
     from benchmark.transfer import transfer
@@ -546,7 +644,7 @@ def demo_command(
     records = []
     for split in ("val", "adv"):
         dataset = _open_split(source, split, out, workers)
-        for name in ("constant-velocity", "ego-status", "idm", "log-replay"):
+        for name in _planners_of_demo():
             factory = planner_factory(name)
             records.append(evaluate(dataset, split, factory, space.run_root(), EvalSettings(workers=processes)))
     tell("4/4 writing the leaderboard")
@@ -559,6 +657,74 @@ def demo_command(
     adversarial = in_table_order([record for record in records if record.run.split == "adv"])
     tell(transfer_table("demo", transfer(adversarial)).plain())
     tell(f"tables: {out / 'leaderboard' / 'README.md'}   scenes: {space.split_root('demo', 'adv')}")
+
+
+def _planners_of_demo() -> tuple[str, ...]:
+    """The baselines, and the miniatures whose weights are there."""
+    from adapters.miniatures import MINIATURES
+    from adapters.registry import BUILT_IN
+
+    return (*BUILT_IN, *(name for name, small in MINIATURES.items() if small.packaged.is_file()))
+
+
+def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: bool) -> None:
+    """Measure what docs/results shows, or say why it is not current."""
+    from adapters.registry import planner_factory
+    from benchmark.evaluate import EvalSettings, evaluate
+    from benchmark.workers import LocalProcesses
+    from benchmark.workspace import EMBEDDED
+    from generation.ablation import ablate
+    from generation.build import BuildSettings
+    from leaderboard.results import stale_results, write_results
+
+    made_from = _results_from()
+    if check:
+        stale = stale_results(to, made_from)
+        print_json({"stale": stale}) if json_output else typer.echo("\n".join(stale) or f"{to} is current")
+        raise typer.Exit(1 if stale else 0)
+    source, processes = _open_source(EMBEDDED, None, workers), worker_count(workers)
+    records = []
+    for split in ("val", "val-r", "adv"):
+        dataset = _open_split(source, split, out, workers)
+        for name in _planners_of_demo():
+            typer.echo(f"{name} on {split}", err=True)
+            settings = EvalSettings(workers=processes)
+            records.append(evaluate(dataset, split, planner_factory(name), _workspace(out).run_root(), settings))
+    driver = _planner_under_test("uniad-mini", None, EMBEDDED, 0, workers)
+    assert driver is not None
+    settings_of_build = BuildSettings(
+        out=out / "ablation" / source.name / driver.factory.facts.name,
+        renderer=_renderer(RendererName.SCHEMATIC, "448x256"),
+        frames="keyframes",
+        executor=LocalProcesses(processes),
+    )
+    typer.echo(f"ablation with {driver.factory.facts.name}", err=True)
+    report = ablate(source, driver, settings_of_build)
+    facts = report.model_dump(mode="json", by_alias=True)
+    written = write_results(source.name, records, report.plain(), facts, made_from, to)
+    if json_output:
+        print_json({"files": [str(path) for path in written]})
+    else:
+        typer.echo("\n".join(map(str, written)))
+
+
+def _results_from() -> dict[str, Any]:
+    """What the measured results depend on: weights, town, search and protocols."""
+    from adapters.miniatures import MINIATURES
+    from benchmark.protocols import PROTOCOLS
+    from benchmark.storage import file_sha256
+    from generation.adversary import ALGORITHM_VERSION
+    from generation.attempts import PackagedPrior
+    from generation.hyperparameters import HyperParameters
+    from generation.mini import TownSettings
+
+    return {
+        "weights": {name: file_sha256(each.packaged) for name, each in MINIATURES.items() if each.packaged.is_file()},
+        "town": TownSettings().folder_name("mini"),
+        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint],
+        "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
+        "protocols": {name: definition.version for name, definition in PROTOCOLS.items()},
+    }
 
 
 @app.command("doctor")
@@ -617,18 +783,21 @@ def data_stats_command(
 def data_show_command(
     root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")],
     to: Annotated[Path, typer.Option(help="Folder for the pictures.")],
+    conditions: Annotated[bool, typer.Option("--conditions", help="Draw what MagicDriveDiT would be told.")] = False,
     tables: TablesOption = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     workers: WorkersOption = 0,
 ) -> None:
     """Draw each scene: from above over time, and the camera that sees the adversary best."""
+    from generation.magicdrive.condition_pictures import write_condition_pictures
     from generation.pictures import write_pictures
     from generation.schematic import SchematicRenderer
 
     dataset = _open_source(root, tables, workers)
     names = (name_list(scenes) or dataset.scene_names(None))[:limit]
-    written = write_pictures(dataset, names, to, SchematicRenderer())
+    write = write_condition_pictures if conditions else write_pictures
+    written = write(dataset, names, to, SchematicRenderer())
     typer.echo(f"{len(written)} pictures in {to}")
 
 
@@ -658,8 +827,8 @@ def data_import_command(
     form: Annotated[str, typer.Argument(help="Form of the recordings: scenarionet.")],
     source: Annotated[Path, typer.Argument(help="A file or a folder of recordings.")],
     out: Annotated[Path, typer.Option("--out", help="Root of the data set to write.")],
-    renderer: Annotated[RendererName, typer.Option(help="Who draws the images (these recordings have none).")] = (
-        RendererName.SCHEMATIC
+    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images (these recordings have none).")] = (
+        QuickRendererName.SCHEMATIC
     ),
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
@@ -672,7 +841,7 @@ def data_import_command(
     if form != "scenarionet":
         raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
     width, height = image_size(size)
-    settings = ImportSettings(width, height, frames.value, images=renderer is not RendererName.NONE)
+    settings = ImportSettings(width, height, frames.value, images=renderer is not QuickRendererName.NONE)
     names = import_scenarionet(source, out, settings, workers=worker_count(workers))
     if json_output:
         print_json({"root": str(out), "scenes": names})
@@ -687,7 +856,7 @@ def data_build_command(
     train_scenes: Annotated[int, typer.Option(help="Training scenes.")] = 0,
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
-    renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
+    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
 ) -> None:
@@ -696,7 +865,7 @@ def data_build_command(
     from generation.mini import TownSettings, build_town
 
     width, height = image_size(size)
-    images = renderer is not RendererName.NONE
+    images = renderer is not QuickRendererName.NONE
     settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images)
     target = root or cache_root() / settings.folder_name(EMBEDDED)
     typer.echo(str(build_town(target, settings, workers=worker_count(workers))))
@@ -724,6 +893,32 @@ def train_denoiser_command(
     typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
 
 
+@train_app.command("planner")
+def train_planner_command(
+    model: Annotated[str, typer.Option("--model", help="A miniature (uniad-mini, ...) or image-encoder.")],
+    data: Annotated[Path, typer.Option(help="Root of a data set in nuScenes format.")],
+    out: Annotated[Path, typer.Option(help="Weights file to write; log, progress and card lie beside it.")],
+    split: SplitOption = "train",
+    steps: Annotated[int | None, typer.Option(help="Steps of all parts together, instead of the usual.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Instead of the usual.")] = None,
+    image_encoder: Annotated[Path | None, typer.Option(help="Weights of train planner --model image-encoder.")] = None,
+    start_from: Annotated[
+        Path | None, typer.Option(help="Weights to start from, where names and shapes agree.")
+    ] = None,
+    judged_on: Annotated[Path | None, typer.Option(help="Data set whose split val gives the scores.")] = None,
+    seed: SeedOption = 0,
+    device: DeviceOption = "auto",
+    workers: WorkersOption = 0,
+) -> None:
+    """Train a miniature of a native model on a data set; the same command resumes."""
+    from adapters.training.planners import PlannerTraining, train_planner
+
+    processes, start = worker_count(workers), (image_encoder, start_from, judged_on)
+    print_json(
+        train_planner(PlannerTraining(model, data, split, out, steps, seed, learning_rate, *start, device, processes))
+    )
+
+
 @train_app.command("ego-status")
 def train_ego_status_command(
     tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
@@ -741,28 +936,34 @@ def weights_list_command(json_output: JsonOption = False) -> None:
     """Official files, where to get them, and what has been imported."""
     from adapters.checkpoints.cache import weights_folder
     from adapters.checkpoints.listing import known_weights
+    from benchmark.hub_weights import known_hub_weights
 
-    found = known_weights(weights_folder())
+    official, published = known_weights(weights_folder()), known_hub_weights(_hub_weights())
     if json_output:
-        print_json([entry.as_json() for entry in found])
+        print_json([*(entry.as_json() for entry in official), *(entry.as_json() for entry in published)])
         return
-    for entry in found:
-        typer.echo(entry.plain())
+    for text in (*(entry.plain() for entry in official), *(entry.plain() for entry in published)):
+        typer.echo(text)
 
 
 @weights_app.command("import")
 def weights_import_command(
-    path: Annotated[Path, typer.Argument(help="An official .pth file.")],
-    model: Annotated[str | None, typer.Option(help="The model it must be for; found out if not given.")] = None,
+    path: Annotated[Path, typer.Argument(help="An official .pth file, or a folder of published weights.")],
+    model: Annotated[str | None, typer.Option(help="What it must be for; found out if not given.")] = None,
     normalisation: NormalisationOption = None,
     anchors: Annotated[
-        Path | None, typer.Option(help="Of weights anchors, for weights that come without them.")
+        Path | None, typer.Option(help="Of weights anchors, or UniAD's .pkl, for weights that come without.")
     ] = None,
     json_output: JsonOption = False,
 ) -> None:
     """Check an official checkpoint without running anything in it, and keep its weights."""
     from adapters.checkpoints.importing import import_checkpoint
+    from benchmark.hub_weights import hub_weights_at, import_folder
 
+    published = hub_weights_at(_hub_weights(), path, model)
+    if published is not None:
+        _tell_kept(published, import_folder(published, path), json_output=json_output)
+        return
     found = import_checkpoint(path, model, normalisation=normalisation, anchors=anchors)
     _tell_imported(found, json_output=json_output)
 
@@ -773,11 +974,16 @@ def weights_fetch_command(
     normalisation: NormalisationOption = None,
     json_output: JsonOption = False,
 ) -> None:
-    """Fetch an official file from the internet and import it."""
+    """Fetch an official file, or a folder of published weights, from the internet and import it."""
     from adapters.checkpoints.cache import weights_folder
     from adapters.checkpoints.fetching import fetch_official
     from adapters.checkpoints.official import official_file
+    from benchmark.hub_weights import fetch
 
+    published = next((entry for entry in _hub_weights() if entry.name == name), None)
+    if published is not None:
+        _tell_kept(published, fetch(published), json_output=json_output)
+        return
     found = fetch_official(official_file(name), weights_folder(), normalisation=normalisation)
     _tell_imported(found, json_output=json_output)
 
@@ -802,6 +1008,21 @@ def weights_anchors_command(
         return
     counts = ", ".join(f"{count} {what}" for what, count in made["sightings"].items())
     typer.echo(f"{made['path']}: anchors of {model} from {counts}")
+
+
+def _hub_weights() -> "tuple[HubWeights, ...]":
+    """Published weights that are kept as folders, of every command that uses such."""
+    from benchmark.quality.weights import QUALITY_WEIGHTS
+    from generation.magicdrive.weights import MAGICDRIVE_WEIGHTS
+
+    return (*MAGICDRIVE_WEIGHTS, *QUALITY_WEIGHTS)
+
+
+def _tell_kept(weights: "HubWeights", folder: Path, *, json_output: bool) -> None:
+    if json_output:
+        print_json({"model": weights.name, "path": str(folder)})
+    else:
+        typer.echo(f"{folder}: {weights.name}, for {weights.used_by}")
 
 
 def _tell_imported(found: "ImportedWeights", *, json_output: bool) -> None:
@@ -960,7 +1181,7 @@ def _prior(preset: Preset, weights: Path | None, device: str, calls: int | None,
 
 
 def _planner_under_test(
-    name: str | None, checkpoint: Path | None, seed: int, workers: int
+    name: str | None, checkpoint: Path | None, data: str, seed: int, workers: int
 ) -> "PlannerUnderTest | None":
     """A planner that decides about generated scenes."""
     from adapters.registry import BLIND, planner_factory
@@ -970,8 +1191,18 @@ def _planner_under_test(
         if checkpoint is not None:
             raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
         return None
-    factory = planner_factory(name, checkpoint=checkpoint, seed=seed)
+    factory = planner_factory(_model_on(data, name, checkpoint), checkpoint=checkpoint, seed=seed)
     return PlannerUnderTest(factory, images=name not in BLIND, workers=worker_count(workers))
+
+
+def _model_on(data: str, name: str, checkpoint: Path | None) -> str:
+    """The model that runs: on the embedded data a miniature, where the full one has no weights."""
+    from adapters.miniatures import stand_in
+
+    chosen = stand_in(name, checkpoint, data)
+    if chosen != name:
+        typer.echo(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)", err=True)
+    return chosen
 
 
 def _renderer(name: RendererName, size: str) -> Any:

@@ -28,10 +28,41 @@ class Layout(StrEnum):
 
 
 class RendererName(StrEnum):
-    """Who draws the images."""
+    """Who draws the images of a split."""
+
+    SCHEMATIC = "schematic"
+    MAGICDRIVE = "magicdrive"
+    NONE = "none"
+
+
+class QuickRendererName(StrEnum):
+    """Who draws the images of recordings that have none."""
 
     SCHEMATIC = "schematic"
     NONE = "none"
+
+
+class DrawnSize(StrEnum):
+    """What the photorealistic renderer draws, height and width."""
+
+    SMALL = "224x400"
+    LARGE = "424x800"
+
+
+class WrittenSize(StrEnum):
+    """What the photorealistic renderer writes."""
+
+    MODEL = "model"
+    CAMERA = "1600x900"
+
+
+class AskedLook(StrEnum):
+    """Light and weather that the photorealistic renderer is asked for."""
+
+    RECORDED = "recorded"
+    DAYTIME = "daytime"
+    RAINY = "rainy"
+    NIGHT = "night"
 
 
 class Verifiable(StrEnum):
@@ -102,7 +133,27 @@ ExecutorOption = Annotated[
     ExecutorName, typer.Option("--executor", help="This machine's processes, or an existing Ray cluster.")
 ]
 AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT of the Ray cluster, or auto.")]
+WeightsFolderOption = Annotated[
+    Path | None, typer.Option("--weights-folder", help="Folder that holds published weights, if not the cache.")
+]
 SizeOption = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
+DrawnSizeOption = Annotated[
+    DrawnSize, typer.Option("--render-size", help="magicdrive: what the network draws, HEIGHTxWIDTH.")
+]
+WrittenSizeOption = Annotated[
+    WrittenSize, typer.Option("--image-size", help="magicdrive: what is written, the network's size or the camera's.")
+]
+AskedLookOption = Annotated[
+    AskedLook, typer.Option("--prompt-look", help="magicdrive: light and weather, if not those of the recording.")
+]
+RenderDeviceOption = Annotated[
+    str, typer.Option("--render-device", help="magicdrive: auto, cpu, cuda (all GPUs, a worker on each), cuda:1.")
+]
+SpeedOption = Annotated[
+    float | None,
+    typer.Option("--tflops", min=1e-3, help="magicdrive: the device's speed for estimates, if not to be measured."),
+]
+LosslessOption = Annotated[bool, typer.Option("--lossless", help="Keep a PNG file beside each JPEG file.")]
 FramesOption = Annotated[Frames, typer.Option("--frames", help="Images at all 12 Hz frames or at 2 Hz keyframes.")]
 
 

@@ -35,7 +35,7 @@ _PACKAGES: Final = ("adapters", "benchmark", "generation", "leaderboard")
 
 @dataclass(frozen=True, slots=True)
 class RayCluster:
-    """The processors of a Ray cluster, one unit on each.
+    """The processors of a Ray cluster, one unit on each; or its GPUs.
 
     The command runs on one of the nodes. All nodes have the same version of this project installed and see data and
     output at the same paths.
@@ -44,10 +44,12 @@ class RayCluster:
         address: HOST:PORT of the head, ``auto`` for the cluster of this machine, ``ray://HOST:PORT`` for a Ray client,
             or ``None`` to start Ray on this machine.
         retries: How often a unit is given to another worker when its own is lost; its own errors are not tried again.
+        gpus: GPUs of a unit, which sees no others; 0 for units that need none.
     """
 
     address: str | None = "auto"
     retries: int = 3
+    gpus: int = 0
 
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
@@ -65,7 +67,7 @@ class RayCluster:
     def _results(
         self, ray: Any, function: Callable[[Item], Result], items: Iterable[Item], label: str
     ) -> Iterator[Result]:
-        unit = ray.remote(num_cpus=1, max_retries=self.retries)(_unit)
+        unit = ray.remote(num_cpus=1, num_gpus=self.gpus, max_retries=self.retries)(_unit)
         shared, expected = ray.put(function), _code_fingerprint()
         running: set[Any] = set()
 
@@ -77,7 +79,7 @@ class RayCluster:
             return future
 
         try:
-            yield from results_in_order(submit, items, _processors(ray, self.address))
+            yield from results_in_order(submit, items, _places(ray, self.address, self.gpus))
         except ray.exceptions.RayTaskError as error:
             raise error.cause from error
         except ray.exceptions.RayError as error:
@@ -126,7 +128,7 @@ def _joined(address: str | None) -> Iterator[Any]:
         return
     # A benchmark does not report to anybody that it is used.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Commands never ask for accelerators; Ray announces a change of what that means with a warning.
+    # Ray announces with a warning that it will change what it means to ask for no accelerators.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     where: dict[str, Any] = {"address": "local", "include_dashboard": False}
     if address is None:
@@ -186,13 +188,17 @@ def _speaks_http2(connection: socket.socket) -> bool:
     return len(frame) == 9 and frame[3] == _HTTP2_SETTINGS
 
 
-def _processors(ray: Any, address: str | None) -> int:
-    count = int(ray.cluster_resources().get("CPU", 0))
-    if count < 1:
-        raise InputError(
-            f"the Ray cluster at {address} has no processors to work on; add a node with ray start --address=HOST:PORT"
-        )
-    return count
+def _places(ray: Any, address: str | None, gpus: int) -> int:
+    """How many units can work at the same time."""
+    there = ray.cluster_resources()
+    for resource, each, what in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):
+        if there.get(resource, 0) < each:
+            raise InputError(
+                f"the Ray cluster at {address} has no {what} to work on; add a node that has some with ray start "
+                "--address=HOST:PORT"
+            )
+    processors = int(there["CPU"])
+    return min(processors, int(there["GPU"]) // gpus) if gpus else processors
 
 
 def _first_line(error: BaseException) -> str:

@@ -75,6 +75,7 @@ class RoadMap:
         intersections: Identifiers in ``road_segments``.
         stop_lines: Stop areas by identifier.
         carparks: Parking surfaces by identifier.
+        road_blocks: Road surfaces of one driving direction by identifier (nuScenes ``road_block``).
         canvas_m: Width and height of the whole map.
     """
 
@@ -88,6 +89,7 @@ class RoadMap:
     intersections: frozenset[str] = frozenset()
     stop_lines: dict[str, Polygon] = field(default_factory=dict)
     carparks: dict[str, Polygon] = field(default_factory=dict)
+    road_blocks: dict[str, Polygon] = field(default_factory=dict)
     canvas_m: tuple[float, float] = (0.0, 0.0)
 
     def is_drivable(self, points: Floats) -> Bools:
@@ -134,6 +136,7 @@ class RoadMap:
             intersections=self.intersections & frozenset(road_segments),
             stop_lines=keep(self.stop_lines),
             carparks=keep(self.carparks),
+            road_blocks=keep(self.road_blocks),
         )
 
 

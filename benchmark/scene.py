@@ -103,6 +103,22 @@ class EgoTrack:
 
 
 @dataclass(frozen=True, slots=True)
+class SweepPoses:
+    """Where each sensor really was, for sources whose sensors have clocks of their own.
+
+    Frame k after a keyframe holds the k-th sweep of that sensor. nuScenes' lidar turns at 20 Hz, so its five sweeps
+    lie in the first half of the time to the next keyframe, while the frames of `Scene` are spread evenly.
+
+    Attributes:
+        lidar: (T, 4, 4) lidar frame to global frame.
+        cameras: (C, T, 4, 4) camera axes to global frame, in the order of ``Scene.cameras``.
+    """
+
+    lidar: Floats
+    cameras: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class Agents:
     """Everything that is annotated, at every frame.
 
@@ -177,6 +193,7 @@ class Scene:
         lidar: Lidar mount.
         road_map: Map, possibly cropped to the scene's surroundings.
         adversaries: Instance identifiers of generated adversaries.
+        sweep_poses: Poses of the single sensors; ``None`` where all sensors share the ego pose of the frame.
     """
 
     name: str
@@ -194,6 +211,7 @@ class Scene:
     lidar: LidarMount
     road_map: RoadMap
     adversaries: tuple[str, ...] = ()
+    sweep_poses: SweepPoses | None = None
 
     @property
     def look(self) -> Look:

@@ -17,9 +17,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from multiprocessing.sharedctypes import Synchronized
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -35,6 +38,8 @@ _OPENBLAS_SETTERS: Final = (
     "openblas_set_num_threads",
 )
 """What the function is called in the builds of OpenBLAS that come with numpy."""
+
+_number = 0
 
 
 class Executor(Protocol):
@@ -110,7 +115,8 @@ class LocalProcesses:
         workers, before = min(self.workers, total), set(multiprocessing.active_children())
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([*_SLOW_TO_IMPORT, *_module_of(function)])
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker) as pool:
+        begun = context.Value("i", 0)
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool:
             results = results_in_order(lambda item: pool.submit(function, item), items, workers)
             try:
                 yield from progress(results, total=total, label=label)
@@ -189,9 +195,18 @@ def _module_of(function: Callable[..., Any]) -> tuple[str, ...]:
     return () if module == "__main__" else (module,)
 
 
-def _begin_worker() -> None:
+def worker_number() -> int:
+    """Number of this process among the workers of a command: 0, 1, ...; 0 where the command itself works."""
+    return _number
+
+
+def _begin_worker(begun: "Synchronized[int]") -> None:
+    global _number
     # A terminal interrupts all processes of a command at once; the first of them answers for all.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with begun.get_lock():
+        _number = begun.value
+        begun.value += 1
     threading.Thread(target=_end_with_parent, daemon=True).start()
     single_threaded()
 

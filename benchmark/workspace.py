@@ -40,6 +40,14 @@ class Workspace:
         """Folder of all run records."""
         return self.out / "runs"
 
+    def quality_root(self) -> Path:
+        """Folder of all records of video quality."""
+        return self.out / "quality"
+
+    def rendering_root(self) -> Path:
+        """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
+        return self.out / "rendering"
+
     def open_split(self, source: DataSet, split: str, *, build: Callable[[], None] | None = None) -> DataSet:
         """The data set that holds a split of a source.
 

@@ -53,6 +53,7 @@ class BuildSettings:
         limit: Use only this many source scenes.
         seed: Seed of the choice of vehicles and of the search.
         executor: Where the work is done.
+        rendering: Where scenes are rendered, if elsewhere: GPUs are fewer than processors.
         together: Attempts that a worker plans side by side, which pays on an accelerator.
         hyper: Settings of the search.
         prior: Makes the diffusion model.
@@ -65,7 +66,7 @@ class BuildSettings:
         frames: Which frames get images and rows.
         version: Version folder that is written.
         jpeg_quality: 1 to 100.
-        lossless: PNG instead of JPEG.
+        lossless: Beside each JPEG file a PNG file of the same name.
         dry_run: Only count the work.
     """
 
@@ -75,6 +76,7 @@ class BuildSettings:
     limit: int | None = None
     seed: int = 0
     executor: Executor = field(default_factory=LocalProcesses)
+    rendering: Executor | None = None
     together: int = 1
     hyper: HyperParameters = field(default_factory=HyperParameters)
     prior: PriorFactory = field(default_factory=PackagedPrior)
@@ -94,6 +96,11 @@ class BuildSettings:
         for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
             if number is not None and number < 1:
                 raise InputError(f"--{option} must be at least 1, got {number}")
+
+    @property
+    def where_rendered(self) -> Executor:
+        """Where scenes are rendered."""
+        return self.rendering or self.executor
 
     @property
     def timing(self) -> Path:
@@ -184,7 +191,9 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
         expected = min(expected, settings.per_scene * len(names))
     if settings.total is not None:
         expected = min(expected, settings.total)
-    about = Estimate(count, each, expected, _rendering_seconds(source, names, settings), workers_of(settings.executor))
+    scene_s = _rendering_seconds(source, names, settings)
+    planners, renderers = workers_of(settings.executor), workers_of(settings.where_rendered)
+    about = Estimate(count, each, expected, scene_s, planners, renderers)
     return BuildReport(
         "adv",
         len(names),
@@ -228,7 +237,8 @@ def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSetti
     jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
     if settings.dry_run:
         each = _rendering_seconds(source, names, settings)
-        about = Estimate(0, 0.0, len(names), each, workers_of(settings.executor))
+        workers = workers_of(settings.where_rendered)
+        about = Estimate(0, 0.0, len(names), each, workers, workers)
         return BuildReport("val-r", len(names), estimate=about, dry_run=True)
     report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
     with only_writer(settings.out):
@@ -258,7 +268,7 @@ def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
 def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
     """Render, write and finish a data set; returns the notes on how long rendering took."""
     timing = settings.timing / "rendering"
-    keys = write_scenes(plan, jobs, source.scene, settings.executor, timing=timing)
+    keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
     finish_data_set(plan, keys)
     return [timing / f"{key}.timing.json" for key in keys]
 

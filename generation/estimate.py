@@ -21,7 +21,7 @@ from generation.candidates import initial_state, launch_frame
 from generation.physics import MotionModel, simulate
 from generation.profile import mean_seconds
 from generation.proposals import Mutation, Sampling
-from generation.rendering import Renderer
+from generation.rendering import LongRenderer, Renderer
 from generation.scoring import score_terms, surroundings
 
 KEPT_SHARE = 0.4
@@ -39,7 +39,8 @@ class Estimate:
         attempt_s: Processor seconds of one of them.
         scenes: Scenes to render, at most or expected.
         scene_s: Processor seconds of rendering one of them.
-        workers: Processes that share the work, ``None`` where it is not known.
+        workers: Processes that share the planning, ``None`` where it is not known.
+        renderers: The same for the rendering.
     """
 
     attempts: int
@@ -47,22 +48,27 @@ class Estimate:
     scenes: int
     scene_s: float
     workers: int | None
+    renderers: int | None
 
     def sentence(self) -> str:
         """For people."""
-        share = self.workers or 1
         parts = []
-        for what, count, each in (
-            ("planning", self.attempts, self.attempt_s),
-            ("rendering", self.scenes, self.scene_s),
+        for what, unit, count, each, workers in (
+            ("planning", "attempts", self.attempts, self.attempt_s, self.workers),
+            ("rendering", "scenes", self.scenes, self.scene_s, self.renderers),
         ):
-            unit = "attempts" if what == "planning" else "scenes"
             if count and each:
-                parts.append(f"{duration(count * each / share)} of {what} ({count} {unit} at {duration(each)})")
+                time_left = duration(count * each / (workers or 1))
+                parts.append((f"{time_left} of {what} ({count} {unit} at {duration(each)})", _on(workers)))
         if not parts:
             return "about no time"
-        on = "in all" if self.workers is None else f"on {self.workers} worker{'' if self.workers == 1 else 's'}"
-        return f"about {' and '.join(parts)} {on}"
+        if self.workers == self.renderers:
+            return f"about {' and '.join(part for part, _ in parts)} {parts[0][1]}"
+        return f"about {' and '.join(f'{part} {on}' for part, on in parts)}"
+
+
+def _on(workers: int | None) -> str:
+    return "in all" if workers is None else f"on {workers} worker{'' if workers == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:
@@ -140,7 +146,7 @@ def attempt_seconds(search: Search, scene: Scene, unit: Unit) -> float:
 def rendering_estimate(
     renderer: Renderer | None, scene: Scene, frames: Literal["all", "keyframes"], timing: Path
 ) -> float:
-    """Processor seconds of rendering one scene.
+    """Processor seconds of rendering one scene; of a renderer that takes long, what it says itself.
 
     Args:
         renderer: Draws the images; none take no time.
@@ -153,6 +159,8 @@ def rendering_estimate(
     """
     if renderer is None:
         return 0.0
+    if isinstance(renderer, LongRenderer):
+        return renderer.scene_seconds(scene)
     single_threaded()
     count = len(scene.timestamps_us) if frames == "all" else len(scene.keyframes)
     known = mean_seconds(sorted(timing.glob("*.timing.json"))[:100])

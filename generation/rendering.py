@@ -1,12 +1,12 @@
 """The contract of a renderer: a scene in, six images per frame out."""
 
-from collections.abc import Iterator, Sequence
-from typing import Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.scene import Camera, Scene
+from benchmark.scene import Camera, EgoTrack, Scene
 
 Images = dict[str, NDArray[np.uint8]]
 """(height, width, 3) uint8 RGB by camera name."""
@@ -36,3 +36,19 @@ class Renderer(Protocol):
         Yields:
             The images of each frame, in order.
         """
+
+
+@runtime_checkable
+class SweepRenderer(Renderer, Protocol):
+    """A renderer that looks from where each camera really was, where a recording says that (`Scene.sweep_poses`)."""
+
+    def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
+        """Ego motion by camera name, at the times of that camera; nothing for cameras that share the scene's."""
+
+
+@runtime_checkable
+class LongRenderer(Renderer, Protocol):
+    """A renderer that takes so long that nobody draws a few pictures to find out."""
+
+    def scene_seconds(self, scene: Scene) -> float:
+        """About how long a scene takes."""

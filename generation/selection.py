@@ -63,7 +63,7 @@ def select(source: DataSet, plan: DataSetPlan, found: Harvest, settings: "BuildS
         staging,
         jobs,
         source.scene,
-        settings.executor,
+        settings.where_rendered,
         timing=settings.timing / "rendering",
         label="rendering for the surrogate",
     )

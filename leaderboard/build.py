@@ -6,11 +6,14 @@ from pathlib import Path
 from urllib.parse import quote
 
 from benchmark.errors import InputError
+from benchmark.quality.records import QualityRecord
 from benchmark.records import RunRecord
 from benchmark.storage import file_name, write_bytes, writing_to
 from leaderboard.collision import published_table
 from leaderboard.contents import DataSetTables, data_set_tables
+from leaderboard.figures import NamedFigure, data_set_figures
 from leaderboard.heat_map import heat_map
+from leaderboard.quality_table import published_quality_table, quality_tables
 from leaderboard.selection import one_run_each
 from leaderboard.tables import Table, escape_markdown
 
@@ -18,7 +21,7 @@ Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
 TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
 """Hold one folder for each data set and nothing else, so that what is no longer made there can be told."""
-OURS = (".tex", ".csv", ".md", ".png")
+OURS = (".tex", ".csv", ".md", ".png", ".svg")
 
 
 def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
@@ -44,18 +47,21 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
     ]
 
 
-def leaderboard_files(records: Sequence[RunRecord]) -> Files:
+def leaderboard_files(records: Sequence[RunRecord], quality: Sequence[QualityRecord] = ()) -> Files:
     """The leaderboard's files.
 
     Args:
-        records: See `leaderboard_tables`.
+        records: See `leaderboard_tables`; none only if there are quality records.
+        quality: Records of video quality.
 
     Returns:
         ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX and CSV,
-        and per other protocol a page, below ``tables/<data set>/``; heat maps below ``figures/<data set>/``; the
+        and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG) below
+        ``figures/<data set>/``; the
         published numbers apart from ours below ``published/``.
     """
-    found, published = leaderboard_tables(records), published_table()
+    found = leaderboard_tables(records) if records or not quality else []
+    published = published_table()
     text: dict[str, str] = _table_files("published", [published])
     sections = ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
     sections += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
@@ -66,22 +72,28 @@ def leaderboard_files(records: Sequence[RunRecord]) -> Files:
         text |= {_page(folder, name): _page_text(data_set, name) for name in data_set.others}
         for name, matrix in data_set.matrices.items():
             files[_picture(folder, name)] = heat_map(matrix, ".png")
-        sections += _section(data_set, folder)
+        figures = data_set_figures(data_set.data_name, data_set.records)
+        for figure in figures:
+            files[_picture(folder, figure.name)] = figure.png
+            files[_picture(folder, figure.name, ".svg")] = figure.svg
+        sections += _section(data_set, figures, folder)
+    sections += _quality(quality, text)
     text["README.md"] = "\n".join([*sections, "## Published", "", published.markdown()])
     return files | {name: content.encode() for name, content in text.items()}
 
 
-def write_leaderboard(records: Sequence[RunRecord], folder: Path) -> list[Path]:
+def write_leaderboard(records: Sequence[RunRecord], folder: Path, quality: Sequence[QualityRecord] = ()) -> list[Path]:
     """Write the leaderboard; what an earlier one had and the records no longer give is removed.
 
     Args:
         records: See `leaderboard_tables`.
         folder: Where to.
+        quality: Records of video quality.
 
     Returns:
         The files written.
     """
-    files = leaderboard_files(records)
+    files = leaderboard_files(records, quality)
     for name, content in files.items():
         write_bytes(folder / name, content)
     for path in _left_over(files, folder):
@@ -90,17 +102,18 @@ def write_leaderboard(records: Sequence[RunRecord], folder: Path) -> list[Path]:
     return [folder / name for name in files]
 
 
-def stale_files(records: Sequence[RunRecord], folder: Path) -> list[str]:
+def stale_files(records: Sequence[RunRecord], folder: Path, quality: Sequence[QualityRecord] = ()) -> list[str]:
     """Files of a leaderboard that differ from what the records say.
 
     Args:
         records: See `leaderboard_tables`.
         folder: A leaderboard written earlier.
+        quality: Records of video quality.
 
     Returns:
         One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
     """
-    found, files = [], leaderboard_files(records)
+    found, files = [], leaderboard_files(records, quality)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
@@ -113,7 +126,7 @@ def stale_files(records: Sequence[RunRecord], folder: Path) -> list[str]:
     ]
 
 
-def _section(data_set: DataSetTables, folder: str) -> list[str]:
+def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: str) -> list[str]:
     """A data set in ``README.md``; what is said below one table is not said again below the next."""
     said: set[str] = set()
 
@@ -128,10 +141,25 @@ def _section(data_set: DataSetTables, folder: str) -> list[str]:
         lines.append(shown(table))
         if table.name in data_set.matrices:
             lines += [f"![{escape_markdown(table.title)}]({quote(_picture(folder, table.name))})", ""]
+    for figure in figures:
+        lines += [f"![{escape_markdown(figure.title)}]({quote(_picture(folder, figure.name))})", ""]
     if data_set.others:
         links = [f"[{escape_markdown(name)}]({quote(_page(folder, name))})" for name in data_set.others]
         lines += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
         lines += [shown(collision) for collision, *_ in data_set.others.values()]
+    return lines
+
+
+def _quality(records: Sequence[QualityRecord], text: dict[str, str]) -> list[str]:
+    """The section on video quality; its LaTeX and CSV files are added to ``text``."""
+    if not records:
+        return []
+    lines = ["## Video quality", ""]
+    for data_name in sorted({record.facts.data.name for record in records}):
+        tables = quality_tables([record for record in records if record.facts.data.name == data_name])
+        text |= _table_files(f"{TABLES_FOLDER}/{file_name(data_name)}", tables)
+        lines += [table.markdown() for table in tables]
+    text |= _table_files("published", [published_quality_table()])
     return lines
 
 
@@ -150,8 +178,8 @@ def _page(folder: str, protocol: str) -> str:
     return f"{TABLES_FOLDER}/{folder}/{file_name(protocol)}.md"
 
 
-def _picture(folder: str, table_name: str) -> str:
-    return f"{FIGURES_FOLDER}/{folder}/{file_name(table_name)}.png"
+def _picture(folder: str, name: str, suffix: str = ".png") -> str:
+    return f"{FIGURES_FOLDER}/{folder}/{file_name(name)}{suffix}"
 
 
 def _left_over(files: Files, folder: Path) -> list[Path]:

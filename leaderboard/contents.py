@@ -26,6 +26,7 @@ class DataSetTables:
         front: Under ``exact`` and under the planners' own protocols, then diagnosis and disagreement.
         others: Under each other protocol; the collision table comes first.
         matrices: Transfer matrices that get a picture, by the name of their table.
+        records: What they are made from.
         notes: Sentences on what records lack.
     """
 
@@ -33,6 +34,7 @@ class DataSetTables:
     front: tuple[Table, ...]
     others: dict[str, tuple[Table, ...]]
     matrices: dict[str, TransferMatrix]
+    records: tuple[RunRecord, ...]
     notes: tuple[str, ...]
 
     @property
@@ -74,7 +76,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         front += [table for table in disagreements if table.rows]
     others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
-    return DataSetTables(data_name, tables, others, matrices, _missing(records))
+    return DataSetTables(data_name, tables, others, matrices, tuple(records), _missing(records))
 
 
 def _tables_under(

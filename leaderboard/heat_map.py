@@ -1,14 +1,11 @@
 """The transfer matrix as a picture: who else fails (column) the scenes that a planner fails (row)."""
 
-import io
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -17,15 +14,13 @@ from benchmark.rates import Rate
 from benchmark.records import NATIVE
 from benchmark.storage import write_bytes
 from benchmark.transfer import TransferMatrix
+from leaderboard.drawing import FORMATS, drawable, new_figure, picture
 from leaderboard.tables import UNDEFINED
 from leaderboard.transfer import planner_names
 
-FORMATS: Final = (".png", ".svg")
 COLOURS: Final = "cividis"
 """Looks the same with and without colour-blindness, and its lightness alone tells the order."""
-NAME_CHARACTERS: Final = 36
-"""Longer names are cut."""
-_CELL_INCHES, _CHARACTER_INCHES, _CAPTION_INCHES, _DPI = 0.85, 0.09, 1.1, 120
+_CELL_INCHES, _CHARACTER_INCHES, _CAPTION_INCHES = 0.85, 0.09, 1.1
 _EMPTY, _HATCH = "#f2f2f2", "#9a9a9a"
 
 
@@ -55,19 +50,7 @@ def heat_map(matrix: TransferMatrix, suffix: str) -> bytes:
         Share and counts in every cell, and the victims' failure rates over all scenes below; cells without a number,
         and the diagonal, are hatched.
     """
-    # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
-    settings = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
-    settings.pop("backend", None)
-    stream = io.BytesIO()
-    with warnings.catch_warnings(), mpl.rc_context(settings):
-        # A name in a script that the font lacks is drawn as boxes.
-        warnings.filterwarnings("ignore", message="Glyph")
-        figure = _figure(matrix)
-        if suffix == ".png":
-            figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
-        else:
-            figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return stream.getvalue()
+    return picture(lambda: _figure(matrix), suffix)
 
 
 def text_colour(background: Sequence[float]) -> str:
@@ -93,7 +76,7 @@ def _figure(matrix: TransferMatrix) -> Figure:
     count = len(matrix.planners)
     # The last row stands apart: it is no surrogate.
     base_row = count + 0.4
-    names = [_shown(name) for name in planner_names(matrix)]
+    names = [drawable(name) for name in planner_names(matrix)]
     figure, axes = _canvas(count, base_row + 1.0, longest_name=max(len(name) for name in names))
     for row, cells in enumerate(matrix.cells):
         for column, rate in enumerate(cells):
@@ -109,9 +92,9 @@ def _figure(matrix: TransferMatrix) -> Figure:
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {_shown(matrix.protocol)}"
+    judge = "own protocols" if matrix.protocol == NATIVE else f"protocol {drawable(matrix.protocol)}"
     caption = (
-        f"Failures on {_shown(matrix.split)}, {judge}.\nRow: surrogate. Column: victim.\n"
+        f"Failures on {drawable(matrix.split)}, {judge}.\nRow: surrogate. Column: victim.\n"
         "Cell: share of the surrogate's failed\nscenes that the victim fails too.\nHatched: undefined."
     )
     figure.text(0.1 / figure.get_figwidth(), 0.995, caption, va="top", fontsize="small", parse_math=False)
@@ -124,8 +107,7 @@ def _canvas(columns: float, rows: float, *, longest_name: int) -> tuple[Figure, 
     left, above = max(0.25 + name, 1.1), max(0.3 + 0.66 * name, _CAPTION_INCHES)
     width, height = columns * _CELL_INCHES, rows * _CELL_INCHES
     size = (left + max(width + 0.78 * name, _CAPTION_INCHES), above + height + 0.1)
-    figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
+    figure = new_figure(*size)
     return figure, figure.add_axes((left / size[0], 0.1 / size[1], width / size[0], height / size[1]))
 
 
@@ -143,10 +125,3 @@ def _draw_cell(axes: Axes, column: float, row: float, rate: Rate | None) -> None
     style: dict[str, Any] = {"ha": "center", "color": text_colour(colour[:3])}
     axes.text(column, row + 0.02, f"{100 * rate.value:.0f} %", va="bottom", **style)
     axes.text(column, row + 0.06, f"{round(rate.numerator)}/{rate.denominator}", va="top", fontsize="small", **style)
-
-
-def _shown(name: str) -> str:
-    """A stranger's name on one line, cut, without characters that cannot be drawn or written into an SVG."""
-    text = "".join(character if character.isprintable() else " " for character in name)
-    text = " ".join(text.split())
-    return text if len(text) <= NAME_CHARACTERS else f"{text[: NAME_CHARACTERS - 1]}…"

@@ -14,6 +14,7 @@ ALLOWED = {
 }
 LEADERBOARD_MAY_READ = {
     "benchmark.records",
+    "benchmark.quality.records",
     "benchmark.rates",
     "benchmark.transfer",
     "benchmark.scores",

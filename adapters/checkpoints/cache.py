@@ -107,6 +107,26 @@ def read_provenance(path: Path) -> Provenance:
         raise InputError(f"cannot read weights from {path} ({error}); import or fetch them again") from error
 
 
+def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Shapes of the tensors in a weights file; the tensors are not read.
+
+    Args:
+        path: A .safetensors file.
+
+    Returns:
+        By name.
+
+    Raises:
+        InputError: If it is absent or broken.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as stream:
+            names = list(stream.keys())
+            return {name: tuple(stream.get_slice(name).get_shape()) for name in names}
+    except (OSError, safetensors.SafetensorError) as error:
+        raise InputError(f"cannot read weights from {path} ({error}); import or fetch them again") from error
+
+
 def load_weights(network: nn.Module, path: Path) -> Provenance:
     """Put weights into a network; all names and shapes must agree.
 

@@ -18,10 +18,11 @@ from adapters.checkpoints.cache import (
     write_weights,
 )
 from adapters.checkpoints.matching import matched
-from adapters.checkpoints.official import OFFICIAL_FILES
-from adapters.checkpoints.pickles import read_checkpoint
+from adapters.checkpoints.motion_anchors import anchors_beside, published_beside, with_motion_anchors
+from adapters.checkpoints.official import OFFICIAL_FILES, how_to_import
 from adapters.native_models import NativeModel, native_model
 from benchmark import __version__
+from benchmark.checkpoint_files import read_checkpoint
 from benchmark.errors import InputError
 from benchmark.storage import file_sha256
 
@@ -63,7 +64,8 @@ def import_checkpoint(
         cache: Folder of weights; the user's by default.
         normalisation: Name of the pixel normalisation that the weights want, or ``None``: what the training
             configuration in the file says, else what the published files want.
-        anchors: Anchors for weights that come without them (``weights anchors``).
+        anchors: Anchors for weights that come without them: of ``weights anchors``, or UniAD's published pickle. Where
+            that lies beside a checkpoint of UniAD, it need not be named.
 
     Returns:
         The weights file, which is the same for the same checkpoint.
@@ -75,7 +77,8 @@ def import_checkpoint(
     if model is not None:
         native_model(model)
     checkpoint = read_checkpoint(path)
-    found, tensors = matched(path, _with_anchors(checkpoint.tensors, anchors), model)
+    anchors = anchors or anchors_beside(path, checkpoint.tensors)
+    found, tensors = matched(path, _with_anchors(path, checkpoint.tensors, anchors), model)
     wanted, said_by = _normalisation(path, checkpoint.configuration, found, normalisation)
     digest = file_sha256(path)
     official = next((file for file in OFFICIAL_FILES if file.model == found.name), None)
@@ -125,12 +128,18 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
         return checkpoint
     digest = file_sha256(checkpoint)
     known = {path: found for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest}
+    beside = published_beside(checkpoint) if native_model(model).anchors else None
+    if beside is not None:
+        those = (None, file_sha256(beside))
+        known = {path: found for path, found in known.items() if found.anchors_sha256 in those}
     return _only(model, known) if known else import_checkpoint(checkpoint, model, folder).path
 
 
-def _with_anchors(tensors: Mapping[str, Tensor], anchors: Path | None) -> Mapping[str, Tensor]:
+def _with_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path | None) -> Mapping[str, Tensor]:
     if anchors is None:
         return tensors
+    if anchors.suffix != ".safetensors":
+        return with_motion_anchors(path, tensors, anchors)
     # Here, because these modules import this one.
     from adapters.sparse.anchor_files import read_anchors
     from adapters.sparse.anchors import with_anchors
@@ -141,7 +150,7 @@ def _with_anchors(tensors: Mapping[str, Tensor], anchors: Path | None) -> Mappin
 def _imported(model: str, folder: Path) -> Path:
     known = cached_weights(folder, model)
     if not known:
-        raise InputError(f"there are no weights for {model}; {_what_to_get(model)}")
+        raise InputError(f"there are no weights for {model}; {_what_to_get(model)}{_miniature_of(model)}")
     return _only(model, known)
 
 
@@ -156,10 +165,16 @@ def _what_to_get(model: str) -> str:
     official = next((file for file in OFFICIAL_FILES if file.model == model), None)
     if official is None:
         return "give a file with --checkpoint"
-    return (
-        f"get {official.name} from {official.page} (or run: challenger-bench weights fetch {model}), then run: "
-        f"challenger-bench weights import {official.name}"
-    )
+    files = " and ".join(f"{file.name} from {file.page}" for file in (official, *official.companions))
+    return f"get {files} (or run: challenger-bench weights fetch {model}), then run: {how_to_import(official)}"
+
+
+def _miniature_of(model: str) -> str:
+    # Here, because it imports this package.
+    from adapters.miniatures import MINIATURES
+
+    small = next((each.name for each in MINIATURES.values() if model in each.stands_for), None)
+    return "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
 
 
 def _normalisation(path: Path, configuration: str, model: NativeModel, asked: str | None) -> tuple[str, str]:

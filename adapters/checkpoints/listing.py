@@ -31,6 +31,7 @@ class KnownWeights:
             "licence": official.licence,
             "size_bytes": official.size_bytes,
             "sha256": official.sha256,
+            "with": [{"file": file.name, "page": file.page, "url": file.url} for file in official.companions],
             "imported": [
                 {"path": str(path), **provenance.model_dump(mode="json")} for path, provenance in self.imported.items()
             ],
@@ -42,6 +43,7 @@ class KnownWeights:
         size = "size unknown" if official.size_bytes is None else f"{official.size_bytes / 1e6:.0f} MB"
         digest = "SHA-256 unknown" if official.sha256 is None else f"SHA-256 {official.sha256}"
         lines = [f"{official.model}: {official.name}, {size}, {digest}", f"  {official.page}", f"  {official.licence}"]
+        lines += [f"  needs {file.name}: {file.page}" for file in official.companions]
         lines += [
             f"  imported from {found.source} ({found.source_sha256[:16]}), {found.normalisation}: {path}"
             for path, found in self.imported.items()

@@ -2,13 +2,14 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
 import torch
 from torch import Tensor
 
+from adapters.checkpoints.motion_anchors import FILE as ANCHORS_FILE
 from adapters.native_models import NATIVE_MODELS, NativeModel
 from benchmark.errors import InputError
 
@@ -44,7 +45,7 @@ class Comparison:
         Returns:
             The differences.
         """
-        expected = model.expected()
+        expected = model.expected({name: tuple(tensor.shape) for name, tensor in tensors.items()})
         shared = [name for name in expected if name in tensors]
         misshapen = [name for name in shared if tensors[name].shape != expected[name].shape]
         mistyped = [name for name in shared if tensors[name].is_floating_point() != expected[name].is_floating_point()]
@@ -63,6 +64,11 @@ class Comparison:
     def fits(self) -> bool:
         """Whether these are weights of the model."""
         return not (self.missing or self.extra or self.misshapen or self.mistyped)
+
+    @property
+    def lacks_anchors(self) -> bool:
+        """Whether nothing is wrong but that the anchors are in a file of their own."""
+        return replace(self, missing=()).fits and self.missing == (self.model.anchors,)
 
     def differences(self) -> str:
         """All kinds of differences in words, with the first example of each."""
@@ -114,7 +120,8 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
         raise InputError(_does_not_fit(path, compared, wanted))
     model = fitting[0].model
     found = renamed(tensors, model)
-    converted = {name: found[name].to(like.dtype).contiguous() for name, like in model.expected().items()}
+    expected = model.expected({name: tuple(tensor.shape) for name, tensor in found.items()})
+    converted = {name: found[name].to(like.dtype).contiguous() for name, like in expected.items()}
     broken = [name for name, tensor in converted.items() if not bool(torch.isfinite(tensor).all())]
     if broken:
         raise InputError(
@@ -128,6 +135,13 @@ def _does_not_fit(path: Path, compared: Sequence[Comparison], wanted: str | None
     other = next((found.model.name for found in compared if found.fits), None)
     if other is not None:
         return f"{path} holds the weights of {other}, not of {wanted}; use it with --model {other}"
+    bare = next((found for found in compared if found.lacks_anchors and wanted in (None, found.model.name)), None)
+    if bare is not None:
+        return (
+            f"{path} comes without motion anchors, which {bare.model.name} has in a file of its own; get it "
+            f"(challenger-bench weights list), then run: challenger-bench weights import {path.name} "
+            f"--anchors {ANCHORS_FILE}"
+        )
     by_name = {found.model.name: found for found in compared}
     nearest = by_name[wanted] if wanted else max(compared, key=lambda found: found.agreeing)
     if not nearest.agreeing:

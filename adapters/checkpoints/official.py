@@ -20,6 +20,7 @@ class OfficialFile:
         licence: Of the weights, as far as their authors say.
         size_bytes: Size.
         sha256: Hash of the whole file.
+        companions: Files that the weights are of no use without.
     """
 
     name: str
@@ -29,6 +30,7 @@ class OfficialFile:
     licence: str
     size_bytes: int | None = None
     sha256: str | None = None
+    companions: tuple["OfficialFile", ...] = ()
 
 
 def _google_drive(name: str, model: str, identifier: str, licence: str) -> OfficialFile:
@@ -41,11 +43,12 @@ def _google_drive(name: str, model: str, identifier: str, licence: str) -> Offic
     )
 
 
-_VAD_LICENCE: Final = f"not stated for the weights; code Apache-2.0; {_NUSCENES}"
+_APACHE_LICENCE: Final = f"not stated for the weights; code Apache-2.0; {_NUSCENES}"
 _SPARSE_LICENCE: Final = f"not stated for the weights; code MIT; {_NUSCENES}"
+_UNIAD_RELEASES: Final = "https://github.com/OpenDriveLab/UniAD/releases"
 OFFICIAL_FILES: Final = (
-    _google_drive("VAD_tiny.pth", "vad-tiny", "1KgCC_wFqPH0CQqdr6Pp2smBX5ARPaqne", _VAD_LICENCE),
-    _google_drive("VAD_base.pth", "vad-base", "1FLX-4LVm4z-RskghFbxGuYlcYOQmV5bS", _VAD_LICENCE),
+    _google_drive("VAD_tiny.pth", "vad-tiny", "1KgCC_wFqPH0CQqdr6Pp2smBX5ARPaqne", _APACHE_LICENCE),
+    _google_drive("VAD_base.pth", "vad-base", "1FLX-4LVm4z-RskghFbxGuYlcYOQmV5bS", _APACHE_LICENCE),
     OfficialFile(
         name="sparsedrive_stage2.pth",
         model="sparsedrive",
@@ -59,6 +62,22 @@ OFFICIAL_FILES: Final = (
         url="https://huggingface.co/hustvl/DiffusionDrive/resolve/main/diffusiondrive_nusc_stage2.pth",
         page="https://huggingface.co/hustvl/DiffusionDrive/tree/main",
         licence=_SPARSE_LICENCE,
+    ),
+    OfficialFile(
+        name="uniad_base_e2e.pth",
+        model="uniad",
+        url=f"{_UNIAD_RELEASES}/download/v1.0.1/uniad_base_e2e.pth",
+        page=f"{_UNIAD_RELEASES}/tag/v1.0.1",
+        licence=_APACHE_LICENCE,
+        companions=(
+            OfficialFile(
+                name="motion_anchor_infos_mode6.pkl",
+                model="uniad",
+                url=f"{_UNIAD_RELEASES}/download/v1.0/motion_anchor_infos_mode6.pkl",
+                page=f"{_UNIAD_RELEASES}/tag/v1.0",
+                licence=_APACHE_LICENCE,
+            ),
+        ),
     ),
 )
 
@@ -80,3 +99,9 @@ def official_file(name: str) -> OfficialFile:
         known = ", ".join(f"{file.model} ({file.name})" for file in OFFICIAL_FILES)
         raise InputError(f"there is no official weights file {name!r}; known are {known}")
     return found
+
+
+def how_to_import(file: OfficialFile) -> str:
+    """The command that imports a file which a person fetched, with the anchors that it may need."""
+    options = "".join(f" --anchors {companion.name}" for companion in file.companions)
+    return f"challenger-bench weights import {file.name}{options}"

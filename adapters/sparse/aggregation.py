@@ -66,7 +66,11 @@ class CameraFeatures:
 
 
 def deformable_aggregation(
-    values: Tensor, shapes: Sequence[tuple[int, int]], locations: Tensor, weights: Tensor
+    values: Tensor,
+    shapes: Sequence[tuple[int, int]],
+    locations: Tensor,
+    weights: Tensor,
+    first_camera: Tensor | None = None,
 ) -> Tensor:
     """Sum of weighted bilinear samples over points, cameras and levels.
 
@@ -77,25 +81,27 @@ def deformable_aggregation(
         shapes: Rows and columns of the L levels.
         locations: (N, cameras, P, 2) x, y where 0 to 1 spans the image, both ends excluded.
         weights: (N, cameras, L, P, G) for G groups of neighbouring channels.
+        first_camera: (N,) which of `values` is a query's first camera, where they are of several key frames.
 
     Returns:
         (N, C), in the type of `values`.
     """
     queries, groups = len(locations), weights.shape[-1]
-    cameras, cells, channels = values.shape
+    sources, cells, channels = values.shape
     inside = ((locations > 0) & (locations < 1)).all(-1)
     query, camera, point = inside.nonzero().unbind(-1)
     if len(query) == 0:
         return values.new_zeros(queries, channels)
     x, y = locations[query, camera, point].unbind(-1)
     rows, shares = _neighbours(shapes, x, y)
-    rows = rows + (camera * cells).to(rows.dtype)[:, None, None]
+    source = camera if first_camera is None else camera + first_camera[query]
+    rows = rows + (source * cells).to(rows.dtype)[:, None, None]
     hit_weights = weights[query, camera, :, point].float().transpose(1, 2)
     group = torch.arange(groups, device=rows.device, dtype=rows.dtype)
     table_rows = rows[:, None] * groups + group[:, None, None]
     sampled = F.embedding_bag(
         table_rows.flatten(0, 1).flatten(1),
-        values.reshape(cameras * cells * groups, channels // groups),
+        values.reshape(sources * cells * groups, channels // groups),
         per_sample_weights=(shares[:, None] * hit_weights[..., None]).flatten(0, 1).flatten(1).to(values.dtype),
         mode="sum",
     )

@@ -1,10 +1,12 @@
 """Sizes of the sparse networks: the published ones, and any other for tests and miniatures."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self
 
 STRIDE = 32
 """Pixels of a cell of the coarsest feature map."""
+STAGES = 4
+"""Of the image network; the last has the coarsest features."""
 
 
 def image_length_fits(pixels: int) -> bool:
@@ -22,8 +24,10 @@ class SparseConfig:
     Attributes:
         image_height_px: Of the input images, one of `image_length_fits`.
         image_width_px: Of the input images, one of `image_length_fits`.
+        image_resize: How images are brought to that size; see `adapters.camera_inputs.ImageFormat`.
         backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 6, 3) is ResNet-50.
         backbone_width: Channels after its first convolution; 64 in ResNet-50.
+        finest_stage: Of the image network, the first that is read; 0 has a cell for 4 x 4 pixels, 1 for 8 x 8.
         cameras: Cameras, in the order of the specification, the front one first.
         channels: Width of all tokens; a multiple of `heads` and of 8.
         heads: Attention heads, and groups of channels that are sampled from images together.
@@ -49,14 +53,18 @@ class SparseConfig:
         commands: Driving commands.
         reported_boxes: Boxes that are reported.
         reported_lines: Map elements that are reported.
+        speed_from_poses: Whether the planner reads how fast the ego drives from where it was in the frame before; the
+            published ones take what they said about it themselves then, and need a long training to know it.
         memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
             models: there time alone decides how much of it is used, and a stale memory is still attended to once.
     """
 
     image_height_px: int = 256
     image_width_px: int = 704
+    image_resize: Literal["linear", "bicubic"] = "bicubic"
     backbone_blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
     backbone_width: int = 64
+    finest_stage: int = 0
     cameras: int = 6
     channels: int = 256
     heads: int = 8
@@ -82,11 +90,17 @@ class SparseConfig:
     commands: int = 3
     reported_boxes: int = 300
     reported_lines: int = 100
+    speed_from_poses: bool = False
     memory_crosses_scenes: bool = True
 
     def __post_init__(self) -> None:
         if not (image_length_fits(self.image_height_px) and image_length_fits(self.image_width_px)):
             raise ValueError(f"the networks have no images of {self.image_width_px} x {self.image_height_px} pixels")
+
+    @property
+    def levels(self) -> int:
+        """Feature maps that are read."""
+        return STAGES - self.finest_stage
 
     @classmethod
     def sparsedrive(cls) -> Self:
@@ -102,3 +116,35 @@ class SparseConfig:
     def diffusiondrive(cls) -> Self:
         """DiffusionDrive for nuScenes, which keeps the sizes of SparseDrive-S."""
         return cls()
+
+    @classmethod
+    def miniature(cls) -> Self:
+        """Both planners, small enough to learn the mini town on a processor core in an hour."""
+        return cls(
+            image_height_px=128,
+            image_width_px=224,
+            image_resize="linear",
+            backbone_blocks=(1, 1, 1, 1),
+            backbone_width=16,
+            finest_stage=1,
+            channels=64,
+            heads=2,
+            hidden_channels=128,
+            planner_hidden_channels=128,
+            stages=3,
+            anchors=72,
+            remembered_anchors=36,
+            lines=16,
+            remembered_lines=8,
+            points_per_line=10,
+            learned_points=1,
+            samples_per_height=1,
+            queue_frames=3,
+            interaction_blocks=2,
+            watched_agents=16,
+            watched_lines=8,
+            reported_boxes=60,
+            reported_lines=16,
+            speed_from_poses=True,
+            memory_crosses_scenes=False,
+        )

@@ -56,6 +56,11 @@ class Passage:
         """By which predicted changes of speed are divided."""
         return self.seconds if self.fresh and self.seconds != 0 else USUAL_INTERVAL_S
 
+    @property
+    def ego_velocity(self) -> Tensor:
+        """(2,) m/s, how the origin of the lidar frame has moved, seen from the present frame."""
+        return -self.now_T_then[:2, 3] / self.interval_s
+
     def move(self, points: Tensor) -> Tensor:
         """(..., D) points with D = 2 or 3 coordinates, seen from the present lidar frame."""
         axes = points.shape[-1]

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from adapters.layers.feature_pyramid import FeaturePyramid
 from adapters.layers.resnet import EXPANSION, ResNet
 from adapters.sparse.aggregation import CameraFeatures
-from adapters.sparse.config import SparseConfig
+from adapters.sparse.config import STAGES, SparseConfig
 from adapters.sparse.decoder import BoxDecoder, LineDecoder, Remembered
 from adapters.sparse.diffusion import DiffusionPlanner
 from adapters.sparse.ego_passage import Moment, Passage
@@ -19,8 +19,6 @@ from adapters.sparse.selection import Predictions, SparseOutputs, select
 from adapters.sparse.tracks import Tracks, number_instances
 from benchmark.storage import content_seed
 
-LEVELS = 4
-"""Feature maps, of strides 4, 8, 16 and 32."""
 DEPTH_LEVELS = 3
 
 
@@ -83,8 +81,8 @@ class SparseHead(nn.Module):
 
     def __init__(self, config: SparseConfig, planner: RegressionPlanner | DiffusionPlanner) -> None:
         super().__init__()
-        self.det_head = BoxDecoder(config, LEVELS)
-        self.map_head = LineDecoder(config, LEVELS)
+        self.det_head = BoxDecoder(config, config.levels)
+        self.map_head = LineDecoder(config, config.levels)
         self.motion_plan_head = planner
 
     def forward(
@@ -140,9 +138,10 @@ class SparseNetwork(nn.Module):
     def __init__(self, config: SparseConfig, planner: RegressionPlanner | DiffusionPlanner, seed: int) -> None:
         super().__init__()
         self.config, self.seed = config, seed
-        self.img_backbone = ResNet(config.backbone_blocks, width=config.backbone_width)
-        widths = [config.backbone_width * EXPANSION * 2**stage for stage in range(LEVELS)]
-        self.img_neck = FeaturePyramid(widths, config.channels, LEVELS)
+        read = range(config.finest_stage, STAGES)
+        self.img_backbone = ResNet(config.backbone_blocks, width=config.backbone_width, outputs=read)
+        widths = [config.backbone_width * EXPANSION * 2**stage for stage in read]
+        self.img_neck = FeaturePyramid(widths, config.channels, config.levels)
         self.head = SparseHead(config, planner)
         self.depth_branch = DepthBranch(config.channels)
         self.memory: Memory | None = None
@@ -218,4 +217,4 @@ class DiffusionDrive(SparseNetwork):
     """
 
     def __init__(self, config: SparseConfig, seed: int = 0) -> None:
-        super().__init__(config, DiffusionPlanner(config, LEVELS), seed)
+        super().__init__(config, DiffusionPlanner(config, config.levels), seed)

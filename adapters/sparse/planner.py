@@ -224,14 +224,18 @@ class Planner(nn.Module):
         Returns:
             (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
         """
-        ends = self.motion_anchor[agents.logits.argmax(-1), :, -1]
-        heading = heading_of(agents.anchors)[:, None]
-        sine, cosine = heading.sin(), heading.cos()
-        x, y = ends.unbind(-1)
-        ends = torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+        ends = self.turned_anchors(agents)[:, :, -1]
         queries = self.motion_anchor_encoder(sine_of_points(ends, self.config.channels)) + tokens[:, None]
         logits = self.refinement.motion_cls_branch(queries)[..., 0].float()
         return logits, self.refinement.motion_reg_branch(queries).float().unflatten(-1, (-1, 2))
+
+    def turned_anchors(self, agents: Decoded) -> Tensor:
+        """(N, modes, steps, 2) typical forecasts of the classes of N agents, turned as they head, from their places."""
+        anchors = self.motion_anchor[agents.logits.argmax(-1)]
+        heading = heading_of(agents.anchors)[:, None, None]
+        sine, cosine = heading.sin(), heading.cos()
+        x, y = anchors.unbind(-1)
+        return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
     def plan_queries(self, ego: Tensor) -> Tensor:
         """(commands, modes, C) tokens, one for each plan that is thought of, from that of the ego, (1, C)."""

@@ -14,14 +14,13 @@ from adapters.camera_inputs import (
     lidar_pose,
     lidar_to_image,
 )
-from adapters.devices import Precision
 from adapters.example_inputs import example_images, example_projections
-from adapters.native_planner import FORECAST_SCORE, NativePlanner, Weights, numbers
+from adapters.native_planner import NativePlanner, Weights, forecasts_of, numbers
 from adapters.sparse.config import SparseConfig
 from adapters.sparse.model import DiffusionDrive, SparseDrive, SparseInputs, SparseNetwork
 from adapters.sparse.selection import SparseOutputs
-from benchmark.constants import PLAN_STEPS
-from benchmark.planning import Command, Forecasts, Observation, Plan, PlanFrame, SceneInfo
+from benchmark.devices import Precision
+from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
 
 VARIANTS: Final = {"sparsedrive": SparseConfig.sparsedrive, "diffusiondrive": SparseConfig.diffusiondrive}
 
@@ -103,9 +102,10 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
         self._network.reset()
 
     def _computed(self, observation: Observation) -> Plan:
-        return _plan(self._network(self._inputs(observation)), int(observation.command))
+        return _plan(self._network(self.inputs(observation)), int(observation.command))
 
-    def _inputs(self, observation: Observation) -> SparseInputs:
+    def inputs(self, observation: Observation) -> SparseInputs:
+        """What the network is given for a sample; errors as in `plan`."""
         images = camera_images(observation, self._format, self._normalisation)
         return SparseInputs(
             images=torch.from_numpy(images).to(self._device),
@@ -148,12 +148,16 @@ def sparse_network(name: str, seed: int = 0) -> SparseNetwork:
 def image_format(config: SparseConfig) -> ImageFormat:
     """How images of 1600 x 900 become those of a network: scaled to its width, cut off at the top.
 
+    The miniatures see the whole images instead, brought to their size.
+
     Args:
         config: Of the network.
 
     Returns:
         The format; `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes.
     """
+    if config.image_resize == "linear":
+        return ImageFormat(config.image_width_px, config.image_height_px)
     width, height = NUSCENES_IMAGE
     rows = height * config.image_width_px // width
     return ImageFormat(config.image_width_px, rows, crop_top=max(rows - config.image_height_px, 0), resize="bicubic")
@@ -180,19 +184,13 @@ def example_frame(config: SparseConfig) -> SparseInputs:
 
 
 def _plan(outputs: SparseOutputs, command: int) -> Plan:
-    kept = outputs.box_scores >= FORECAST_SCORE
-    likely = outputs.trajectory_scores[kept].double()
-    # Length before width, as boxes are everywhere here; the network has them the other way round.
-    boxes = outputs.boxes[kept][:, [0, 1, 4, 3, 6]]
+    likely = outputs.trajectory_scores.double()
+    # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
+    shares = likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)
     return Plan(
         waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
         modes=numbers(outputs.plan_modes[command]),
         mode_scores=numbers(outputs.plan_scores[command]),
-        forecasts=Forecasts(
-            boxes=numbers(boxes),
-            trajectories=numbers(outputs.trajectories[kept][:, :, :PLAN_STEPS]),
-            # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
-            scores=numbers(likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)),
-        ),
+        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, shares),
     )

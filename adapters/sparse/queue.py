@@ -20,6 +20,7 @@ STATUS = 10
 """Acceleration, rotation rate and velocity, three numbers each with x forward, and the steering angle."""
 FORWARD_SPEED = 6
 """Where in the status."""
+VELOCITY = slice(8, 10)
 VELOCITY_Y = 9
 """Where in a box."""
 
@@ -85,6 +86,7 @@ class InstanceQueue(nn.Module):
     def __init__(self, config: SparseConfig) -> None:
         super().__init__()
         self.frames = config.queue_frames
+        self.speed_from_poses = config.speed_from_poses
         channels = config.channels
         box = [0.0, 0.5, GROUND_Z_M + EGO_SIZE_M[2] / 2, *map(math.log, EGO_SIZE_M), 1.0, 0.0, 0.0, 0.0, 0.0]
         assert len(box) == BOX_CODE
@@ -120,7 +122,12 @@ class InstanceQueue(nn.Module):
         if past is None or passage is None:
             return Queue(features, boxes, torch.ones_like(ids), feature, box, 1)
         box = box.clone()
-        box[..., VELOCITY_Y] = past.status[FORWARD_SPEED] if passage.fresh else 0.0
+        if self.speed_from_poses and passage.fresh:
+            box[..., VELOCITY] = passage.ego_velocity
+        elif passage.fresh:
+            box[..., VELOCITY_Y] = past.status[FORWARD_SPEED]
+        else:
+            box[..., VELOCITY_Y] = 0.0
         # Boxes that are no longer anybody's are carried along as well; nothing looks at them.
         old_features, old_boxes, periods = self._followed(past, carry_boxes(past.boxes, passage, 0.0), ids)
         oldest = max(0, len(old_features) + 1 - self.frames)

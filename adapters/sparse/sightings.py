@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from adapters.detection_classes import AGENT_CLASSES
 from adapters.sparse.anchors import Sightings
@@ -64,7 +65,7 @@ def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sigh
     plans: list[list[Floats]] = [[np.zeros((0, PLAN_STEPS, 2))] for _ in Command]
     for name in data.scene_names(split):
         scene = data.scene(name)
-        classes = _classes(scene)
+        classes = detected_classes(scene)
         boxes.append(box_centres(scene, classes))
         for pose in planar_lidar_poses(scene) if data.has_map(name) else ():
             middles.append(line_centres(scene.road_map, pose, config.points_per_line))
@@ -112,6 +113,21 @@ def line_centres(road_map: RoadMap, pose: Floats, points_per_line: int) -> Float
     Returns:
         (L, 2) metres, lidar frame: x right, y forward.
     """
+    return np.asarray(map_lines(road_map, pose, points_per_line)[0].mean(1))
+
+
+def map_lines(road_map: RoadMap, pose: Floats, points_per_line: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Map elements around a pose as evenly spaced points.
+
+    Args:
+        road_map: Crossings, dividers and the border of the drivable area are its elements.
+        pose: (3,) planar lidar pose, global.
+        points_per_line: Points of an element.
+
+    Returns:
+        (L, points_per_line, 2) metres, lidar frame: x right, y forward; (L,) their classes: 0 divider, 1 pedestrian
+        crossing, 2 boundary of the road.
+    """
     corners = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]]) * [MAP_AHEAD_M, MAP_ASIDE_M]
     window = shapely.Polygon(to_global(corners, pose))
     elements: list[shapely.Geometry] = [
@@ -119,16 +135,18 @@ def line_centres(road_map: RoadMap, pose: Floats, points_per_line: int) -> Float
         *(shapely.LineString(divider.line) for divider in road_map.dividers),
         shapely.boundary(road_map.drivable_area),
     ]
+    kinds = [1, *(0 for _ in road_map.dividers), 2]
     shares = np.linspace(0.0, 1.0, points_per_line)
-    found = [np.zeros((0, 2))]
-    for seen in shapely.intersection(elements, window):
+    found, classes = [np.zeros((0, points_per_line, 2))], []
+    for seen, kind in zip(shapely.intersection(elements, window), kinds, strict=True):
         for line in shapely.get_parts(shapely.line_merge(seen)):
             # A line that only touches the rectangle leaves a point.
             if isinstance(line, shapely.LineString) and line.length > 0:
                 points = shapely.get_coordinates(shapely.line_interpolate_point(line, shares, normalized=True))
-                found.append(points.mean(0, keepdims=True))
+                found.append(points[None])
+                classes.append(kind)
     local = to_local(np.concatenate(found), pose)
-    return np.column_stack([-local[:, 1], local[:, 0]])
+    return np.stack([-local[..., 1], local[..., 0]], axis=-1), np.array(classes, np.int64)
 
 
 def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
@@ -152,7 +170,7 @@ def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
     return np.concatenate(found)
 
 
-def _classes(scene: Scene) -> list[int]:
+def detected_classes(scene: Scene) -> list[int]:
     """Index into `AGENT_CLASSES` of each agent, -1 where it is not detected."""
     known = (CLASS_OF_CATEGORY.get(category) for category in scene.agents.categories)
     return [-1 if name is None else AGENT_CLASSES.index(name) for name in known]

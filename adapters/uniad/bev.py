@@ -16,7 +16,6 @@ from adapters.layers.positional import LearnedGridEncoding
 from adapters.uniad.config import UniADConfig
 
 BOX_CODE = 10
-PYRAMID_LEVELS = 4
 PAST_STEPS = 8
 """Past positions that the published network also predicts and does not use."""
 
@@ -44,7 +43,7 @@ class DetectionTransformer(nn.Module):
     def __init__(self, config: UniADConfig) -> None:
         super().__init__()
         channels, heads, hidden = config.channels, config.heads, config.feedforward_channels
-        self.level_embeds = nn.Parameter(torch.randn(PYRAMID_LEVELS, channels))
+        self.level_embeds = nn.Parameter(torch.randn(config.pyramid_levels, channels))
         self.cams_embeds = nn.Parameter(torch.randn(config.cameras, channels))
         self.encoder = BEVFormerEncoder(
             config.grid,
@@ -52,7 +51,7 @@ class DetectionTransformer(nn.Module):
             channels,
             heads,
             hidden,
-            PYRAMID_LEVELS,
+            config.pyramid_levels,
             config.bev_points,
             config.image_points,
             config.height_points,

@@ -1,7 +1,7 @@
 """Minima of the cost of `adapters.uniad.collision_optimiser`: the one that IPOPT arrives at, and the lowest."""
 
 from importlib import import_module
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -183,6 +183,24 @@ def _trusted_step(gradient: Floats, curvature: Floats, radius: float) -> Floats:
     return step
 
 
+def require_casadi() -> Any:
+    """The optional package.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: If it is not installed.
+    """
+    try:
+        return import_module("casadi")
+    except ImportError as error:
+        raise InputError(
+            "the official collision optimisation needs casadi, which is not installed; "
+            "install challenger-bench[uniad] or choose another solver (--model uniad)"
+        ) from error
+
+
 def official_points(plan: Floats, cells: list[Floats]) -> Floats:
     """The minimum that IPOPT arrives at from the plan, all points at once, as in the published planner.
 
@@ -196,13 +214,7 @@ def official_points(plan: Floats, cells: list[Floats]) -> Floats:
     Raises:
         InputError: If casadi is not installed, or IPOPT finds no minimum.
     """
-    try:
-        casadi = import_module("casadi")
-    except ImportError as error:
-        raise InputError(
-            "the official collision optimisation needs casadi, which is not installed; "
-            "install challenger-bench[uniad] or choose another solver"
-        ) from error
+    casadi = require_casadi()
     program = casadi.Opti()
     points = program.variable(2, len(plan))
     total = 0

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final, Literal, Self
 
+from adapters.camera_inputs import MINIATURE_IMAGE, ImageFormat
 from adapters.layers.bev_geometry import BEVGrid
 
+PUBLISHED_IMAGE: Final = ImageFormat.scaled(1.0)
 MAP_OFFSETS: Final = "seg_head.transformer.encoder.layers.0.attentions.0.sampling_offsets.weight"
 """The tensor whose shape tells for how many levels a checkpoint's map head was made."""
 
@@ -44,6 +46,9 @@ class UniADConfig:
         cameras: Cameras, in the order of the specification.
         backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 23, 3) is ResNet-101.
         backbone_width: Channels after its first convolution; 64 in ResNet-101.
+        backbone_style: Which convolution of its blocks strides, as in `adapters.layers.resnet.Bottleneck`.
+        deformable_stages: Its stages whose 3 x 3 convolutions are deformable.
+        pyramid_levels: Feature maps of an image that the bird's-eye view reads, 3 or more.
         height_points: Heights of the pillar over a cell at which images are sampled.
         image_points: Sampling points per head and level in images, a multiple of `height_points`.
         bev_points: Sampling points per head in the bird's-eye view.
@@ -52,6 +57,11 @@ class UniADConfig:
         max_lines: Map elements that get a mask.
         occupancy_half_m: Half the side of the square whose occupancy is predicted.
         rotation_centre: Column and row of the previous view, in cells, around which it is turned.
+        image_format: Its images.
+        motion_across_scenes: Whether the first key frame of a scene is told the motion from wherever the ego was last
+            (in the very first, from the origin), as the published network is; else that it has not moved.
+        counterclockwise_yaw: Whether the yaw of boxes is the heading plus a quarter turn. The published network's is
+            the negative of that, so that it turns the anchors of agents that cross to the wrong side.
     """
 
     bev_rows: int = 200
@@ -82,6 +92,9 @@ class UniADConfig:
     cameras: int = 6
     backbone_blocks: tuple[int, int, int, int] = (3, 4, 23, 3)
     backbone_width: int = 64
+    backbone_style: Literal["pytorch", "caffe"] = "caffe"
+    deformable_stages: tuple[int, ...] = (2, 3)
+    pyramid_levels: int = 4
     height_points: int = 4
     image_points: int = 8
     bev_points: int = 4
@@ -90,6 +103,9 @@ class UniADConfig:
     max_lines: int = 100
     occupancy_half_m: float = 50.0
     rotation_centre: tuple[float, float] = (100.0, 100.0)
+    image_format: ImageFormat = PUBLISHED_IMAGE
+    motion_across_scenes: bool = True
+    counterclockwise_yaw: bool = False
 
     @property
     def grid(self) -> BEVGrid:
@@ -100,6 +116,44 @@ class UniADConfig:
     def base(cls, map_levels: int = 4) -> Self:
         """The published network, base_e2e of stage 2; its map head has parameters for four levels, or for one."""
         return cls(map_levels=map_levels)
+
+    @classmethod
+    def miniature(cls) -> Self:
+        """A network that two processor cores train in less than an hour; its weights come with this package."""
+        return cls(
+            bev_rows=24,
+            bev_columns=24,
+            perception_range_m=(-30.0, -30.0, -2.6, 30.0, 30.0, 0.6),
+            channels=48,
+            feedforward_channels=96,
+            occupancy_feedforward_channels=96,
+            heads=4,
+            encoder_layers=1,
+            decoder_layers=2,
+            queries=80,
+            map_queries=24,
+            map_layers=1,
+            map_levels=1,
+            thing_mask_layers=1,
+            stuff_mask_layers=1,
+            motion_layers=2,
+            plan_layers=2,
+            backbone_blocks=(1, 1, 1, 1),
+            backbone_width=16,
+            backbone_style="pytorch",
+            deformable_stages=(),
+            pyramid_levels=3,
+            height_points=2,
+            image_points=4,
+            bev_points=2,
+            max_boxes=24,
+            max_lines=12,
+            occupancy_half_m=12.0,
+            rotation_centre=(12.0, 12.0),
+            image_format=MINIATURE_IMAGE,
+            motion_across_scenes=False,
+            counterclockwise_yaw=True,
+        )
 
     @classmethod
     def base_of(cls, shapes: Mapping[str, Sequence[int]]) -> Self:

@@ -42,8 +42,8 @@ class WalkedAttention(DeformableAttention):
         query = tokens[:asking] + positions[:asking]
         offsets, weights = self.offsets(query).float(), self.weights(query)
         if references.shape[-1] == 4:
-            cells = references.new_tensor([columns, rows])
-            offsets = offsets / self.points * (references[:asking, None, None, None, 2:] * cells / 2)
+            width, height = references[:asking, None, None, None, 2:].unbind(-1)
+            offsets = offsets / self.points * (torch.stack([width * columns, height * rows], -1) / 2)
         walked = (count, self.heads, 1, self.points)
         used = count * self.heads * self.points
         places = references[:asking, :2].repeat_interleave(self.levels, 0)[:count]

@@ -1,6 +1,5 @@
 """UniAD: six images, camera matrices and motion in; a plan, tracks, forecasts, occupancy and a road map out."""
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -9,7 +8,7 @@ from torch import Tensor, nn
 from adapters.layers.ego_motion import CAN_BUS, EgoMotion
 from adapters.layers.feature_pyramid import FeaturePyramid
 from adapters.layers.resnet import EXPANSION, ResNet
-from adapters.uniad.bev import PYRAMID_LEVELS, DetectionHead
+from adapters.uniad.bev import DetectionHead
 from adapters.uniad.collision_optimiser import MovedPlan, Solver, move_plan
 from adapters.uniad.config import UniADConfig
 from adapters.uniad.frames import Predictions, UniADInputs, UniADOutputs
@@ -19,18 +18,17 @@ from adapters.uniad.motion import MotionHead
 from adapters.uniad.occupancy import OccupancyHead
 from adapters.uniad.planning import PlanningHead
 from adapters.uniad.track_memory import MemoryBank, QueryInteraction
-from adapters.uniad.tracking import EGO, Instances, Pose, decoded, moved_references, reported_tracks, updated
+from adapters.uniad.tracking import Instances, Pose, chosen_tracks, decoded, headings, moved_references, updated
 
 __all__ = ["UniAD", "UniADInputs", "UniADOutputs"]
 
 VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
 """What the occupancy is of: all but barriers, pedestrians and cones."""
 BACKBONE_OUTPUTS = (1, 2, 3)
-DEFORMABLE_STAGES = (2, 3)
 
 
 @dataclass(frozen=True, slots=True)
-class _Memory:
+class Memory:
     """What a frame leaves for the next one of its scene."""
 
     scene_token: str
@@ -55,7 +53,10 @@ class UniAD(nn.Module):
         anchors: (4, 6, 12, 2) of ``motion_anchor_infos_mode6.pkl``; `MotionHead.load_anchors` sets them later.
         solver: What moves plans away from occupied cells; ``None`` leaves them where they are.
         masks: Whether masks of the map are made; the plan does not need them.
+        stores_anchors: Whether the anchors are part of the state dict; official checkpoints come without.
     """
+
+    vehicle_classes: Tensor
 
     def __init__(
         self,
@@ -63,16 +64,22 @@ class UniAD(nn.Module):
         anchors: Tensor | None = None,
         solver: Solver | None = "newton",
         masks: bool = False,
+        *,
+        stores_anchors: bool = False,
     ) -> None:
         super().__init__()
         self.config, self.solver, self.masks = config, solver, masks
         channels = config.channels
         self.pts_bbox_head = DetectionHead(config)
         self.img_backbone = ResNet(
-            config.backbone_blocks, BACKBONE_OUTPUTS, config.backbone_width, "caffe", DEFORMABLE_STAGES
+            config.backbone_blocks,
+            BACKBONE_OUTPUTS,
+            config.backbone_width,
+            config.backbone_style,
+            config.deformable_stages,
         )
         widths = [config.backbone_width * EXPANSION * 2**stage for stage in BACKBONE_OUTPUTS]
-        self.img_neck = FeaturePyramid(widths, channels, PYRAMID_LEVELS)
+        self.img_neck = FeaturePyramid(widths, channels, config.pyramid_levels)
         self.query_embedding = nn.Embedding(config.queries + 1, 2 * channels)
         self.reference_points = nn.Linear(channels, 3)
         self.query_interact = QueryInteraction(channels, config.heads)
@@ -80,8 +87,10 @@ class UniAD(nn.Module):
         self.criterion = LossWeights()
         self.seg_head = MapHead(config)
         self.occ_head = OccupancyHead(config)
-        self.motion_head = MotionHead(config, anchors)
+        self.motion_head = MotionHead(config, anchors, stores_anchors=stores_anchors)
         self.planning_head = PlanningHead(config)
+        vehicles = torch.tensor([label in VEHICLE_CLASSES for label in range(config.agent_classes)])
+        self.register_buffer("vehicle_classes", vehicles, persistent=False)
         self.reset()
         self.eval()
 
@@ -91,7 +100,7 @@ class UniAD(nn.Module):
         A new scene alone forgets less, as in the published code: track numbers go on, and the ego's motion into the
         new scene is measured from the last key frame of the old one (in the very first frame, from the origin).
         """
-        self._memory: _Memory | None = None
+        self._memory: Memory | None = None
         self._can_bus = torch.zeros(CAN_BUS, dtype=torch.float64)
         self._next_id = torch.zeros((), dtype=torch.int64)
 
@@ -117,7 +126,7 @@ class UniAD(nn.Module):
             road = self.road(self.seg_head.masks(predictions.elements))
         count = len(tracks.scores)
         offsets = predictions.forecasts.trajectories[-1, :count, ..., :2]
-        heading = torch.remainder(math.pi / 2 - tracks.boxes[:, 6:7], 2 * math.pi) - math.pi
+        heading = headings(tracks.boxes[:, 6:7], self.config)
         return UniADOutputs(
             plan=plan,
             plan_before_optimisation=before,
@@ -157,23 +166,24 @@ class UniAD(nn.Module):
         device = inputs.images.device
         pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, device)
         motion = self.ego_motion(inputs).to(device)
-        maps = self.img_neck(self.img_backbone(inputs.images))
         projections = inputs.lidar2img.to(device, torch.float32)
+        maps = self.img_neck(self.img_backbone(inputs.images))
         bev = self.pts_bbox_head.encode(maps, inputs.images, projections, motion, memory.bev if memory else None)
 
-        entering, moved = self._entering(memory, pose)
+        entering, moved = self.entering_queries(memory, pose)
         detections = self.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
         fresh = self.config.queries + 1
         instances, next_id = updated(entering, detections, fresh, self._next_id.to(device))
-        tracks = reported_tracks(instances, self.config)
-        ego = decoded(instances.kept(instances.track_ids == EGO))
+        chosen = chosen_tracks(instances, self.vehicle_classes, self.config)
+        tracks = decoded(instances.kept(chosen.reported))
+        ego = decoded(instances.kept(slice(fresh - 1, fresh)))
         after = self.memory_bank(instances)
-        surviving = self.query_interact(after.kept(after.track_ids >= 0))
-        next_instances = self._fresh().then(surviving)
+        surviving = self.query_interact(after.kept(chosen.surviving))
+        next_instances = self.fresh_queries().then(surviving)
 
         elements = self.seg_head(bev)
         forecasts = self.motion_head(tracks.then(ego), elements, bev)
-        vehicles = torch.isin(tracks.labels, torch.tensor(VEHICLE_CLASSES, device=device))
+        vehicles = chosen.vehicles
         occupancy = self.occ_head(
             bev,
             forecasts.queries[-1, :-1][vehicles],
@@ -184,7 +194,7 @@ class UniAD(nn.Module):
         plan = self.planning_head(
             bev, self.pts_bbox_head.positional_encoding(), forecasts.queries[-1, -1], ego.states[0], inputs.command
         )
-        self._memory = _Memory(inputs.scene_token, bev, next_instances, pose)
+        self._memory = Memory(inputs.scene_token, bev, next_instances, pose)
         self._can_bus = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
         self._next_id = next_id
         return Predictions(
@@ -198,27 +208,30 @@ class UniAD(nn.Module):
             ego=ego,
             elements=elements,
             forecasts=forecasts,
-            vehicles=vehicles,
+            vehicles=self.vehicle_classes[tracks.labels],
             occupancy=occupancy,
             plan=plan,
         )
 
     def ego_motion(self, inputs: UniADInputs) -> EgoMotion:
-        """How the ego moved since the last frame, whichever scene that was of."""
-        return EgoMotion.between(self._can_bus, inputs.can_bus, self.config.grid, self.config.rotation_centre)
+        """How the ego moved since the last frame, whichever scene that was of if the network was trained so."""
+        config = self.config
+        follows = self._memory is not None and self._memory.scene_token == inputs.scene_token
+        known = follows or config.motion_across_scenes
+        return EgoMotion.between(self._can_bus if known else None, inputs.can_bus, config.grid, config.rotation_centre)
 
-    def _fresh(self) -> Instances:
+    def fresh_queries(self) -> Instances:
         """Queries that know nothing, the last of which is the ego's."""
         queries = self.query_embedding.weight
         return Instances.fresh(self.config, queries, self.reference_points(queries.chunk(2, -1)[0]))
 
-    def _entering(self, memory: _Memory | None, pose: Pose) -> tuple[Instances, Tensor]:
+    def entering_queries(self, memory: Memory | None, pose: Pose) -> tuple[Instances, Tensor]:
         """Queries for the decoder: fresh ones, and tracks where they would be now; and these places, (T, 3) logits."""
         if memory is None:
-            fresh = self._fresh()
+            fresh = self.fresh_queries()
             return fresh, fresh.reference_logits[:0]
         before, count = memory.instances, self.config.queries + 1
-        tracks = before.kept(torch.arange(count, len(before.scores), device=before.scores.device))
+        tracks = before.kept(slice(count, None))
         moved = moved_references(tracks, memory.pose, pose, self.config)
         # The published network forgets how high tracks were.
         heights = self.reference_points(tracks.queries.chunk(2, -1)[0]).float()[:, 2:]

@@ -72,17 +72,18 @@ class MotionHead(nn.Module):
         config: Sizes.
         anchors: (groups, modes, steps, 2) typical forecasts in the frames of agents, metres. They are not among the
             parameters of published checkpoints; see `load_anchors`.
+        stores_anchors: Whether they are part of the state dict, and therefore of what is loaded; zeros before.
     """
 
     anchors: Tensor
     group_of_class: Tensor
 
-    def __init__(self, config: UniADConfig, anchors: Tensor | None = None) -> None:
+    def __init__(self, config: UniADConfig, anchors: Tensor | None = None, *, stores_anchors: bool = False) -> None:
         super().__init__()
         self.config = config
         channels, layers = config.channels, config.motion_layers
         shape = (config.motion_groups, config.modes, config.forecast_steps, 2)
-        self.register_buffer("anchors", torch.full(shape, math.nan), persistent=False)
+        self.register_buffer("anchors", torch.zeros(shape), persistent=stores_anchors)
         groups = torch.tensor([GROUP_OF_CLASS[label % len(GROUP_OF_CLASS)] for label in range(config.agent_classes)])
         self.register_buffer("group_of_class", groups.clamp(max=config.motion_groups - 1), persistent=False)
         self.learnable_motion_query_embedding = nn.Embedding(config.motion_groups * config.modes, channels)
@@ -98,7 +99,7 @@ class MotionHead(nn.Module):
         self.traj_cls_branches = nn.ModuleList([normalised_branch(channels, 1) for _ in range(layers)])
         outputs = config.forecast_steps * GAUSSIAN
         self.traj_reg_branches = nn.ModuleList([plain_branch(channels, outputs) for _ in range(layers)])
-        self._has_anchors = False
+        self._has_anchors = stores_anchors
         if anchors is not None:
             self.load_anchors(anchors)
 
@@ -204,7 +205,8 @@ class MotionHead(nn.Module):
     def _at_goals(self, layer: int, tokens: Tensor, places: Tensor, ends: Tensor, bev: Tensor) -> Tensor:
         """(A, modes, C) after looking at the bird's-eye view around (A, modes, 2) ends in the lidar frame."""
         x_low, y_low, _, x_high, y_high, _ = self.config.perception_range_m
-        low, size = ends.new_tensor([x_low, y_low]), ends.new_tensor([x_high - x_low, y_high - y_low])
-        flat = [rows.reshape(-1, rows.shape[-1]) for rows in (tokens, places, (ends - low) / size)]
+        x, y = ends.unbind(-1)
+        shares = torch.stack([(x - x_low) / (x_high - x_low), (y - y_low) / (y_high - y_low)], -1)
+        flat = [rows.reshape(-1, rows.shape[-1]) for rows in (tokens, places, shares)]
         seen: Tensor = self.motionformer.bev_interaction_layers[layer](*flat, bev, self.config.grid.shape)
         return seen.view_as(tokens)

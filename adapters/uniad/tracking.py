@@ -1,12 +1,13 @@
 """Tracks as queries: their life cycle, what they remember, and how they change from one key frame to the next."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.layers.coders import decode_boxes, logit, within
+from adapters.layers.coders import decode_boxes, logit, metres, within
 from adapters.uniad.bev import Detections
 from adapters.uniad.config import UniADConfig
 
@@ -84,8 +85,8 @@ class Instances:
             scores=zeros(),
         )
 
-    def kept(self, which: Tensor) -> "Instances":
-        """Those of a mask or of a list of indices."""
+    def kept(self, which: Tensor | slice) -> "Instances":
+        """Those of a mask, of a list of indices or of a slice."""
         return Instances(*(getattr(self, name)[which] for name in self.__slots__))
 
     def then(self, others: "Instances") -> "Instances":
@@ -131,17 +132,15 @@ def moved_references(tracks: Instances, then: Pose, now: Pose, config: UniADConf
     Returns:
         (T, 3) logits of shares of the perception range around the present lidar.
     """
-    low, high = (
-        torch.tensor(corner, device=tracks.scores.device)
-        for corner in (config.perception_range_m[:3], config.perception_range_m[3:])
-    )
-    places = tracks.reference_logits.sigmoid() * (high - low) + low
+    low, high = config.perception_range_m[:3], config.perception_range_m[3:]
+    places = metres(tracks.reference_logits.sigmoid(), low, high)
     step = F.pad(tracks.box_codes[:, 8:10], (0, 1)) * (now.time_s - then.time_s)
     # Hundreds of metres in the global frame leave a tenth of a millimetre in single precision; rotations are exact
     # enough in it only if they are not rounded further, which reduced-precision products would do.
     turned = _rows_times(places + step, then.rotation) + then.translation - now.translation
     places = _rows_times(turned, now.inverse)
-    return logit((places - low) / (high - low))
+    axes = zip(places.unbind(-1), low, high, strict=True)
+    return logit(torch.stack([(place - least) / (most - least) for place, least, most in axes], -1))
 
 
 def _rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
@@ -164,7 +163,7 @@ def updated(instances: Instances, detections: Detections, fresh: int, next_id: T
     logits = detections.class_logits[-1]
     scores = logits.sigmoid().amax(-1)
     ids = instances.track_ids.clone()
-    ids[fresh - 1] = EGO
+    ids[fresh - 1 : fresh].fill_(EGO)
     awake = scores >= BORN_SCORE
     asleep_for = instances.frames_asleep.masked_fill(awake, 0)
     born = (ids == NO_TRACK) & awake
@@ -191,8 +190,7 @@ class Boxes:
     """N boxes with the conventions of the network.
 
     Attributes:
-        boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y. The heading is -yaw - pi/2: this is the
-            yaw of mmdet3d before version 1.0, with which the published weights were trained.
+        boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `headings`.
         scores: (N,) 0 to 1, falling.
         labels: (N,).
         track_ids: (N,).
@@ -211,6 +209,21 @@ class Boxes:
         return Boxes(*(torch.cat(pair) for pair in pairs))
 
 
+def headings(yaws: Tensor, config: UniADConfig) -> Tensor:
+    """Headings of boxes, counter-clockwise from the x axis, from their yaws in the network's convention.
+
+    Args:
+        yaws: Of any shape, radians. The published weights were trained with that of mmdet3d before version 1.0:
+            -heading - pi/2.
+        config: Says which convention.
+
+    Returns:
+        The same shape, -pi to pi.
+    """
+    turned = yaws + math.pi / 2 if config.counterclockwise_yaw else math.pi / 2 - yaws
+    return torch.remainder(turned, 2 * math.pi) - math.pi
+
+
 def decoded(instances: Instances) -> Boxes:
     """A box for each instance, in their order."""
     return Boxes(
@@ -225,12 +238,54 @@ def decoded(instances: Instances) -> Boxes:
 def strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
     """Boxes of the most certain instances whose centres are not far outside the perception range."""
     chosen = instances.kept(instances.scores.topk(min(config.max_boxes, len(instances.scores))).indices)
+    return decoded(chosen.kept(_near(chosen.box_codes, config)))
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """What a key frame reports and what it hands on, as indices.
+
+    Attributes:
+        reported: (N,) instances whose boxes are reported: tracks that are awake and near, falling scores.
+        vehicles: (V,) which of these are vehicles.
+        surviving: (T,) instances that are tracks in the next key frame, in their order.
+    """
+
+    reported: Tensor
+    vehicles: Tensor
+    surviving: Tensor
+
+
+def chosen_tracks(instances: Instances, vehicle_classes: Tensor, config: UniADConfig) -> Chosen:
+    """Choose, with one wait for the device: how many there are of each must be known to go on.
+
+    Args:
+        instances: After `updated`.
+        vehicle_classes: (classes,) booleans.
+        config: Of the network.
+
+    Returns:
+        The choice.
+    """
+    living = instances.track_ids >= 0
+    awake = living & (instances.scores >= ASLEEP_SCORE)
+    scores, strongest = torch.where(awake, instances.scores, -1.0).topk(min(config.max_boxes, len(awake)))
+    reported = (scores >= 0) & _near(instances.box_codes[strongest], config)
+    vehicles = reported & vehicle_classes[instances.class_logits[strongest].argmax(-1)]
+    masks = reported, vehicles, living
+    counts = torch.stack([mask.sum() for mask in masks]).tolist()
+    first, second, third = (_trues(mask, count) for mask, count in zip(masks, counts, strict=True))
+    return Chosen(strongest[first], (reported.cumsum(0) - 1)[second], third)
+
+
+def _near(box_codes: Tensor, config: UniADConfig) -> Tensor:
+    """Whether the centres of (Q, 10) box codes are not far outside the perception range."""
     x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
     lower = (x_low - MARGIN_M, y_low - MARGIN_M, -HIGHEST_M)
     upper = (x_high + MARGIN_M, y_high + MARGIN_M, HIGHEST_M)
-    return decoded(chosen.kept(within(chosen.box_codes[:, [0, 1, 4]], lower, upper)))
+    return within(torch.stack([box_codes[:, axis] for axis in (0, 1, 4)], -1), lower, upper)
 
 
-def reported_tracks(instances: Instances, config: UniADConfig) -> Boxes:
-    """Boxes of the tracks that are awake."""
-    return strongest_boxes(instances.kept((instances.track_ids >= 0) & (instances.scores >= ASLEEP_SCORE)), config)
+def _trues(mask: Tensor, count: int) -> Tensor:
+    """Where a mask is true, if it is known how often."""
+    return (~mask).to(torch.uint8).argsort(stable=True)[:count]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Self
 
+from adapters.camera_inputs import ImageFormat
 from adapters.layers.bev_geometry import BEVGrid
 
 
@@ -41,6 +42,7 @@ class VADConfig:
         max_boxes: Boxes that are reported.
         max_lines: Map elements that are reported.
         image_scale: Scale of input images against 1600 x 900.
+        image_size: Width and height of input images, if they are not 1600 x 900 scaled.
     """
 
     bev_rows: int
@@ -73,11 +75,17 @@ class VADConfig:
     lane_score: float = 0.5
     max_boxes: int = 100
     max_lines: int = 50
+    image_size: tuple[int, int] | None = None
 
     @property
     def grid(self) -> BEVGrid:
         """The bird's-eye view."""
         return BEVGrid(self.bev_rows, self.bev_columns, self.perception_range_m)
+
+    @property
+    def image_format(self) -> ImageFormat:
+        """What images the network reads."""
+        return ImageFormat.scaled(self.image_scale) if self.image_size is None else ImageFormat(*self.image_size)
 
     @classmethod
     def tiny(cls) -> Self:
@@ -103,4 +111,33 @@ class VADConfig:
             backbone_outputs=(1, 2, 3),
             pyramid_levels=4,
             image_scale=0.8,
+        )
+
+    @classmethod
+    def miniature(cls) -> Self:
+        """VAD-mini: what two processor cores can train, for images of 224 x 128; made for the embedded town."""
+        return cls(
+            bev_rows=32,
+            bev_columns=24,
+            perception_range_m=(-30.0, -32.0, -2.5, 30.0, 32.0, 0.5),
+            encoder_layers=1,
+            decoder_layers=2,
+            backbone_outputs=(2,),
+            pyramid_levels=1,
+            image_scale=0.14,
+            image_size=(224, 128),
+            channels=64,
+            feedforward_channels=128,
+            heads=2,
+            agents=50,
+            map_instances=20,
+            points_per_line=10,
+            backbone_blocks=(1, 1, 1, 1),
+            backbone_width=16,
+            height_points=2,
+            image_points=4,
+            bev_points=2,
+            rotation_centre=(12.0, 16.0),
+            max_boxes=50,
+            max_lines=20,
         )

@@ -6,19 +6,18 @@ from typing import Any, Final, Self
 import torch
 
 from adapters.camera_inputs import (
-    ImageFormat,
     Normalisation,
     camera_images,
     can_bus_vector,
     lidar_to_image,
 )
-from adapters.devices import Precision
 from adapters.example_inputs import example_images, example_projections
-from adapters.native_planner import FORECAST_SCORE, NativePlanner, Weights, numbers
+from adapters.native_planner import NativePlanner, Weights, forecasts_of, numbers
 from adapters.vad.config import VADConfig
 from adapters.vad.model import VAD, VADInputs
 from adapters.vad.selection import VADOutputs
-from benchmark.planning import Command, Forecasts, Observation, Plan, PlanFrame, SceneInfo
+from benchmark.devices import Precision
+from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
 
 VARIANTS: Final = {"vad-tiny": VADConfig.tiny, "vad-base": VADConfig.base}
 
@@ -42,7 +41,7 @@ class VADPlanner(NativePlanner[VAD]):
         super().__init__(
             network,
             name=name,
-            image_format=ImageFormat.scaled(network.config.image_scale),
+            image_format=network.config.image_format,
             normalisation=normalisation,
             weights_sha256=weights_sha256,
             settings=settings,
@@ -117,7 +116,7 @@ def example_frame(config: VADConfig) -> VADInputs:
     Returns:
         Inputs on the processor.
     """
-    image_format = ImageFormat.scaled(config.image_scale)
+    image_format = config.image_format
     return VADInputs(
         images=torch.from_numpy(example_images(image_format)),
         lidar2img=torch.from_numpy(example_projections(image_format)),
@@ -128,16 +127,9 @@ def example_frame(config: VADConfig) -> VADInputs:
 
 
 def _plan(outputs: VADOutputs) -> Plan:
-    kept = outputs.box_scores >= FORECAST_SCORE
-    # Length before width, as boxes are everywhere here; the network has them the other way round.
-    boxes = outputs.boxes[kept][:, [0, 1, 4, 3, 6]]
     return Plan(
         waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
         modes=numbers(outputs.plan_modes),
-        forecasts=Forecasts(
-            boxes=numbers(boxes),
-            trajectories=numbers(outputs.trajectories[kept]),
-            scores=numbers(outputs.trajectory_scores[kept]),
-        ),
+        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores),
     )

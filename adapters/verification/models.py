@@ -3,16 +3,16 @@
 from pathlib import Path
 from typing import Final
 
-from adapters.devices import single_precision
 from adapters.vad.config import VADConfig
 from adapters.vad.model import VAD
 from adapters.verification.conditions import set_folders
-from adapters.verification.filling import fill, same_names_and_shapes
 from adapters.verification.parity_set import ParitySet
 from adapters.verification.sparse import NETWORKS, verify_sparse
 from adapters.verification.uniad import verify_uniad
 from adapters.verification.vad import compare_vad
+from benchmark.devices import single_precision
 from benchmark.errors import InputError
+from benchmark.filled_networks import fill, same_names_and_shapes
 from benchmark.verification import Check, Comparison
 
 _VAD: Final = {"vad-tiny": VADConfig.tiny, "vad-base": VADConfig.base}

@@ -11,16 +11,16 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor, nn
 
-from adapters.devices import single_precision
 from adapters.uniad.config import UniADConfig
 from adapters.uniad.model import UniAD, UniADInputs
 from adapters.verification.conditions import set_folders
-from adapters.verification.filling import fill, same_names_and_shapes
 from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor
 from adapters.verification.quantities import SAMPLED, STATISTICS, Quantity, compare_frame
 from adapters.verification.uniad_optimiser import compare_optimiser
 from adapters.verification.uniad_quantities import frame_quantities
+from benchmark.devices import single_precision
 from benchmark.errors import InputError
+from benchmark.filled_networks import fill, same_names_and_shapes
 from benchmark.golden import GoldenArrays, golden_directory
 from benchmark.storage import read_json
 from benchmark.synthetic_weights import read_shapes

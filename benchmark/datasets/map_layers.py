@@ -97,6 +97,7 @@ class _Shapes:
         layers = self.layers
         width, height = layers["canvas_edge"]
         surfaces = {field: self._surfaces(layers[layer]) for field, layer in _POLYGON_LAYERS.items()}
+        road_blocks = self._surfaces(layers.get("road_block", ()))
         lanes = {lane.identifier: lane for lane in self._lanes()}
         intersections = {row["token"] for row in layers["road_segment"] if row["is_intersection"]}
         dividers = (*self._dividers("lane_divider"), *self._dividers("road_divider"))
@@ -107,6 +108,7 @@ class _Shapes:
             dividers=dividers,
             intersections=frozenset(intersections & set(surfaces["road_segments"])),
             canvas_m=(float(width), float(height)),
+            road_blocks=road_blocks,
             **surfaces,
         )
 

@@ -18,11 +18,13 @@ from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.datasets.sensors import read_cameras, read_lidar
 from benchmark.datasets.split_names import read_splits, scenes_of_split
+from benchmark.datasets.sweep_poses import read_sweep_poses
 from benchmark.datasets.tables import Row, find_version
 from benchmark.datasets.timeline import read_timeline, samples_of_scene
+from benchmark.datasets.videos import videos_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.planning import Observation
+from benchmark.planning import CameraView, Observation
 from benchmark.record_schema import SceneFacts
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
@@ -141,6 +143,23 @@ class NuScenesData:
             nusc, self.root, scene, samples_of_scene(nusc, row), CanBus.read(self.root, name)
         )
 
+    def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
+        """Camera images of a scene by camera name, in time order (see `videos_of_scene`).
+
+        Args:
+            name: Scene name.
+            sweeps: Also the images between keyframes.
+
+        Returns:
+            Views by camera; a file is opened only when its view is loaded.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        row = self._row(name)
+        nusc = self._tables.of_scene(row)
+        return videos_of_scene(nusc, self.root, samples_of_scene(nusc, row), sweeps=sweeps)
+
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """What really happened, one truth a sample, in time order.
 
@@ -207,6 +226,7 @@ class NuScenesData:
         nusc, log = self._tables.of_scene(row), self._log(row)
         samples = samples_of_scene(nusc, row)
         timeline = read_timeline(nusc, samples)
+        cameras = read_cameras(nusc, samples[0])
         agents, annotations = read_objects(nusc, samples, timeline.keyframes)
         made = self._provenance["scenes"].get(row["name"], {}) if self._provenance else {}
         adversaries = tuple(made.get("adversaries", ()))
@@ -227,10 +247,11 @@ class NuScenesData:
             ego=timeline.ego,
             agents=agents,
             annotations=annotations,
-            cameras=read_cameras(nusc, samples[0]),
+            cameras=cameras,
             lidar=read_lidar(nusc, samples[0]),
             road_map=self._map_around(str(log["location"]), timeline.ego.position),
             adversaries=adversaries,
+            sweep_poses=read_sweep_poses(nusc, samples, [camera.name for camera in cameras]),
         )
 
     def _map_around(self, location: str, position: Floats) -> RoadMap:

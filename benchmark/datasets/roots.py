@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.tables import version_folders
 from benchmark.errors import InputError
-from benchmark.planning import Observation
+from benchmark.planning import CameraView, Observation
 from benchmark.record_schema import SceneFacts
 from benchmark.scene import Scene
 from benchmark.storage import content_key
@@ -45,6 +45,9 @@ class DataSet(Protocol):
 
     def observations(self, name: str) -> Iterator[Observation]:
         """One observation a sample, in time order."""
+
+    def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
+        """Camera images by camera name, in time order."""
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """One truth a sample, in time order."""
@@ -130,6 +133,15 @@ class VariantRoots:
         """
         data, inner = self._find(name)
         return (replace(observation, scene=name) for observation in data.observations(inner))
+
+    def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
+        """Camera images by camera name, in time order.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return data.videos(inner, sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """One truth a sample, in time order.

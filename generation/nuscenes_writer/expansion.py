@@ -32,7 +32,7 @@ def map_expansion(road_map: RoadMap) -> Row:
     """A road map as the content of ``maps/expansion/<location>.json``.
 
     Lanes, crossings and the like keep their identifiers as tokens. Lane connectors and lanes without a surface get
-    one around their centre line. There are no road blocks and traffic lights.
+    one around their centre line. There are no traffic lights.
 
     Args:
         road_map: The whole map of the place.
@@ -92,6 +92,9 @@ class _LayerWriter:
             self._surface("stop_line", name, shape, {"stop_line_type": "TURN_STOP", **cues})
         for name, shape in sorted(road_map.carparks.items()):
             self._surface("carpark_area", name, shape, {"orientation": 0.0, "road_block_token": ""})
+        for name, shape in sorted(road_map.road_blocks.items()):
+            links = {"from_edge_line_token": "", "to_edge_line_token": "", "road_segment_token": ""}
+            self._surface("road_block", name, shape, links)
 
     def add_divider(self, divider: Divider) -> None:
         """A lane or road divider with its paint."""

@@ -52,7 +52,7 @@ class DataSetPlan:
         renderer: Draws the camera images; ``None`` for a data set without cameras.
         frames: Which frames get rows and files: all 12 Hz frames or the 2 Hz keyframes.
         jpeg_quality: 1..100.
-        lossless: PNG instead of JPEG.
+        lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         source: What the data set derives from, or ``None``.
     """
 

@@ -72,7 +72,10 @@ def unpack_road_map(packed: dict[str, Any]) -> RoadMap:
         )
         for row in packed["dividers"]
     )
-    layers = {layer: {name: shapely.from_wkb(wkb) for name, wkb in packed[layer].items()} for layer in _POLYGON_LAYERS}
+    # Fragments of earlier releases have no road blocks.
+    layers = {
+        layer: {name: shapely.from_wkb(wkb) for name, wkb in packed.get(layer, {}).items()} for layer in _POLYGON_LAYERS
+    }
     width, height = packed["canvas_m"]
     return RoadMap(
         location=packed["location"],
@@ -110,12 +113,13 @@ def merged(parts: Sequence[RoadMap]) -> RoadMap:
             intersections=frozenset[str]().union(*(part.intersections for part in parts)),
             stop_lines=_merged_polygons(part.stop_lines for part in parts),
             carparks=_merged_polygons(part.carparks for part in parts),
+            road_blocks=_merged_polygons(part.road_blocks for part in parts),
             canvas_m=(max(part.canvas_m[0] for part in parts), max(part.canvas_m[1] for part in parts)),
         )
     return replace(whole, canvas_m=_canvas(whole))
 
 
-_POLYGON_LAYERS = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks")
+_POLYGON_LAYERS = ("ped_crossings", "walkways", "road_segments", "stop_lines", "carparks", "road_blocks")
 
 
 def _canvas(road_map: RoadMap) -> tuple[float, float]:

@@ -1,13 +1,13 @@
 """Table rows of one scene."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from benchmark.constants import LIDAR_NAME
-from benchmark.scene import Camera, Scene
+from benchmark.scene import Camera, EgoTrack, Scene
 from generation.nuscenes_writer.plan import SceneNames
 from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_row
 
@@ -22,17 +22,19 @@ class Channel:
         name: nuScenes channel.
         camera: Calibration, or ``None`` for the lidar.
         extension: Of its files.
+        ego: Where the ego is when the sensor measures; ``None`` for the scene's own track.
     """
 
     name: str
     camera: Camera | None
     extension: str
+    ego: EgoTrack | None = None
 
 
-def channels_of(cameras: Sequence[Camera], *, image_extension: str) -> tuple[Channel, ...]:
-    """The lidar and the cameras of a scene."""
+def channels_of(cameras: Sequence[Camera], tracks: Mapping[str, EgoTrack]) -> tuple[Channel, ...]:
+    """The lidar and the cameras of a scene, and the ego motion of cameras with clocks of their own."""
     lidar = Channel(LIDAR_NAME, None, "pcd.bin")
-    return (lidar, *(Channel(camera.name, camera, image_extension) for camera in cameras))
+    return (lidar, *(Channel(camera.name, camera, "jpg", tracks.get(camera.name)) for camera in cameras))
 
 
 def scene_tables(
@@ -120,7 +122,7 @@ def _sensor_rows(
     names: SceneNames, scene: Scene, channel: Channel, frames: Sequence[int]
 ) -> tuple[list[Row], list[Row]]:
     """Rows of ``sample_data`` and ``ego_pose``, one pair a frame with equal tokens."""
-    keyframes = set(scene.keyframes.tolist())
+    keyframes, ego = set(scene.keyframes.tolist()), channel.ego or scene.ego
     # A sweep belongs to the sample before it, as in the reference code; nuScenes says the one after.
     owner = np.maximum(np.searchsorted(scene.keyframes, frames, side="right") - 1, 0)
     data, poses = [], []
@@ -148,8 +150,8 @@ def _sensor_rows(
             {
                 "token": own_token,
                 "timestamp": timestamp,
-                "translation": scene.ego.position[frame].tolist(),
-                "rotation": scene.ego.rotation[frame].tolist(),
+                "translation": ego.position[frame].tolist(),
+                "rotation": ego.rotation[frame].tolist(),
             }
         )
     return _chain(data), poses

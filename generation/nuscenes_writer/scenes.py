@@ -18,7 +18,7 @@ from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, require_own
 from generation.nuscenes_writer.road_maps import pack_road_map
 from generation.nuscenes_writer.rows import Channel, channels_of, scene_tables, used_labels
 from generation.nuscenes_writer.vocabulary import Vocabulary
-from generation.rendering import Images
+from generation.rendering import Images, SweepRenderer
 
 FRAGMENT_SCHEMA = 1
 
@@ -56,11 +56,14 @@ def write_scene(
     if is_complete(plan, key, variant=variant, name=name):
         return key
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
-    channels = channels_of(cameras, image_extension="png" if plan.lossless else "jpg")
+    tracks = plan.renderer.camera_tracks(scene) if isinstance(plan.renderer, SweepRenderer) else {}
+    channels = channels_of(cameras, tracks)
     vocabulary = Vocabulary.of(plan.source)
     tables = scene_tables(names, vocabulary, scene, channels, frames)
     messages = can_bus_files(scene, name=name, source=plan.source, source_scene=source_scene)
     sensor_files = [row["filename"] for row in tables["sample_data"]]
+    if plan.lossless:
+        sensor_files += [_lossless(path) for path in sensor_files if path.endswith(".jpg")]
     _claim(plan, key, labels, [*sensor_files, *messages])
     root = plan.data_root(variant)
     for path, data in messages.items():
@@ -197,17 +200,28 @@ def _write_sensor_files(
         return
     for frame, images in zip(frames, plan.renderer.render(scene, list(frames)), strict=True):
         for channel in cameras:
-            write_bytes(path_of(channel, frame), _encoded(plan, channel, images), durable=False)
+            path, image = path_of(channel, frame), _checked(channel, images)
+            if plan.lossless:
+                write_bytes(path.with_name(_lossless(path.name)), _encoded(image, ".png", []), durable=False)
+            data = _encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality])
+            write_bytes(path, data, durable=False)
 
 
-def _encoded(plan: DataSetPlan, channel: Channel, images: Images) -> bytes:
-    camera = channel.camera
+def _lossless(jpeg: str) -> str:
+    """Name of the PNG file beside a JPEG file."""
+    return jpeg.removesuffix(".jpg") + ".png"
+
+
+def _checked(channel: Channel, images: Images) -> NDArray[np.uint8]:
+    camera, image = channel.camera, images[channel.name]
     assert camera is not None
-    image: NDArray[np.uint8] = images[channel.name]
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
         raise ValueError(f"the renderer gave {image.dtype} {image.shape} for {camera.width} x {camera.height} pixels")
-    options = [] if plan.lossless else [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality]
-    done, data = cv2.imencode(f".{channel.extension}", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
+    return image
+
+
+def _encoded(image: NDArray[np.uint8], extension: str, options: Sequence[int]) -> bytes:
+    done, data = cv2.imencode(extension, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), options)
     assert done, "OpenCV refused to encode an image that it accepts by type"
     return bytes(data.tobytes())
 

@@ -22,8 +22,8 @@ from adapters.checkpoints.fetching import fetch_official
 from adapters.checkpoints.importing import import_checkpoint, resolve_checkpoint
 from adapters.checkpoints.listing import known_weights
 from adapters.checkpoints.official import OFFICIAL_FILES, OfficialFile, official_file
-from adapters.checkpoints.pickles import read_checkpoint
 from adapters.native_models import NATIVE_MODELS, NativeModel
+from benchmark.checkpoint_files import read_checkpoint
 from benchmark.errors import InputError
 from benchmark.storage import file_sha256
 
@@ -424,7 +424,23 @@ def test_official_files_are_fetched_checked_and_imported(tmp_path: Path, server:
     ):
         with pytest.raises(InputError, match=says):
             fetch_official(wrong, cache)
-    assert [entry.name for entry in cache.iterdir()] == [found.path.name]
+    assert [entry.name for entry in cache.glob("[!.]*")] == [found.path.name]
+
+
+def test_what_was_fetched_before_a_download_broke_off_is_not_fetched_again(tmp_path: Path, server: str) -> None:
+    cache, fetching = tmp_path / "cache", tmp_path / "cache" / ".fetching-small"
+    saved(tmp_path / "served" / "a.pth", as_mmcv(weights()))
+    (tmp_path / "served" / "beside.bin").write_bytes(b"companion")
+    beside = OfficialFile("beside.bin", "small", f"{server}/beside.bin", f"{server}/page", "free")
+
+    def with_companion(name: str) -> OfficialFile:
+        return OfficialFile(name, "small", f"{server}/{name}", f"{server}/page", "free", companions=(beside,))
+
+    with pytest.raises(InputError, match="broke off"):
+        fetch_official(with_companion("short.pth"), cache)
+    assert (fetching / "beside.bin").read_bytes() == b"companion" and not (fetching / "short.pth").exists()
+    (tmp_path / "served" / "beside.bin").unlink()
+    assert fetch_official(with_companion("a.pth"), cache).path.is_file() and not fetching.exists()
 
 
 def test_no_connection_is_one_sentence(tmp_path: Path) -> None:

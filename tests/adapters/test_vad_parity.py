@@ -12,12 +12,12 @@ import torch
 
 from adapters.vad.config import VADConfig
 from adapters.vad.model import VAD
-from adapters.verification.filling import fill, same_names_and_shapes
 from adapters.verification.models import verify_model
 from adapters.verification.parity_set import ParityManifest, ParitySet
 from adapters.verification.quantities import OUTLIERS, Quantity, Tolerance, compare_frame
 from adapters.verification.vad import EXACT
 from benchmark.errors import InputError
+from benchmark.filled_networks import fill, same_names_and_shapes
 from benchmark.golden import GoldenArrays
 from benchmark.verification import Check, Comparison, report
 

@@ -70,6 +70,9 @@ class FakeData:
         for index in range(len(scene.keyframes)):
             yield observation(scene, index, self.views)
 
+    def videos(self, name: str, *, sweeps: bool) -> dict[str, tuple[CameraView, ...]]:
+        return {camera: (view,) for camera, view in self.views.items()}
+
 
 def sample_truth(scene: Scene, index: int) -> SampleTruth:
     count = len(scene.keyframes)

@@ -32,7 +32,8 @@ def cluster() -> Iterator[Any]:
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "include_dashboard": False}
+    # Ray counts GPUs and never looks for them.
+    node = {"num_cpus": 1, "num_gpus": 1, "object_store_memory": 80 * 2**20, "include_dashboard": False}
     cluster = Cluster(initialize_head=True, head_node_args=node)
     yield cluster
     cluster.shutdown()
@@ -58,6 +59,13 @@ def test_a_stage_joins_the_cluster_and_leaves_it(cluster: Any, capsys: pytest.Ca
         list(RayCluster(cluster.address, retries=1).map(units_of_work.killed, range(4), total=4, label="counting"))
     assert not ray.is_initialized()
     assert capsys.readouterr().out == ""
+
+
+def test_a_unit_that_needs_a_gpu_sees_one(executor: RayCluster) -> None:
+    of_gpus = replace(executor, gpus=1)
+    assert list(of_gpus.map(units_of_work.gpus_in_sight, [0, 1], total=2, label="looking")) == ["0", "0"]
+    with pytest.raises(InputError, match="has no GPUs to work on"):
+        list(replace(executor, gpus=2).map(units_of_work.gpus_in_sight, [0], total=1, label="looking"))
 
 
 def test_results_are_those_of_local_processes(executor: RayCluster) -> None:

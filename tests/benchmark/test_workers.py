@@ -110,6 +110,13 @@ def test_products_of_matrices_are_the_same_whatever_the_environment_says_of_thre
     assert len(said) == 1
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_are_numbered_from_zero(workers: int) -> None:
+    found = LocalProcesses(workers).map(units_of_work.number_of_worker, range(12), total=12, label="numbering")
+    assert set(found) <= set(range(workers))
+    assert units_of_work.number_of_worker(0) == 0
+
+
 def test_no_workers_is_a_sentence() -> None:
     with pytest.raises(InputError, match="--workers must be at least 1, got 0"):
         LocalProcesses(0).map(units_of_work.doubled, [1], total=1, label="doubling")

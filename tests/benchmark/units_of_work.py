@@ -7,10 +7,21 @@ from pathlib import Path
 
 from benchmark.errors import InputError
 from benchmark.storage import content_key, read_json, read_kept_json, write_json
+from benchmark.workers import worker_number
 
 
 def doubled(item: int) -> int:
     return 2 * item
+
+
+def number_of_worker(_item: int) -> int:
+    # Long enough for both workers to get some.
+    time.sleep(0.05)
+    return worker_number()
+
+
+def gpus_in_sight(_item: int) -> str | None:
+    return os.environ.get("CUDA_VISIBLE_DEVICES")
 
 
 def refused(item: int) -> int:

@@ -36,11 +36,11 @@ def test_durations_are_said_as_people_do(seconds: float, text: str) -> None:
 
 
 def test_work_is_shared_by_workers() -> None:
-    text = Estimate(90, 8.0, 36, 20.0, 2).sentence()
+    text = Estimate(90, 8.0, 36, 20.0, 2, 2).sentence()
     expected = "6.0 min of planning (90 attempts at 8 s) and 6.0 min of rendering (36 scenes at 20 s)"
     assert text == f"about {expected} on 2 workers"
-    assert Estimate(90, 8.0, 0, 0.0, None).sentence() == "about 12 min of planning (90 attempts at 8 s) in all"
-    assert Estimate(0, 0.0, 0, 0.0, 1).sentence() == "about no time"
+    assert Estimate(90, 8.0, 0, 0.0, None, None).sentence() == "about 12 min of planning (90 attempts at 8 s) in all"
+    assert Estimate(0, 0.0, 0, 0.0, 1, 1).sentence() == "about no time"
 
 
 def test_a_dry_run_estimates_each_stage(source: DataSet, tmp_path: Path) -> None:

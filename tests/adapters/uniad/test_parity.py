@@ -11,10 +11,10 @@ import torch
 
 from adapters.uniad.collision_optimiser import move_plan
 from adapters.uniad.model import UniAD, UniADInputs
-from adapters.verification.filling import NAMES, fill, same_names_and_shapes
 from adapters.verification.uniad import compare_uniad, read_frames, verify_uniad
 from adapters.verification.uniad_quantities import frame_quantities
 from benchmark.errors import InputError
+from benchmark.filled_networks import NAMES, fill, same_names_and_shapes
 from benchmark.golden import GoldenArrays
 from benchmark.verification import Check, Comparison, report
 from tests.adapters.uniad.small_uniad import SMALL, anchors, class_layer, frame

@@ -20,8 +20,8 @@ from adapters.uniad.tracking import (
     PATIENCE,
     Instances,
     Pose,
+    chosen_tracks,
     moved_references,
-    reported_tracks,
     strongest_boxes,
     updated,
 )
@@ -150,5 +150,32 @@ def test_reported_boxes_are_the_most_certain_ones_in_range(count: int) -> None:
     inside = [p for p in best if abs(codes[p, 0]) <= 22 and abs(codes[p, 1]) <= 18 and abs(codes[p, 4]) <= 10]
     found = strongest_boxes(known, SMALL)
     torch.testing.assert_close(found.scores, scores[inside])
-    awake = reported_tracks(known, SMALL)
-    assert (awake.track_ids >= 0).all() and (awake.scores >= ASLEEP_SCORE).all()
+
+
+@given(st.integers(0, 60), st.integers(0, 2**31), st.floats(0.2, 1.5), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_what_is_chosen_at_once_is_what_is_chosen_one_by_one(
+    count: int, seed: int, spread: float, broken: bool
+) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    known = instances(count, seed=seed)
+    codes = known.box_codes * torch.tensor([15.0, 15.0, 1, 1, 8.0, 1, 1, 1, 1, 1]) * spread
+    if broken and count:
+        codes[0, 0] = float("nan")
+    known = replace(
+        known,
+        scores=torch.rand(count, generator=generator),
+        box_codes=codes,
+        class_logits=torch.randn(count, SMALL.agent_classes, generator=generator),
+        track_ids=torch.randint(-2, 9, (count,), generator=generator),
+    )
+    vehicle = torch.arange(SMALL.agent_classes) < 5
+    found = chosen_tracks(known, vehicle, SMALL)
+    living = [p for p in range(count) if known.track_ids[p] >= 0]
+    awake = sorted((p for p in living if known.scores[p] >= ASLEEP_SCORE), key=lambda p: -float(known.scores[p]))
+    best = awake[: SMALL.max_boxes]
+    near = [p for p in best if abs(codes[p, 0]) <= 22 and abs(codes[p, 1]) <= 18 and abs(codes[p, 4]) <= 10]
+    assert found.reported.tolist() == near and found.surviving.tolist() == living
+    assert found.vehicles.tolist() == [
+        order for order, p in enumerate(near) if bool(vehicle[int(known.class_logits[p].argmax())])
+    ]

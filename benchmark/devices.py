@@ -35,6 +35,25 @@ def device_of(name: str) -> torch.device:
     return device
 
 
+def device_of_worker(name: str, number: int) -> torch.device:
+    """The device of one of several workers: a GPU is for one after the other where the name says no number.
+
+    Args:
+        name: As for `device_of`; ``cuda`` stands for all GPUs of the machine.
+        number: Of the worker, from 0.
+
+    Returns:
+        The device.
+
+    Raises:
+        InputError: If there is none of that name.
+    """
+    device = device_of(name)
+    if device.type != "cuda" or device.index is not None:
+        return device
+    return torch.device("cuda", number % torch.cuda.device_count())
+
+
 def require_precision(name: str) -> None:
     """Refuse precisions that networks do not have here.
 

@@ -1,0 +1,1 @@
+"""How the miniatures of the native models are trained: what is learned from, the losses they share, the loop."""

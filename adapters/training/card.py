@@ -1,0 +1,90 @@
+"""The model card of a miniature, written from the facts of its training."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from adapters.miniatures import Miniature
+
+_TEXT: Final = """\
+# {name}
+
+A small network of the same class as {full}, trained by `challenger-bench train planner --model {name}` on the embedded
+town so that `--model {name}` is a real run without any download. **It shows the pipeline and ranks nothing**: it is
+{parameters} parameters large where the full model has tens of millions, reads images of 224 x 128, has never seen a
+photograph, and drives only in the drawn town that it learned from. No figure below says anything about {full}.
+
+## Training
+
+| | |
+|---|---|
+| data | {frames:,} key frames of {scenes} scenes, split `{split}` of the embedded town (`data build --train-scenes`) |
+| seed | {seed} |
+| steps | {steps} |
+| started from | {started} |
+| commit | {commit} |
+| version | {tool} |
+| file | {bytes:,} bytes, SHA-256 `{sha256}` |
+
+The same command with the same data, seed and starting weights gives the same weights on the same kind of processor; it
+resumes where it was interrupted.
+
+## Scores on {judged}, none of them trained on
+
+Mean distance from the recorded position in metres, and the share of plans that touch anything within 3 s (protocol
+`exact`). *blank*: all images grey. *shuffled*: images of another scene. The ego's own motion is the true one in all
+rows, so the rows below the first say how much of a plan comes from the images.
+
+| shown | samples | L2 1 s | L2 2 s | L2 3 s | collisions |
+|---|---|---|---|---|---|
+{rows}
+
+Weights and card: Apache-2.0, as the code; the town is drawn by it.
+"""
+_TITLES: Final = {
+    "own": "its own images",
+    "blank": "blank images",
+    "shuffled": "shuffled images",
+    "constant-velocity": "(constant velocity)",
+}
+
+
+def card_of(small: Miniature, facts: Mapping[str, Any]) -> str:
+    """The card as Markdown.
+
+    Args:
+        small: The miniature.
+        facts: Of `adapters.training.planners.train_planner`.
+
+    Returns:
+        The text.
+    """
+    source = facts["source"]
+    commit = source["commit"] or "unknown"
+    started = ", ".join(f"{name.replace('_', ' ')} `{sha256[:16]}`" for name, sha256 in facts["started_from"].items())
+    measured = facts["figures"]
+    rows = [
+        f"| {title} | {row['samples']:.0f} | {row['l2_1s_m']:.2f} | {row['l2_2s_m']:.2f} | {row['l2_3s_m']:.2f} | "
+        f"{row['collisions']:.1%} |"
+        for name, title in _TITLES.items()
+        if (row := measured.get(name)) is not None
+    ]
+    return _TEXT.format(
+        name=small.name,
+        full=small.stands_for[-1],
+        parameters=f"{facts['parameters']:,}",
+        scenes=facts["scenes"],
+        frames=facts["frames"],
+        split=facts["split"],
+        seed=facts["seed"],
+        steps=", ".join(
+            f"{phase['steps']:,} ({name}, learning rate {phase['learning_rate']:g})"
+            for name, phase in facts["phases"].items()
+        ),
+        started=started or "random weights",
+        commit=f"{commit} with changes" if source["dirty"] else commit,
+        tool=facts["tool"],
+        bytes=facts["bytes"],
+        sha256=facts["sha256"],
+        judged=f"{len(facts['judged_on']['scenes'])} scenes of `{facts['judged_on']['data']}`",
+        rows="\n".join(rows) or "| not measured | | | | | |",
+    )

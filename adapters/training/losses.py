@@ -1,0 +1,319 @@
+"""What the lessons of the miniatures share: matching of predictions with annotations, and losses of matched ones.
+
+All are pure functions of one key frame (no batch). Losses are means that are zero, with zero gradients, where nothing
+is annotated.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+
+from benchmark.errors import InputError
+
+FOCAL_ALPHA: Final = 0.25
+"""Weight of positives in focal losses; negatives have the rest."""
+FOCAL_GAMMA: Final = 2.0
+"""How much focal losses forgive what is nearly right."""
+_SMALLEST_SIZE_M: Final = 1e-3
+_CLOSED_WITHIN_M: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """One-to-one pairs of Q predictions and G annotations; every annotation has one where Q >= G.
+
+    Attributes:
+        queries: (K,) int64.
+        wanted: (K,) int64, the annotation of each.
+    """
+
+    queries: Tensor
+    wanted: Tensor
+
+
+def assigned(cost: Tensor) -> Matches:
+    """Pairs with the least sum of costs (Kuhn 1955).
+
+    Args:
+        cost: (Q, G).
+
+    Returns:
+        min(Q, G) pairs.
+
+    Raises:
+        InputError: If a cost is not finite.
+    """
+    matrix = cost.detach().float().cpu().numpy()
+    if not np.isfinite(matrix).all():
+        raise InputError("the network's predictions are no longer finite numbers; train with a lower learning rate")
+    queries, wanted = linear_sum_assignment(matrix)
+    return Matches(torch.from_numpy(queries).to(cost.device), torch.from_numpy(wanted).to(cost.device))
+
+
+def class_cost(logits: Tensor, labels: Tensor) -> Tensor:
+    """Change of the focal loss of a query if it becomes a positive (DETR family).
+
+    Args:
+        logits: (Q, C).
+        labels: (G,) int64.
+
+    Returns:
+        (Q, G).
+    """
+    shares = logits.detach().float().sigmoid()
+    positive = FOCAL_ALPHA * (1 - shares) ** FOCAL_GAMMA * -(shares + 1e-12).log()
+    negative = (1 - FOCAL_ALPHA) * shares**FOCAL_GAMMA * -(1 - shares + 1e-12).log()
+    return (positive - negative)[:, labels]
+
+
+def normalised_boxes(boxes: Tensor) -> Tensor:
+    """Boxes in the form in which they are compared, with the yaw as given.
+
+    Args:
+        boxes: (..., 9) x, y, z, length, width, height, yaw, velocity x, y.
+
+    Returns:
+        (..., 10) x, y, log width, log length, z, log height, sin yaw, cos yaw, velocity x, y: the order of
+        `adapters.layers.coders.box_codes`.
+    """
+    x, y, z, length, width, height, yaw, velocity_x, velocity_y = boxes.unbind(-1)
+    sizes = torch.stack([width, length, height]).clamp(min=_SMALLEST_SIZE_M).log()
+    return torch.stack([x, y, sizes[0], sizes[1], z, sizes[2], yaw.sin(), yaw.cos(), velocity_x, velocity_y], -1)
+
+
+def match_boxes(
+    logits: Tensor,
+    codes: Tensor,
+    labels: Tensor,
+    wanted: Tensor,
+    code_weights: Tensor,
+    *,
+    class_weight: float = 2.0,
+    box_weight: float = 0.25,
+) -> Matches:
+    """Match predicted and annotated boxes by class and weighted L1 of codes.
+
+    Args:
+        logits: (Q, C).
+        codes: (Q, D) in the same form as ``wanted``.
+        labels: (G,) int64.
+        wanted: (G, D), for example of `normalised_boxes`.
+        code_weights: (D,), zero for what matching leaves out.
+        class_weight: Of the cost of the class.
+        box_weight: Of the cost of the box.
+
+    Returns:
+        The pairs.
+
+    Raises:
+        InputError: If predictions are not finite.
+    """
+    distance = torch.cdist(codes.detach().float() * code_weights, wanted.float() * code_weights, p=1)
+    return assigned(class_weight * class_cost(logits, labels) + box_weight * distance)
+
+
+def focal_loss(logits: Tensor, targets: Tensor, *, count: float | None = None) -> Tensor:
+    """Sigmoid focal loss (Lin et al., ICCV 2017).
+
+    Args:
+        logits: (...).
+        targets: The same shape, 0 to 1.
+        count: What the sum is divided by, at least 1; the sum of the targets where none is given.
+
+    Returns:
+        A scalar.
+    """
+    entropy = F.binary_cross_entropy_with_logits(logits, targets, reduction="none")
+    shares = logits.sigmoid()
+    miss = shares + targets - 2 * shares * targets
+    alpha = FOCAL_ALPHA * targets + (1 - FOCAL_ALPHA) * (1 - targets)
+    return (alpha * miss**FOCAL_GAMMA * entropy).sum() / max(float(targets.sum()) if count is None else count, 1.0)
+
+
+def query_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tensor:
+    """Focal loss of all queries: matched ones have a class, all others none.
+
+    Args:
+        logits: (Q, C).
+        labels: (G,) int64, of the annotations.
+        matches: Which query stands for which.
+
+    Returns:
+        A scalar, per annotation.
+    """
+    targets = torch.zeros_like(logits)
+    targets[matches.queries, labels[matches.wanted]] = 1.0
+    return focal_loss(logits, targets)
+
+
+def box_loss(codes: Tensor, wanted: Tensor, matches: Matches, code_weights: Tensor) -> Tensor:
+    """Weighted L1 of the codes of matched boxes.
+
+    Args:
+        codes: (Q, D).
+        wanted: (G, D).
+        matches: The pairs.
+        code_weights: (D,).
+
+    Returns:
+        A scalar: the sum over codes, per pair.
+    """
+    error = (codes[matches.queries] - wanted[matches.wanted]).abs() * code_weights
+    return error.sum() / max(len(matches.queries), 1)
+
+
+def equivalent_lines(lines: Tensor) -> Tensor:
+    """The orders of points in which a line is the same line: both directions, and for closed ones all starts.
+
+    Args:
+        lines: (M, P, 2) metres.
+
+    Returns:
+        (M, K, P, 2); K is 2 where no line is closed, else 2 (P - 1), open lines being repeated.
+    """
+    both = torch.stack([lines, lines.flip(1)], 1)
+    closed = (lines[:, 0] - lines[:, -1]).norm(dim=-1) < _CLOSED_WITHIN_M
+    if not closed.any():
+        return both
+    count = lines.shape[1] - 1
+    starts = (torch.arange(count + 1) % count + torch.arange(count)[:, None]) % count
+    turned = both[:, :, starts.to(lines.device)].flatten(1, 2)
+    repeated = both[:, :, None].expand(-1, -1, count, -1, -1).flatten(1, 2)
+    return torch.where(closed[:, None, None, None], turned, repeated)
+
+
+def match_lines(
+    logits: Tensor,
+    points: Tensor,
+    labels: Tensor,
+    wanted: Tensor,
+    *,
+    scale: Tensor | float = 1.0,
+    class_weight: float = 2.0,
+    line_weight: float = 0.5,
+) -> tuple[Matches, Tensor]:
+    """Match predicted and annotated map elements, in whichever order of points is nearest (MapTR, ICLR 2023).
+
+    Args:
+        logits: (Q, C).
+        points: (Q, P, 2) in the same unit as ``wanted``.
+        labels: (M,) int64.
+        wanted: (M, P, 2).
+        scale: Distances are divided by this, a number or one for each axis.
+        class_weight: Of the cost of the class.
+        line_weight: Of the cost of the points: their summed L1, over P.
+
+    Returns:
+        The pairs, and (K, P, 2) annotated points of each pair in the order nearest to its query.
+
+    Raises:
+        InputError: If predictions are not finite.
+    """
+    orders = equivalent_lines(wanted)
+    scaled = (orders / scale).flatten(2)
+    distance = torch.cdist((points.detach() / scale).flatten(1).float()[None], scaled.flatten(0, 1).float()[None], p=1)
+    distance = distance.view(len(points), len(wanted), orders.shape[1]) / points.shape[1]
+    nearest, order = distance.min(-1)
+    matches = assigned(class_weight * class_cost(logits, labels) + line_weight * nearest)
+    return matches, orders[matches.wanted, order[matches.queries, matches.wanted]]
+
+
+def line_loss(points: Tensor, matched: Tensor, matches: Matches, *, scale: Tensor | float = 1.0) -> Tensor:
+    """L1 of the points of matched map elements.
+
+    Args:
+        points: (Q, P, 2).
+        matched: (K, P, 2) as `match_lines` gives them.
+        matches: The pairs.
+        scale: As in `match_lines`.
+
+    Returns:
+        A scalar: summed over x and y, mean over points and pairs.
+    """
+    error = ((points[matches.queries] - matched) / scale).abs()
+    return error.sum() / max(matched.shape[0] * matched.shape[1], 1)
+
+
+def direction_loss(points: Tensor, matched: Tensor, matches: Matches) -> Tensor:
+    """How far the pieces of matched map elements turn from the annotated ones: 1 minus the cosine (MapTR).
+
+    Args:
+        points: (Q, P, 2) metres.
+        matched: (K, P, 2) metres.
+        matches: The pairs.
+
+    Returns:
+        A scalar, 0 to 2.
+    """
+    found, wanted = points[matches.queries].diff(dim=1), matched.diff(dim=1)
+    return (1 - F.cosine_similarity(found, wanted, dim=-1)).sum() / max(wanted.shape[0] * wanted.shape[1], 1)
+
+
+def winners(trajectories: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
+    """The mode that is nearest on average over the steps that are annotated.
+
+    Args:
+        trajectories: (N, M, T, 2) metres.
+        wanted: (N, T, 2).
+        valid: (N, T) bool.
+
+    Returns:
+        (N,) int64.
+    """
+    distance = torch.linalg.vector_norm(trajectories.detach() - wanted[:, None], dim=-1)
+    best: Tensor = (distance * valid[:, None]).sum(-1).argmin(-1)
+    return best
+
+
+def trajectory_losses(trajectories: Tensor, logits: Tensor, wanted: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Winner takes all: L1 of the nearest mode, and cross entropy that asks for it.
+
+    Args:
+        trajectories: (N, M, T, 2) metres.
+        logits: (N, M); their softmax are the scores.
+        wanted: (N, T, 2).
+        valid: (N, T) bool; what has no valid step counts nowhere.
+
+    Returns:
+        L1, summed over x and y, mean over valid steps; cross entropy, mean over what has a valid step.
+    """
+    counted = valid.any(-1)
+    trajectories, logits, wanted, valid = trajectories[counted], logits[counted], wanted[counted], valid[counted]
+    best = winners(trajectories, wanted, valid)
+    error = (trajectories[torch.arange(len(best), device=best.device), best] - wanted).abs().sum(-1) * valid
+    entropy = F.cross_entropy(logits, best, reduction="sum")
+    return error.sum() / max(int(valid.sum()), 1), entropy / max(len(best), 1)
+
+
+def plan_loss(plan: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
+    """L1 of a plan.
+
+    Args:
+        plan: (T, 2) metres.
+        wanted: (T, 2).
+        valid: (T,) bool.
+
+    Returns:
+        A scalar: summed over x and y, mean over valid steps.
+    """
+    return ((plan - wanted).abs().sum(-1) * valid).sum() / max(int(valid.sum()), 1)
+
+
+def dice_loss(logits: Tensor, targets: Tensor) -> Tensor:
+    """One minus the overlap of masks (V-Net, 3DV 2016).
+
+    Args:
+        logits: (N, ...).
+        targets: The same shape, 0 or 1.
+
+    Returns:
+        A scalar, mean over N, 0 to 1.
+    """
+    shares, targets = logits.sigmoid().flatten(1), targets.flatten(1)
+    overlap = 2 * (shares * targets).sum(-1) + 1
+    return (1 - overlap / (shares.square().sum(-1) + targets.square().sum(-1) + 1)).sum() / max(len(logits), 1)

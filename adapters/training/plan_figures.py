@@ -1,0 +1,126 @@
+"""How well a planner drives on scenes that it has not learned from, and whether it looks at the images."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import HORIZON_STEPS
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.planning import CameraView, Observation, Planner, SceneInfo
+from benchmark.protocols import protocol
+
+_BLANK_GREY: Final = 128
+
+
+class Images(StrEnum):
+    """What a planner is shown.
+
+    ``own``: what its cameras saw. ``blank``: grey. ``shuffled``: what the same cameras saw in another scene at a sample
+    of the same number, with its own calibration and ego motion.
+    """
+
+    OWN = "own"
+    BLANK = "blank"
+    SHUFFLED = "shuffled"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFigures:
+    """Figures over samples whose recording reaches 3 s.
+
+    Attributes:
+        samples: How many.
+        l2_1s_m: Mean distance from the recorded position at 1 s.
+        l2_2s_m: At 2 s.
+        l2_3s_m: At 3 s.
+        collisions: Share whose plan touches anything within 3 s, by the protocol ``exact``.
+    """
+
+    samples: int
+    l2_1s_m: float
+    l2_2s_m: float
+    l2_3s_m: float
+    collisions: float
+
+    def as_log(self) -> dict[str, float]:
+        """By name, rounded."""
+        return {name: round(value, 4) for name, value in asdict(self).items()}
+
+
+def plan_figures(
+    planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
+) -> PlanFigures:
+    """Let a planner plan and compare its plans with what happened.
+
+    Args:
+        planner: The planner.
+        data: Where the scenes are.
+        scenes: Which.
+        images: What it is shown.
+        every: Of the samples, one in so many is judged; planners with memory see all of them.
+
+    Returns:
+        The figures.
+
+    Raises:
+        InputError: If no sample is complete, shuffling has only one scene, or something in the data is broken.
+    """
+    truths, plans = [], []
+    for number, name in enumerate(scenes):
+        scene = data.scene(name)
+        planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+        for observation, truth in zip(shown(data, scenes, number, images), data.truth(name), strict=True):
+            plan = planner.plan(observation)
+            if truth.complete and truth.index % every == 0:
+                truths.append(truth)
+                plans.append(plan.waypoints_in_lidar(truth.lidar_ahead_m))
+    if not truths:
+        raise InputError(f"none of the {len(scenes)} scenes has a sample with three recorded seconds after it")
+    outcomes = protocol("exact").evaluate(truths, np.array(plans))
+    l2 = {name: float(outcomes.l2[:, step - 1].mean()) for name, step in HORIZON_STEPS.items()}
+    return PlanFigures(len(truths), l2["1s"], l2["2s"], l2["3s"], float(outcomes.collision.any(-1).mean()))
+
+
+def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> Iterator[Observation]:
+    """Observations of a scene with the images that a planner is to be shown.
+
+    Args:
+        data: Where the scenes are.
+        scenes: All that are looked at.
+        number: Place of the scene among them.
+        images: See `Images`.
+
+    Yields:
+        Observations in time order.
+
+    Raises:
+        InputError: If shuffling has only one scene.
+    """
+    if images is Images.OWN:
+        yield from data.observations(scenes[number])
+        return
+    if images is Images.BLANK:
+        for observation in data.observations(scenes[number]):
+            yield replace(observation, views={key: _blank(view) for key, view in observation.views.items()})
+        return
+    if len(scenes) < 2:
+        raise InputError("images cannot be shuffled between scenes where there is only one")
+    others: list[Mapping[str, CameraView]] = [
+        observation.views for observation in data.observations(scenes[(number + 1) % len(scenes)])
+    ]
+    for observation in data.observations(scenes[number]):
+        other = others[observation.index % len(others)]
+        views = {key: replace(view, load=other[key].load) for key, view in observation.views.items()}
+        yield replace(observation, views=views)
+
+
+def _blank(view: CameraView) -> CameraView:
+    def grey() -> NDArray[np.uint8]:
+        return np.full((view.camera.height, view.camera.width, 3), _BLANK_GREY, np.uint8)
+
+    return replace(view, load=grey)

@@ -1,0 +1,308 @@
+"""Training of a miniature from a data set to a weights file: what ``challenger-bench train planner`` runs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from adapters.camera_inputs import RGB_MEAN_STD
+from adapters.checkpoints.cache import Provenance, write_weights
+from adapters.constant_velocity import ConstantVelocity
+from adapters.miniatures import MINIATURES, Miniature, miniature, planner_with
+from adapters.native_planner import Weights
+from adapters.training.card import card_of
+from adapters.training.frame_store import FrameStore, build_frames, frames_key
+from adapters.training.frames import TrainingFrame
+from adapters.training.image_encoder import ImageEncoder, ImageEncoderLesson
+from adapters.training.phases import Phase
+from adapters.training.plan_figures import Images, plan_figures
+from adapters.training.run_files import tensors_key
+from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
+from benchmark import __version__
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.environment import source_state
+from benchmark.errors import InputError
+from benchmark.storage import content_seed, file_sha256, write_bytes, write_json
+from benchmark.workspace import cache_root
+
+ENCODER_NAME: Final = "image-encoder"
+"""What ``--model`` calls the network that all miniatures start from."""
+ENCODER_PYRAMID: Final = "pyramid."
+PYRAMID: Final = "img_neck."
+"""The image encoder's feature pyramid is the one that the sparse networks have under this name (``--start-from``)."""
+HELD_OUT_EVERY: Final = 75
+"""Of the scenes of a split, one in so many is not trained on and measures."""
+ANCHORS_EVERY, ANCHOR_FRAMES = 10, 400
+"""Of the frames, one in so many gives first values (anchors, places of queries); more of them in small splits."""
+JUDGED_SPLIT: Final = "val"
+"""Split of the data set that the result is measured on."""
+HALF_FROM: Final = 256
+"""Tensors of at least so many numbers are stored in half precision."""
+_ENCODER_RECIPE: Final = Recipe(
+    steps=900, learning_rate=2e-3, encoder_rate=1.0, warmup=60, average=0.98, scattered=True, gradient_norm=10.0
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerTraining:
+    """What a training depends on.
+
+    Attributes:
+        model: A miniature, or `ENCODER_NAME`.
+        data_root: Data set in nuScenes format.
+        split: Of it.
+        out: Weights file to write; log, progress, facts and card lie beside it.
+        steps: Steps of all phases together, or ``None`` for the recipes' own.
+        seed: Of everything that is drawn.
+        learning_rate: Peak, or ``None`` for the recipes' own.
+        image_encoder: Weights of the image encoder to start from, if any.
+        start_from: Weights to start from wherever name and shape agree, if any.
+        judged_on: Data set on whose split ``val`` the result is measured; on held-out scenes of the split if none.
+        device: Where to compute: cpu, cuda, auto.
+        workers: Processes that gather the frames.
+    """
+
+    model: str
+    data_root: Path
+    split: str
+    out: Path
+    steps: int | None = None
+    seed: int = 0
+    learning_rate: float | None = None
+    image_encoder: Path | None = None
+    start_from: Path | None = None
+    judged_on: Path | None = None
+    device: str = "auto"
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        if self.model != ENCODER_NAME:
+            miniature(self.model)
+        if self.out.suffix != ".safetensors":
+            raise InputError(f"weights are written as .safetensors, not {self.out.name}; choose another --out")
+        if self.steps is not None and self.steps < 1:
+            raise InputError(f"--steps must be at least 1, got {self.steps}")
+        if self.learning_rate is not None and not 0 < self.learning_rate < 1:
+            raise InputError(f"--learning-rate must be between 0 and 1, got {self.learning_rate}")
+
+
+def train_planner(training: PlannerTraining) -> dict[str, Any]:
+    """Train and write weights, facts (JSON) and model card; the same command resumes.
+
+    Args:
+        training: What and how.
+
+    Returns:
+        The facts.
+
+    Raises:
+        InputError: If the data, the split or the weights to start from cannot be used, nothing is there to train on,
+            the progress file belongs to another run, the losses are no longer finite, or a file cannot be written.
+    """
+    # Weights that cannot be used are said at once, not after minutes of gathering frames.
+    given = _given_weights(training)
+    data = open_data(training.data_root)
+    judge = None if training.judged_on is None else open_data(training.judged_on)
+    folder = cache_root() / "training" / frames_key(data, training.split)[:16]
+    store = build_frames(training.data_root, training.split, folder, workers=training.workers)
+    held_out = store.scenes[::HELD_OUT_EVERY] if len(store.scenes) > 1 else ()
+    learned = [number for name in store.scenes if name not in held_out for number in store.frames_of(name)]
+    if training.model == ENCODER_NAME:
+        return _train_encoder(training, store, learned)
+    checked = _Checked(miniature(training.model), data, held_out)
+    judged = checked if judge is None else replace(checked, data=judge, scenes=judge.scene_names(JUDGED_SPLIT))
+    return _train_miniature(training, store, learned, given, checked, judged)
+
+
+def _train_encoder(training: PlannerTraining, store: FrameStore, learned: Sequence[int]) -> dict[str, Any]:
+    torch.manual_seed(content_seed("network", ENCODER_NAME, training.seed))
+    network = ImageEncoder()
+    phase = Phase("all", lambda _: ImageEncoderLesson(network), _ENCODER_RECIPE)
+    phase = _scaled((phase,), training)[0]
+    weights = fit(phase.lesson(network), store, learned, phase.recipe, training.out, device=training.device)
+    kept = {
+        name.replace(ENCODER_PYRAMID, PYRAMID): value
+        for name, value in weights.items()
+        if name.startswith((IMAGE_ENCODER, ENCODER_PYRAMID))
+    }
+    write_weights(training.out, kept, _provenance(training, store, kept))
+    # What the card of a miniature that starts from this file names, by the option that it is given with.
+    encoder = {name: value for name, value in kept.items() if name.startswith(IMAGE_ENCODER)}
+    keys = {"image_encoder": tensors_key(encoder), "start_from": tensors_key(kept)}
+    facts = _facts(training, store, learned, (phase,), kept) | {"keys": keys}
+    write_json(training.out.with_suffix(".json"), facts)
+    training.out.with_suffix(".progress.safetensors").unlink(missing_ok=True)
+    return facts
+
+
+def _train_miniature(
+    training: PlannerTraining,
+    store: FrameStore,
+    learned: Sequence[int],
+    given: Mapping[str, Mapping[str, Tensor]],
+    checked: "_Checked",
+    judged: "_Checked",
+) -> dict[str, Any]:
+    small = miniature(training.model)
+    network = small.untrained(_frames_for_anchors(store, learned), training.seed)
+    phases = _scaled(small.phases(), training)
+    weights: Mapping[str, Tensor] = {name: value for taken in given.values() for name, value in taken.items()}
+    parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
+    for phase, part in zip(phases, parts, strict=True):
+        lesson = phase.lesson(network)
+        _take(network, weights)
+        weights = fit(
+            lesson,
+            store,
+            learned,
+            phase.recipe,
+            part,
+            check=checked.figures if checked.scenes else None,
+            device=training.device,
+        )
+    started_from = {option: tensors_key(taken) for option, taken in given.items()}
+    facts = _write_miniature(training, store, learned, phases, weights, judged, started_from)
+    for part in parts:
+        part.with_suffix(".progress.safetensors").unlink(missing_ok=True)
+    return facts
+
+
+def _write_miniature(
+    training: PlannerTraining,
+    store: FrameStore,
+    learned: Sequence[int],
+    phases: Sequence[Phase],
+    weights: Mapping[str, Tensor],
+    judged: "_Checked",
+    started_from: Mapping[str, str],
+) -> dict[str, Any]:
+    """Weights in half precision, and figures of what the file holds."""
+    stored = {name: _halved(value) for name, value in weights.items()}
+    write_weights(training.out, stored, _provenance(training, store, stored))
+    facts = _facts(training, store, learned, phases, stored) | {
+        "started_from": started_from,
+        "figures": judged.all_figures(stored),
+        "judged_on": {"data": judged.data.root.resolve().name, "scenes": list(judged.scenes)},
+    }
+    write_json(training.out.with_suffix(".json"), facts)
+    write_bytes(training.out.with_suffix(".md"), card_of(judged.small, facts).encode())
+    return facts
+
+
+@dataclass(frozen=True, slots=True)
+class _Checked:
+    """Measures weights of a miniature on scenes that it does not learn from."""
+
+    small: Miniature
+    data: DataSet
+    scenes: Sequence[str]
+
+    def figures(self, weights: Mapping[str, Tensor]) -> dict[str, float]:
+        """Of plans made from the images."""
+        return plan_figures(self._planner(weights), self.data, self.scenes, every=2).as_log()
+
+    def all_figures(self, weights: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
+        """With all kinds of images, and of constant velocity; none without scenes."""
+        if not self.scenes:
+            return {}
+        found = {"constant-velocity": plan_figures(ConstantVelocity(), self.data, self.scenes).as_log()}
+        for images in Images:
+            if images is Images.SHUFFLED and len(self.scenes) < 2:
+                continue
+            found[images.value] = plan_figures(self._planner(weights), self.data, self.scenes, images=images).as_log()
+        return found
+
+    def _planner(self, weights: Mapping[str, Tensor]) -> Any:
+        network = self.small.build()
+        network.load_state_dict({name: value.cpu() for name, value in weights.items()})
+        return planner_with(self.small, network, Weights(RGB_MEAN_STD, "", {}), device="cpu")
+
+
+def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
+    """Weights to start from, by the option that named them."""
+    given: dict[str, dict[str, Tensor]] = {}
+    options = {"start_from": (training.start_from, ""), "image_encoder": (training.image_encoder, IMAGE_ENCODER)}
+    for option, (path, begins) in options.items():
+        if path is None:
+            continue
+        try:
+            tensors = load_file(path)
+        except (OSError, SafetensorError) as error:
+            raise InputError(f"cannot read the weights {path} ({error}); give a .safetensors file") from error
+        chosen = {name: value for name, value in tensors.items() if name.startswith(begins)}
+        if training.model in MINIATURES and path == training.start_from:
+            chosen = MINIATURES[training.model].renamed(chosen)
+        if not chosen:
+            raise InputError(f"{path} has no weights of an image encoder ({IMAGE_ENCODER}...); give another file")
+        given[option] = chosen
+    return given
+
+
+def _take(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
+    """Put weights into a network wherever name and shape agree."""
+    own = network.state_dict()
+    fitting = {name: value for name, value in weights.items() if name in own and own[name].shape == value.shape}
+    if weights and not fitting:
+        raise InputError("none of the weights to start from belongs to this model; give the file of another one")
+    network.load_state_dict(fitting, strict=False)
+
+
+def _frames_for_anchors(store: FrameStore, learned: Sequence[int]) -> list[TrainingFrame]:
+    """Frames from all over the split, without their images."""
+    step = max(min(ANCHORS_EVERY, len(learned) // ANCHOR_FRAMES), 1)
+    frames = (store.frame(number) for number in learned[::step])
+    return [replace(frame, images=torch.empty(0, dtype=torch.uint8)) for frame in frames]
+
+
+def _scaled(phases: tuple[Phase, ...], training: PlannerTraining) -> tuple[Phase, ...]:
+    total = sum(phase.recipe.steps for phase in phases)
+    share = 1.0 if training.steps is None else training.steps / total
+    return tuple(phase.changed(share, training.seed, training.learning_rate) for phase in phases)
+
+
+def _halved(value: Tensor) -> Tensor:
+    return value.half() if value.is_floating_point() and value.numel() >= HALF_FROM else value
+
+
+def _provenance(training: PlannerTraining, store: FrameStore, tensors: Mapping[str, Tensor]) -> Provenance:
+    return Provenance(
+        model=training.model,
+        source=f"challenger-bench train planner --model {training.model}",
+        source_sha256=store.identity,
+        normalisation=RGB_MEAN_STD.name,
+        normalisation_from="training",
+        licence="Apache-2.0",
+        number_types=tuple(sorted({str(value.dtype).removeprefix("torch.") for value in tensors.values()})),
+        tool=__version__,
+    )
+
+
+def _facts(
+    training: PlannerTraining,
+    store: FrameStore,
+    learned: Sequence[int],
+    phases: Sequence[Phase],
+    tensors: Mapping[str, Tensor],
+) -> dict[str, Any]:
+    return {
+        "model": training.model,
+        "data": training.data_root.resolve().name,
+        "split": training.split,
+        "frames_identity": store.identity,
+        "frames": len(learned),
+        "scenes": len(store.scenes),
+        "seed": training.seed,
+        "phases": {
+            phase.name: {"steps": phase.recipe.steps, "learning_rate": phase.recipe.learning_rate} for phase in phases
+        },
+        "parameters": sum(value.numel() for value in tensors.values() if value.is_floating_point()),
+        "sha256": file_sha256(training.out),
+        "bytes": training.out.stat().st_size,
+        "source": source_state(),
+        "tool": __version__,
+    }

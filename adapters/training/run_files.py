@@ -1,0 +1,102 @@
+"""An unfinished training run on disk."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from benchmark.errors import InputError
+from benchmark.storage import canonical_json, write_bytes
+
+
+@dataclass(slots=True)
+class TrainingRun:
+    """A run after ``step`` steps.
+
+    Attributes:
+        network: What is trained.
+        optimiser: Its state.
+        average: Averaged weights by name.
+        log: Rows so far.
+        step: Steps done.
+    """
+
+    network: nn.Module
+    optimiser: torch.optim.AdamW
+    average: dict[str, Tensor]
+    log: list[dict[str, Any]]
+    step: int = 0
+
+
+def tensors_key(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 of tensors with their names."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        digest.update(name.encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()
+
+
+def write_run(run: TrainingRun, path: Path, identity: str) -> None:
+    """Write a run, whole or not at all.
+
+    Args:
+        run: The run.
+        path: A .safetensors file.
+        identity: Key of what it depends on.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    tensors = {f"weights.{name}": tensor for name, tensor in run.network.state_dict().items()}
+    tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
+    for index, moments in run.optimiser.state_dict()["state"].items():
+        tensors |= {f"optimiser.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
+    held = {
+        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
+    }
+    facts = canonical_json({"run": identity, "step": run.step, "log": run.log})
+    write_bytes(path, save(held, {"run": facts}))
+
+
+def read_run(run: TrainingRun, path: Path, identity: str) -> None:
+    """Bring a run to where a file left it.
+
+    Args:
+        run: A fresh run.
+        path: A .safetensors file.
+        identity: Key of what the run depends on.
+
+    Raises:
+        InputError: If the file is broken, or belongs to a run with other settings, data or initial weights.
+    """
+    try:
+        with safe_open(path, "pt") as stored:
+            facts = json.loads((stored.metadata() or {})["run"])
+            tensors = {name: stored.get_tensor(name) for name in sorted(stored.keys())}
+    except (OSError, KeyError, ValueError, SafetensorError) as error:
+        raise InputError(f"cannot read {path} ({error}); remove it to train from the beginning") from error
+    if facts["run"] != identity:
+        raise InputError(
+            f"{path} belongs to a training run with other settings, frames or initial weights; remove it or choose "
+            "another --out"
+        )
+    run.network.load_state_dict({name[8:]: value for name, value in tensors.items() if name.startswith("weights.")})
+    with torch.no_grad():
+        for name, value in run.average.items():
+            value.copy_(tensors[f"average.{name}"])
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith("optimiser."):
+            _, index, moment = name.split(".", 2)
+            moments.setdefault(int(index), {})[moment] = value
+    state = run.optimiser.state_dict()
+    run.optimiser.load_state_dict({"state": moments, "param_groups": state["param_groups"]})
+    run.step, run.log = int(facts["step"]), list(facts["log"])

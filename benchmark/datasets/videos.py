@@ -1,0 +1,70 @@
+"""All camera images of a scene, keyframes and the sweeps between them, as one video a camera."""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from benchmark.datasets.sensors import file_inside, load_image, read_views
+from benchmark.datasets.tables import Row
+from benchmark.errors import InputError
+from benchmark.geometry import transform_matrix
+from benchmark.planning import CameraView
+
+
+def videos_of_scene(
+    nusc: Any, root: Path, samples: Sequence[Row], *, sweeps: bool
+) -> dict[str, tuple[CameraView, ...]]:
+    """Images by camera name in time order; files are opened only when a view is loaded.
+
+    Args:
+        nusc: ``NuScenes`` of the devkit.
+        root: Data set root.
+        samples: Rows of the scene's samples in time order.
+        sweeps: Also the images between keyframes, from the first keyframe to the last.
+
+    Returns:
+        Views by camera, cameras in the order of `read_views` of the first sample.
+
+    Raises:
+        InputError: If a calibration makes no sense, a file name leaves the root, or a camera's rows turn back in time.
+    """
+    videos: dict[str, list[CameraView]] = {}
+    for index, sample in enumerate(samples):
+        for name, view in read_views(nusc, root, sample).items():
+            video = videos.setdefault(name, [])
+            video.append(view)
+            if sweeps and index + 1 < len(samples):
+                video += _sweeps(nusc, root, sample["data"][name], view)
+    for name, video in videos.items():
+        times = [view.timestamp_us for view in video]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise InputError(
+                f"the images of {name} of scene {samples[0]['scene_token']} turn back in time; fix sample_data.json"
+            )
+    return {name: tuple(video) for name, video in videos.items()}
+
+
+def _sweeps(nusc: Any, root: Path, token: str, keyframe: CameraView) -> list[CameraView]:
+    """Views after a keyframe up to the next one; the calibration is that of the keyframe."""
+    found: list[CameraView] = []
+    row, seen = nusc.get("sample_data", token), {token}
+    while row["next"] and row["next"] not in seen:
+        seen.add(row["next"])
+        row = nusc.get("sample_data", row["next"])
+        if row["is_key_frame"]:
+            return found
+        pose = nusc.get("ego_pose", row["ego_pose_token"])
+        path = file_inside(root, row)
+        found.append(
+            CameraView(
+                camera=keyframe.camera,
+                path=path,
+                timestamp_us=round(row["timestamp"]),
+                global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
+                load=partial(load_image, path),
+            )
+        )
+    # No keyframe follows although there is a later sample: the chain is broken, and its rows belong nowhere.
+    return []

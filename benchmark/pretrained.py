@@ -1,0 +1,83 @@
+"""Networks of other people's libraries from folders on this machine; nothing is ever fetched on the way."""
+
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmark.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Library:
+    """A library that only some commands need.
+
+    Attributes:
+        name: What is imported: ``transformers`` or ``diffusers``.
+        extra: The extra of this project that installs it.
+        needed_by: Who needs it, for people.
+    """
+
+    name: str
+    extra: str
+    needed_by: str
+
+    def load(self, kind: str, folder: Path, **settings: Any) -> Any:
+        """A network or a processor with what a folder holds.
+
+        Args:
+            kind: Name of a class of the library.
+            folder: Its files.
+            settings: Arguments of ``from_pretrained``; a network is loaded in single precision if they say nothing.
+
+        Returns:
+            The network in evaluation mode on the processor, or whatever else the class is.
+
+        Raises:
+            InputError: If the library is not installed, or the folder does not hold what the class needs.
+        """
+        made = getattr(self.imported(), kind)
+        try:
+            if not issubclass(made, torch.nn.Module):
+                return made.from_pretrained(folder, local_files_only=True, **settings)
+            found, report = made.from_pretrained(
+                folder,
+                local_files_only=True,
+                output_loading_info=True,
+                **{"use_safetensors": True, "dtype": torch.float32, **settings},
+            )
+        # A damaged configuration or tokenizer may raise anything.
+        except Exception as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise InputError(
+                f"{folder} does not hold a {kind} that can be loaded ({reason}); get it again (challenger-bench "
+                "weights list)"
+            ) from error
+        missing = sorted(report["missing_keys"])
+        if missing:
+            raise InputError(
+                f"the weights in {folder} lack {len(missing)} tensors of {kind} (first: {missing[0]}); get them again "
+                "(challenger-bench weights list)"
+            )
+        return found.eval()
+
+    def version(self) -> str:
+        """Its version; raises `InputError` where it is not installed."""
+        return str(self.imported().__version__)
+
+    def imported(self) -> Any:
+        """The module; raises `InputError` where it is not installed."""
+        try:
+            library = importlib.import_module(self.name)
+        except ImportError as error:
+            raise InputError(
+                f"{self.needed_by} needs the package {self.name}; install it with: pip install "
+                f"'challenger-bench[{self.extra}]'"
+            ) from error
+        # Loading bars and advice on the terminal are not for users of a benchmark.
+        logging = importlib.import_module(f"{self.name}.utils.logging")
+        logging.set_verbosity_error()
+        logging.disable_progress_bar()
+        return library

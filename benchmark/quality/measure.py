@@ -1,0 +1,253 @@
+"""The main path: which scenes, which weights, score each scene, write the record; the same command goes on."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from pydantic import ValidationError
+
+from benchmark.devices import device_of, device_of_worker
+from benchmark.environment import facts as environment_facts
+from benchmark.errors import InputError
+from benchmark.evaluate import EvalSettings
+from benchmark.hub_weights import content_hash, folder_of
+from benchmark.quality.definition import Definition
+from benchmark.quality.pretrained import transformers_version
+from benchmark.quality.records import QualityRecord, write_quality
+from benchmark.quality.schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
+from benchmark.quality.scoring import Networks, image_file, load_networks, score_scene
+from benchmark.quality.weights import needed_for
+from benchmark.scene_work import reopen_root
+from benchmark.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
+from benchmark.workers import default_workers, map_ordered, worker_number
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+
+@dataclass(frozen=True, slots=True)
+class QualitySettings:
+    """How to measure.
+
+    Attributes:
+        definition: What is measured.
+        weights: Folder of weights that the user has, or ``None`` for the cache.
+        device: Where networks run (`benchmark.devices.device_of_worker`): ``cuda`` stands for all GPUs, one after the
+            other; ``auto`` for GPUs where there are any.
+        scenes: Only these scenes of the split.
+        limit: Only the first so many scenes.
+        workers: Number of processes; 0 is one for each GPU where networks run on GPUs, else one for each processor. The
+            result does not depend on it.
+    """
+
+    definition: Definition
+    weights: Path | None = None
+    device: str = "auto"
+    scenes: tuple[str, ...] | None = None
+    limit: int | None = None
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise InputError(f"--workers must be 0 or more, got {self.workers}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """What every unit of work needs to know; picklable.
+
+    Attributes:
+        directory: Of the record.
+        definition: What is measured.
+        folders: Of weights by name.
+        device: Where networks run.
+        keys: Content key of each scene's rows.
+    """
+
+    directory: Path
+    definition: Definition
+    folders: Mapping[str, Path]
+    device: str
+    keys: Mapping[str, str]
+
+
+def measure_quality(
+    data: "DataSet",
+    split: str,
+    out: Path,
+    settings: QualitySettings,
+    *,
+    reopen: Callable[[], "DataSet"] | None = None,
+) -> QualityRecord:
+    """Score a split and write the record.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        out: Folder of quality records.
+        settings: See `QualitySettings`.
+        reopen: Opens the data set in another process; by default from its root, version and name.
+
+    Returns:
+        The record, in ``<out>/<data>/<split>/<masks>-<hash>``.
+
+    Raises:
+        InputError: If the split or a scene is unknown, weights or transformers are missing, images are missing or
+            broken, or another command is writing the same record.
+    """
+    definition = settings.definition
+    chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
+    every = data.scene_names(split)
+    device = device_of(settings.device)
+    needed = needed_for(definition.masks)
+    folders = {weights.name: folder_of(weights, settings.weights) for weights in needed}
+    used = {
+        weights.name: WeightsFacts(
+            repository=weights.repository,
+            revision=weights.revision,
+            content=content_hash(weights, folders[weights.name]),
+        )
+        for weights in needed
+    }
+    fingerprint = data.fingerprint()
+    contents = {name: of.content for name, of in used.items()}
+    # Rows that another version of these libraries made may differ in the last digits.
+    libraries = {"torch": torch.__version__, "transformers": transformers_version()}
+    identity = content_key(QUALITY_SCHEMA, fingerprint, definition.as_json(), contents, device.type, libraries)
+    part = () if len(chosen) == len(every) else chosen
+    directory = quality_directory(out, data.name, split, definition, part)
+    keys = {name: content_key(identity, name, _image_sizes(data, name, definition)) for name in chosen}
+    job = _Job(directory, definition, folders, settings.device, keys)
+    described = {
+        "data": {"name": data.name, "version": data.version, "fingerprint": fingerprint},
+        "split": split,
+        "scenes": list(chosen),
+        "scenes_in_split": len(every),
+        "scene_facts": data.scene_facts(chosen),
+        "definition": definition.as_json(),
+        "weights": used,
+        "device": device.type,
+        "environment": environment_facts() | {"transformers": libraries["transformers"]},
+    }
+    with only_writer(directory):
+        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        rows = list(_scored(job, data, opener, settings.workers or _processes(device)))
+        record = write_quality(directory, described, rows)
+        _tidy(job)
+    return record
+
+
+def quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:
+    """Directory of a record: another definition or another part of the scenes has another one.
+
+    Args:
+        out: Folder of quality records.
+        data_name: Name of the data set.
+        split: Name of the split.
+        definition: What is measured.
+        part: Scenes, if not the whole split is scored.
+
+    Returns:
+        The directory.
+    """
+    usual = definition == Definition(masks=definition.masks) and not part
+    suffix = "" if usual else f"-{content_key(definition.as_json(), list(part))[:8]}"
+    return out / file_name(data_name) / file_name(split) / f"{definition.masks}{suffix}"
+
+
+def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
+    """What would be done, and what is missing for it: for ``--dry-run``.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        settings: See `QualitySettings`.
+
+    Returns:
+        Sentences.
+
+    Raises:
+        InputError: If the split or a scene is unknown.
+    """
+    definition = settings.definition
+    chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
+    sweeps = definition.frames == "all"
+    frames = sum(len(video) for name in chosen for video in data.videos(name, sweeps=sweeps).values())
+    lines = [f"would score {len(chosen)} scenes of {split} with {frames} images; masks from {definition.masks}"]
+    for weights in needed_for(definition.masks):
+        try:
+            lines.append(f"{weights.name}: in {folder_of(weights, settings.weights)}")
+        except InputError as error:
+            lines.append(f"{weights.name}: {error}")
+    return "\n".join(lines)
+
+
+def _scored(job: _Job, data: "DataSet", reopen: Callable[[], "DataSet"], workers: int) -> Iterator[SceneRows]:
+    """Rows in the order of the scenes; those that are kept are not made again, and networks load only for others."""
+    open_scenes = [name for name in job.keys if _kept(job, name) is None]
+    work = partial(_in_worker, job, reopen)
+    if open_scenes and workers == 1:
+        work = partial(_here, job, data, load_networks(job.definition, job.folders, device_of(job.device)))
+    made = {rows.scene: rows for rows in map_ordered(work, open_scenes, workers=workers, label="video quality")}
+    for name in job.keys:
+        kept = made.get(name) or _kept(job, name)
+        if kept is None:
+            raise InputError(f"{_rows_path(job, name)} was changed while the command ran; run the same command again")
+        yield kept
+
+
+def _here(job: _Job, data: "DataSet", networks: Networks, scene: str) -> SceneRows:
+    rows = score_scene(data, scene, job.definition, networks)
+    write_json(_rows_path(job, scene), {"key": job.keys[scene], "rows": rows.model_dump(mode="json")}, indent=None)
+    return rows
+
+
+_in_this_process: dict[str, tuple["DataSet", Networks]] = {}
+"""Data set and networks of a worker process, opened once."""
+
+
+def _in_worker(job: _Job, reopen: Callable[[], "DataSet"], scene: str) -> SceneRows:
+    key = content_key(sorted(job.keys.values()), job.device)
+    if key not in _in_this_process:
+        networks = load_networks(job.definition, job.folders, device_of_worker(job.device, worker_number()))
+        _in_this_process[key] = (reopen(), networks)
+    return _here(job, *_in_this_process[key], scene)
+
+
+def _image_sizes(data: "DataSet", scene: str, definition: Definition) -> list[tuple[str, int | None]]:
+    """Size in bytes of each image that will be read: frames rendered anew must not meet the scores of the old ones."""
+    videos = data.videos(scene, sweeps=definition.frames == "all")
+    paths = [image_file(view, definition) for views in videos.values() for view in views]
+    return [(path.name, path.stat().st_size if path.is_file() else None) for path in paths]
+
+
+def _processes(device: torch.device) -> int:
+    if device.type != "cuda":
+        return default_workers()
+    return 1 if device.index is not None else torch.cuda.device_count()
+
+
+def _kept(job: _Job, scene: str) -> SceneRows | None:
+    stored = read_kept_json(_rows_path(job, scene))
+    if not isinstance(stored, dict) or stored.get("key") != job.keys[scene]:
+        return None
+    try:
+        return SceneRows.model_validate(stored.get("rows"))
+    except ValidationError:
+        return None
+
+
+def _rows_path(job: _Job, scene: str) -> Path:
+    return job.directory / "scenes" / f"{file_name(scene)}.json"
+
+
+def _tidy(job: _Job) -> None:
+    """Remove rows of scenes that are not in the record, and what killed commands left."""
+    wanted = {_rows_path(job, scene) for scene in job.keys}
+    with writing_to(job.directory):
+        for path in (job.directory / "scenes").iterdir():
+            if path not in wanted:
+                path.unlink()

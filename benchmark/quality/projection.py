@@ -1,0 +1,174 @@
+"""Vehicles' 3-D boxes as polygons in a camera image, and what of each nearer ones leave visible."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from shapely.errors import GEOSException
+from shapely.geometry import MultiPoint, Polygon
+from shapely.geometry import box as rectangle
+
+from benchmark.geometry import Bools, Floats, rotation_matrix
+from benchmark.planning import CameraView
+from benchmark.scene import Camera, Scene
+
+_CORNERS: Final = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+"""Of a unit box; neighbours differ in one coordinate."""
+_EDGES: Final = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+_SUBPIXEL_BITS: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class ProjectedBox:
+    """One vehicle in one image.
+
+    Attributes:
+        instance: Its identifier.
+        category: Its nuScenes category.
+        polygon: (P, 2) convex outline inside the image, pixels.
+        distance_m: From the camera to the box centre.
+    """
+
+    instance: str
+    category: str
+    polygon: Floats
+    distance_m: float
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Left, top, right, bottom, pixels."""
+        low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    def filled(self, height: int, width: int) -> Bools:
+        """(height, width) which pixels lie inside."""
+        canvas = np.zeros((height, width), np.uint8)
+        # A pixel's middle is at its index plus one half.
+        points = np.rint((self.polygon - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+        cv2.fillConvexPoly(canvas, points, (1.0,), lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+        return canvas.astype(bool)
+
+
+def boxes_in_view(
+    scene: Scene, view: CameraView, size: tuple[int, int], categories: Sequence[str], near_m: float
+) -> tuple[ProjectedBox, ...]:
+    """Project every vehicle that is there when an image was taken.
+
+    Args:
+        scene: The scene; between its frames positions are interpolated.
+        view: The image.
+        size: Width and height of the pixels that are wanted.
+        categories: nuScenes categories of vehicles.
+        near_m: Boxes are cut off so far in front of the camera.
+
+    Returns:
+        Boxes of which something is in the image, in the order of the scene's agents.
+    """
+    camera = view.camera.resized(*size)
+    poses = _poses_at(scene, view.timestamp_us)
+    found = []
+    for agent, (position, yaw, there) in enumerate(zip(*poses)):
+        if not there or scene.agents.categories[agent] not in categories:
+            continue
+        corners = _corners(position, float(yaw), scene.agents.size[agent])
+        in_camera = _to_camera(np.vstack([corners, position]), view.global_T_ego, camera)
+        polygon = _outline(in_camera[:8], camera, near_m)
+        if polygon is None:
+            continue
+        distance_m = float(np.linalg.norm(in_camera[8]))
+        found.append(ProjectedBox(scene.agents.ids[agent], scene.agents.categories[agent], polygon, distance_m))
+    return tuple(found)
+
+
+def visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dict[str, Bools]:
+    """What nearer boxes leave of each.
+
+    Args:
+        boxes: In one image.
+        height: Of the image.
+        width: Of the image.
+
+    Returns:
+        (height, width) pixels by instance; equally near boxes hide in the order of their identifiers.
+    """
+    hidden = np.zeros((height, width), bool)
+    parts = {}
+    for box in sorted(boxes, key=lambda box: (box.distance_m, box.instance)):
+        filled = box.filled(height, width)
+        parts[box.instance] = filled & ~hidden
+        hidden |= filled
+    return parts
+
+
+def _poses_at(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
+    """Position, yaw and presence of all agents at a time; outside the scene those of its first or last frame."""
+    times = scene.timestamps_us
+    after = int(np.clip(np.searchsorted(times, timestamp_us), 1, max(len(times) - 1, 1))) if len(times) > 1 else 0
+    before = max(after - 1, 0)
+    span = float(times[after] - times[before])
+    share = 0.0 if span == 0 else float(np.clip((timestamp_us - times[before]) / span, 0.0, 1.0))
+    agents = scene.agents
+    position = (1 - share) * agents.position[:, before] + share * agents.position[:, after]
+    turn = np.angle(np.exp(1j * (agents.yaw[:, after] - agents.yaw[:, before])))
+    nearest = after if share >= 0.5 else before
+    return position, agents.yaw[:, before] + share * turn, agents.valid[:, nearest]
+
+
+def _corners(position: Floats, yaw: float, size: Floats) -> Floats:
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray((_CORNERS * size) @ turned.T + position)
+
+
+def _to_camera(points: Floats, global_T_ego: Floats, camera: Camera) -> Floats:
+    """Global points in camera axes: x right, y down, z forward."""
+    in_ego = (points - global_T_ego[:3, 3]) @ global_T_ego[:3, :3]
+    return np.asarray((in_ego - camera.translation) @ rotation_matrix(camera.rotation))
+
+
+def _outline(corners: Floats, camera: Camera, near_m: float) -> Floats | None:
+    """(P, 2) convex outline of what lies in front of the camera and in the image; ``None`` if nothing does."""
+    ahead = corners[:, 2] >= near_m
+    if not ahead.any():
+        return None
+    points = [corners[ahead]]
+    for first, second in _EDGES:
+        if ahead[first] != ahead[second]:
+            share = (near_m - corners[first, 2]) / (corners[second, 2] - corners[first, 2])
+            points.append((corners[first] + share * (corners[second] - corners[first]))[None])
+    projected = np.vstack(points) @ camera.intrinsic.T
+    pixels = projected[:, :2] / projected[:, 2:]
+    try:
+        hull = MultiPoint(pixels).convex_hull
+        inside = hull.intersection(rectangle(0, 0, camera.width, camera.height))
+    except GEOSException:
+        return None
+    if not isinstance(inside, Polygon) or inside.area <= 0:
+        return None
+    return np.asarray(inside.exterior.coords[:-1], np.float64)
+
+
+def scaled_size(width: int, height: int, longer_side_px: int) -> tuple[int, int]:
+    """Width and height of a picture after its longer side was brought down to a limit; never enlarged."""
+    longer = max(width, height)
+    if longer <= longer_side_px:
+        return width, height
+    return max(round(width * longer_side_px / longer), 1), max(round(height * longer_side_px / longer), 1)
+
+
+def reduced(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:
+    """A picture brought down to a longer side by averaging areas.
+
+    Args:
+        image: (height, width, 3).
+        longer_side_px: Limit; smaller pictures are left as they are.
+
+    Returns:
+        The picture.
+    """
+    height, width = image.shape[:2]
+    size = scaled_size(width, height, longer_side_px)
+    return image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))

@@ -1,0 +1,1 @@
+"""Photorealistic video of scenes by MagicDriveDiT, in plain PyTorch."""

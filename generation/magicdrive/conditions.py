@@ -1,0 +1,145 @@
+"""What MagicDriveDiT is told about one clip: boxes, map, cameras, ego motion and words, as tensors.
+
+Section numbers are those of the model's specification. V views are in the model's order (`MODEL_CAMERAS`), T are
+frames, n is the number of distinct objects in the clip (at least 1, padded where there is none). Lengths are metres,
+in the lidar frame of their own frame (x right, y forward, z up).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, Protocol, Self
+
+import torch
+from torch import Tensor
+
+MODEL_CAMERAS: Final = (
+    "CAM_FRONT_LEFT",
+    "CAM_FRONT",
+    "CAM_FRONT_RIGHT",
+    "CAM_BACK_RIGHT",
+    "CAM_BACK",
+    "CAM_BACK_LEFT",
+)
+"""View order inside the model: once around the car, so that neighbours in the list are neighbours in the world."""
+TEXT_TOKENS: Final = 300
+"""Length to which prompts are padded or cut."""
+ABSENT_CLASS: Final = -1
+"""Class of a box slot whose object is not there in a frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextStates:
+    """A prompt as the text encoder gives it (section 4.1).
+
+    Attributes:
+        hidden: (300, d) last hidden states; d is 4096 with T5 v1.1 XXL.
+        mask: (300,) bool, True for tokens of the prompt, False for padding.
+    """
+
+    hidden: Tensor
+    mask: Tensor
+
+    def to(self, device: torch.device | str) -> "TextStates":
+        """The same states on another device."""
+        return TextStates(self.hidden.to(device), self.mask.to(device))
+
+
+class TextEncoder(Protocol):
+    """Turns prompts into hidden states."""
+
+    def encode(self, prompt: str) -> TextStates:
+        """Tokenise, pad or cut to 300 tokens, encode.
+
+        Args:
+            prompt: The words, used as they are.
+
+        Returns:
+            Hidden states and which of them belong to words.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Everything one call of the model is given about one clip (section 2), without the batch dimension.
+
+    Attributes:
+        bboxes: (1 or V, T, n, 8, 3) float32 corners; 0 where the object is absent. One view stands for all.
+        classes: (1 or V, T, n) int64 class 0..9, -1 where absent.
+        masks: (V, T, n) int64; 1 used by this view, 0 absent or not seen by it, -1 present but hidden.
+        box_latent: (n, C) float32, one Gaussian vector per object, the same in all frames and views.
+        cams: (V, T, 1, 3, 7) float32, the intrinsic matrix at 1600x900 beside the camera->lidar transform (3x4).
+        rel_pos: (T, 4, 4) float32, transform from the first lidar frame to this one.
+        maps: (T, 8, 200, 200) bool masks from above, [channel, lidar x (right), lidar y (forward)]; 400 x 400 cells
+            where the image is higher than 224 pixels.
+        text: The prompt.
+        fps: 12 for video, 120 for a single image.
+        height: Image height, pixels.
+        width: Image width, pixels.
+        negative_text: A negative prompt; ``None`` for the model's own null prompt.
+    """
+
+    bboxes: Tensor
+    classes: Tensor
+    masks: Tensor
+    box_latent: Tensor
+    cams: Tensor
+    rel_pos: Tensor
+    maps: Tensor
+    text: TextStates
+    fps: float
+    height: int
+    width: int
+    negative_text: TextStates | None = None
+
+    def __post_init__(self) -> None:
+        views, frames, boxes = self.masks.shape
+        for name, wanted in (
+            ("bboxes", (self.bboxes.shape[0], frames, boxes, 8, 3)),
+            ("classes", (self.bboxes.shape[0], frames, boxes)),
+            ("box_latent", (boxes, self.box_latent.shape[-1])),
+            ("cams", (views, frames, 1, 3, 7)),
+            ("rel_pos", (frames, 4, 4)),
+        ):
+            shape = tuple(getattr(self, name).shape)
+            if shape != wanted:
+                raise ValueError(f"{name} has shape {shape}, not {wanted}")
+        if self.bboxes.shape[0] not in (1, views):
+            raise ValueError(f"boxes are given for {self.bboxes.shape[0]} views; 1 or {views} are possible")
+        if self.maps.shape[0] != frames:
+            raise ValueError(f"maps are given for {self.maps.shape[0]} frames, not {frames}")
+
+    @property
+    def views(self) -> int:
+        """Number of cameras."""
+        return int(self.masks.shape[0])
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return int(self.masks.shape[1])
+
+    @property
+    def boxes(self) -> int:
+        """Number of box slots."""
+        return int(self.masks.shape[2])
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same conditions on another device.
+
+        Args:
+            device: Where to.
+
+        Returns:
+            A copy whose tensors lie there.
+        """
+        return replace(
+            self,
+            bboxes=self.bboxes.to(device),
+            classes=self.classes.to(device),
+            masks=self.masks.to(device),
+            box_latent=self.box_latent.to(device),
+            cams=self.cams.to(device),
+            rel_pos=self.rel_pos.to(device),
+            maps=self.maps.to(device),
+            text=self.text.to(device),
+            negative_text=None if self.negative_text is None else self.negative_text.to(device),
+        )

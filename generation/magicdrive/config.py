@@ -1,0 +1,74 @@
+"""Sizes of MagicDriveDiT's network, and how it computes."""
+
+from dataclasses import dataclass
+from typing import Self
+
+
+@dataclass(frozen=True, slots=True)
+class MagicDriveConfig:
+    """Sizes of the network; the defaults are the published ones (section 1 of the specification).
+
+    Attributes:
+        hidden: Channels of a token.
+        heads: Attention heads of the transformer.
+        encoder_heads: Attention heads of the condition encoders.
+        depth: Pairs of a spatial and a temporal block in the base stream.
+        control_depth: The same in the control stream.
+        caption_channels: Channels of the text encoder.
+        text_tokens: Length of the stored null prompt.
+        box_hidden: Channels inside the last layers of the box encoder.
+        map_channels: Channels of the map encoder before its last layer.
+        map_layers: Layers of the bird's-eye map.
+        views: Cameras.
+        latent_channels: Channels of a view's latent.
+        rounded: Round what goes in, and all frequencies, to bfloat16 even where the network computes more exactly,
+            because the published weights were trained so (section 13).
+        rows_multiple: Rows of tokens are padded to a multiple of this where their number times columns is none, as on
+            the four processors that the published weights were tuned and are used on (section 12); 1 never pads.
+    """
+
+    hidden: int = 1152
+    heads: int = 16
+    encoder_heads: int = 8
+    depth: int = 28
+    control_depth: int = 13
+    caption_channels: int = 4096
+    text_tokens: int = 300
+    box_hidden: int = 512
+    map_channels: tuple[int, int, int, int] = (16, 32, 96, 256)
+    map_layers: int = 8
+    views: int = 6
+    latent_channels: int = 16
+    rounded: bool = True
+    rows_multiple: int = 4
+
+    def __post_init__(self) -> None:
+        if self.hidden % (4 * self.heads) or self.hidden % (2 * self.encoder_heads):
+            raise ValueError(f"{self.hidden} channels do not part into {self.heads} heads of whole pairs")
+        if self.control_depth > self.depth:
+            raise ValueError(f"{self.control_depth} control blocks do not fit beside {self.depth} base blocks")
+
+    @property
+    def packed_channels(self) -> int:
+        """Channels of the latents of all views together."""
+        return self.latent_channels * self.views
+
+    @classmethod
+    def full(cls) -> Self:
+        """The published network: 2.04 billion parameters."""
+        return cls()
+
+    @classmethod
+    def tiny(cls) -> Self:
+        """A network for tests of everything around it; its parts are all there."""
+        return cls(
+            hidden=32,
+            heads=2,
+            encoder_heads=2,
+            depth=2,
+            control_depth=1,
+            caption_channels=24,
+            text_tokens=12,
+            box_hidden=16,
+            map_channels=(4, 4, 8, 8),
+        )

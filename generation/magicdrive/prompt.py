@@ -1,0 +1,107 @@
+"""The words that go with a clip (sections 4.1 and 8)."""
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from benchmark.scene import Scene
+
+
+class PromptLook(StrEnum):
+    """Light and weather that are asked for."""
+
+    RECORDED = "recorded"
+    DAYTIME = "daytime"
+    RAINY = "rainy"
+    NIGHT = "night"
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """What to draw, and what not.
+
+    Attributes:
+        positive: The prompt.
+        negative: Replaces the model's null prompt in guidance; ``None`` leaves it.
+    """
+
+    positive: str
+    negative: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """How a prompt is turned to another look.
+
+    Attributes:
+        opening: First words.
+        negative: Negative prompt, as published.
+        unwanted: Phrases (between commas) with such a word are left out.
+        replaced: Words by what stands for them.
+        locations: Places that do not go with this look, and one that does.
+    """
+
+    opening: str
+    negative: str
+    unwanted: str
+    replaced: tuple[tuple[str, str], ...]
+    locations: dict[str, str]
+
+
+# The published code says how it rewrites prompts for daytime; for rain and night it says the negative prompt only, and
+# the rewriting follows the same pattern here.
+_CHANGES: Final = {
+    PromptLook.DAYTIME: _Change(
+        opening="Daytime. ",
+        negative="Rain, Night, water reflections, umbrella",
+        unwanted=r"night|dark|umbrella",
+        replaced=((r"\brain\w*", "sunny"),),
+        locations={"boston-seaport": "singapore-onenorth", "singapore-hollandvillage": "singapore-onenorth"},
+    ),
+    PromptLook.RAINY: _Change(
+        opening="Rainy. ",
+        negative="Daytime. night, onenorth, queenstown",
+        unwanted=r"night|dark|dusk|sun",
+        replaced=((r"\bday(time)?\b", "rain"),),
+        locations={
+            "singapore-onenorth": "singapore-hollandvillage",
+            "singapore-queenstown": "singapore-hollandvillage",
+        },
+    ),
+    PromptLook.NIGHT: _Change(
+        opening="Night. ",
+        negative="Daytime. rain, boston-seaport",
+        unwanted=r"\brain|umbrella|dusk|sun",
+        replaced=((r"\bday(time)?\b", "night"),),
+        locations={"boston-seaport": "singapore-hollandvillage"},
+    ),
+}
+
+
+def prompt_of(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
+    """The prompt of a scene: where it is, and its description as it stands.
+
+    Args:
+        scene: The scene.
+        look: Light and weather; as recorded, or another one, for which the prompt is rewritten and a negative prompt
+            added.
+
+    Returns:
+        The prompt.
+    """
+    location, description = scene.road_map.location, scene.description
+    if look is PromptLook.RECORDED:
+        return Prompt(_sentence(location, description))
+    change = _CHANGES[look]
+    kept = [phrase for phrase in description.lower().split(",") if not re.search(change.unwanted, phrase)]
+    words = ",".join(kept).strip()
+    for pattern, replacement in change.replaced:
+        words = re.sub(pattern, replacement, words)
+    sentence = _sentence(change.locations.get(location, location), words)
+    return Prompt(change.opening + sentence.lower(), change.negative)
+
+
+def _sentence(location: str, description: str) -> str:
+    start = f"A driving scene image at {location}."
+    return f"{start} {description}." if description else start

@@ -1,0 +1,54 @@
+"""What all pictures of the leaderboard share: the same numbers give the same bytes, and any name can be drawn."""
+
+import io
+import warnings
+from collections.abc import Callable
+from typing import Final
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+FORMATS: Final = (".png", ".svg")
+NAME_CHARACTERS: Final = 36
+"""Longer names are cut."""
+_DPI = 120
+
+
+def picture(draw: Callable[[], Figure], suffix: str) -> bytes:
+    """A figure's bytes, whatever settings of matplotlib the user has.
+
+    Args:
+        draw: Makes the figure (`new_figure`).
+        suffix: One of `FORMATS`.
+
+    Returns:
+        PNG or SVG.
+    """
+    # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
+    settings = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
+    settings.pop("backend", None)
+    stream = io.BytesIO()
+    with warnings.catch_warnings(), mpl.rc_context(settings):
+        # A name in a script that the font lacks is drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph")
+        figure = draw()
+        if suffix == ".png":
+            figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+        else:
+            figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return stream.getvalue()
+
+
+def new_figure(width_inches: float, height_inches: float) -> Figure:
+    """An empty figure that needs no window."""
+    figure = Figure(figsize=(width_inches, height_inches))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def drawable(name: str) -> str:
+    """A stranger's name on one line, cut, without characters that cannot be drawn or written into an SVG."""
+    text = "".join(character if character.isprintable() else " " for character in name)
+    text = " ".join(text.split())
+    return text if len(text) <= NAME_CHARACTERS else f"{text[: NAME_CHARACTERS - 1]}…"

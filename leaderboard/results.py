@@ -1,0 +1,117 @@
+"""The measured results that the documentation shows: one page and its numbers, and whether they are still current."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.confusion import EXACT
+from benchmark.records import RunRecord
+from benchmark.storage import read_kept_json, write_bytes, write_json
+from benchmark.transfer import transfer
+from leaderboard.collision import collision_table, in_table_order, native_table
+from leaderboard.comparisons import Verdicts, split_table
+from leaderboard.diagnosis import diagnosis_tables
+from leaderboard.tables import Table
+from leaderboard.transfer import agreement_table, transfer_table
+
+PAGE: Final = "README.md"
+NUMBERS: Final = "results.json"
+_HEAD: Final = """\
+# Measured on the embedded data set
+
+Written by `challenger-bench demo --full`; do not edit. With `--check` the same command says whether it is current.
+The miniatures (`docs/miniatures.md`) show the pipeline and rank nothing: no number here says anything about the full
+models. What each number is: `docs/metrics.md`.
+"""
+
+
+def write_results(
+    data_name: str,
+    records: Sequence[RunRecord],
+    ablation: str,
+    ablation_facts: Mapping[str, Any],
+    made_from: Mapping[str, Any],
+    folder: Path,
+) -> list[Path]:
+    """Write the page and its numbers.
+
+    Args:
+        data_name: Name of the data set.
+        records: Of all planners on ``val``, ``val-r`` and ``adv``.
+        ablation: The ablation study as text.
+        ablation_facts: The same as JSON.
+        made_from: Everything that the numbers depend on, as JSON: versions and hashes.
+        folder: Where to.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: If they cannot be written.
+    """
+    tables = results_tables(data_name, records)
+    fenced = f"### Ablation\n\n```\n{ablation}\n```\n"
+    page = "\n".join([_HEAD, *(table.markdown() for table in tables), fenced]).encode()
+    numbers = {
+        "made_from": made_from,
+        "page_sha256": hashlib.sha256(page).hexdigest(),
+        "tables": [asdict(table) for table in tables],
+        "ablation": ablation_facts,
+    }
+    # The numbers come last: they vouch for the page.
+    write_bytes(folder / PAGE, page)
+    write_json(folder / NUMBERS, numbers)
+    return [folder / PAGE, folder / NUMBERS]
+
+
+def results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
+    """The tables of the page: collisions, what changes between splits, transfer, diagnosis.
+
+    Args:
+        data_name: Name of the data set.
+        records: Of all planners and splits.
+
+    Returns:
+        The tables, in the order in which they are read.
+
+    Raises:
+        InputError: If records cannot be compared.
+    """
+    tables: list[Table | None] = [
+        collision_table(data_name, EXACT, records),
+        native_table(data_name, records),
+        split_table(data_name, EXACT, records, Verdicts()),
+    ]
+    adversarial = in_table_order([record for record in records if record.run.split == "adv"])
+    if len(adversarial) > 1:
+        matrix = transfer(adversarial, protocol=EXACT)
+        tables += [transfer_table(data_name, matrix), agreement_table(data_name, matrix)]
+    tables += diagnosis_tables(data_name, records)
+    return [table for table in tables if table is not None]
+
+
+def stale_results(folder: Path, made_from: Mapping[str, Any]) -> list[str]:
+    """Why results are not what would be measured now; nothing is measured for that.
+
+    Args:
+        folder: Where they lie.
+        made_from: What they would be made from now.
+
+    Returns:
+        One sentence for each reason; empty if they are current.
+    """
+    numbers = read_kept_json(folder / NUMBERS)
+    if not isinstance(numbers, dict) or not isinstance(numbers.get("made_from"), dict):
+        return [f"there are no results in {folder}"]
+    before = numbers["made_from"]
+    reasons = [
+        f"{name} has changed since {folder / NUMBERS} was written"
+        for name in sorted({*before, *made_from})
+        if before.get(name) != made_from.get(name)
+    ]
+    page = folder / PAGE
+    if not page.is_file() or hashlib.sha256(page.read_bytes()).hexdigest() != numbers.get("page_sha256"):
+        reasons.append(f"{page} is not what was written with {folder / NUMBERS}")
+    return reasons

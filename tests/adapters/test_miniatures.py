@@ -1,0 +1,166 @@
+"""The packaged miniatures: they load, drive, look at the images, are small, and say where they come from."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adapters.checkpoints.cache import read_provenance, write_weights
+from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.miniatures import EMBEDDED_DATA, MINIATURES, PACKAGED, miniature, planner_of, stand_in
+from adapters.registry import MINIATURES as REGISTERED
+from adapters.registry import planner, planner_factory
+from adapters.training.plan_figures import Images, shown
+from benchmark.cli import _model_on
+from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.planning import SceneInfo
+from benchmark.storage import file_sha256
+from generation.mini import TownSettings, build_town
+
+MOST_BYTES = 25_000_000
+SAMPLES = 10
+NATIVE = {
+    "uniad-mini": "uniad",
+    "vad-mini": "vad",
+    "sparsedrive-mini": "sparsedrive",
+    "diffusiondrive-mini": "diffusiondrive",
+}
+
+SHIPPED = [name for name, small in MINIATURES.items() if small.packaged.is_file()]
+"""Those whose weights are here: the others are trained with ``train planner``."""
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
+    """Two scenes of mini itself, without the frames between the key frames."""
+    root = build_town(tmp_path_factory.mktemp("town"), TownSettings(val_scenes=2, frames="keyframes"), workers=1)
+    return NuScenesData.open(root)
+
+
+@pytest.fixture(autouse=True)
+def _no_imported_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    yield
+
+
+def plans(name: str, data: NuScenesData, images: Images, samples: int = SAMPLES) -> tuple[Floats, Floats]:
+    """Plans for the first samples of each scene, and what was driven, (S, 6, 2)."""
+    driver, found, driven = planner(name), [], []
+    scenes = data.scene_names("val")
+    for number, scene_name in enumerate(scenes):
+        scene = data.scene(scene_name)
+        driver.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+        pairs = zip(shown(data, scenes, number, images), data.truth(scene_name), strict=True)
+        for observation, truth in pairs:
+            if observation.index >= samples:
+                break
+            found.append(driver.plan(observation).waypoints_in_lidar(truth.lidar_ahead_m))
+            driven.append(truth.ego_future[:, :2])
+    return np.array(found), np.array(driven)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_it_drives_and_looks_at_the_images(town: NuScenesData, name: str) -> None:
+    own, driven = plans(name, town, Images.OWN)
+    again, _ = plans(name, town, Images.OWN, samples=2)
+    np.testing.assert_array_equal(own[[0, 1, SAMPLES, SAMPLES + 1]], again)
+    error_m = np.linalg.norm(own - driven, axis=-1)[:, -1].mean()
+    assert error_m < 4.0
+    for images in (Images.BLANK, Images.SHUFFLED):
+        others, _ = plans(name, town, images)
+        moved_m = np.linalg.norm(others - own, axis=-1)[:, -1].mean()
+        assert moved_m > 0.3
+        assert np.linalg.norm(others - driven, axis=-1)[:, -1].mean() > error_m + 0.1
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_it_says_what_it_is(name: str) -> None:
+    small = miniature(name)
+    driver = planner(name)
+    assert driver.name == name and driver.native_protocol == NATIVE[name]  # type: ignore[attr-defined]
+    assert read_provenance(small.packaged).model == name
+    facts = planner_factory(name).facts
+    assert facts.name == name and facts.weights_sha256 == file_sha256(small.packaged)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_facts_and_card_are_of_this_file(name: str) -> None:
+    path = miniature(name).packaged
+    facts, card = json.loads(path.with_suffix(".json").read_text()), path.with_suffix(".md").read_text()
+    assert facts["model"] == name and facts["sha256"] == file_sha256(path) and facts["bytes"] == path.stat().st_size
+    assert facts["source"]["commit"] and facts["seed"] >= 0 and facts["frames"] > 1000
+    steps = {f"{phase['steps']:,} ({label}" for label, phase in facts["phases"].items()}
+    assert steps and all(part in card for part in steps)
+    figures = facts["figures"]
+    for shown_as in ("own", "blank", "shuffled", "constant-velocity"):
+        assert f"| {figures[shown_as]['l2_3s_m']:.2f} |" in card
+    assert facts["sha256"] in card and "ranks nothing" in card
+    # What makes it a planner: it beats going straight on, and it needs its images for that.
+    own = figures["own"]
+    assert own["l2_3s_m"] < 0.9 * figures["constant-velocity"]["l2_3s_m"]
+    assert own["collisions"] < figures["constant-velocity"]["collisions"]
+    assert min(figures[other]["l2_3s_m"] for other in ("blank", "shuffled")) > 1.1 * own["l2_3s_m"]
+
+
+def test_all_together_are_small() -> None:
+    assert "vad-mini" in SHIPPED
+    assert sum(miniature(name).packaged.stat().st_size for name in SHIPPED) <= MOST_BYTES
+    assert set(REGISTERED) == set(MINIATURES) and all(
+        small.packaged.parent == PACKAGED for small in MINIATURES.values()
+    )
+
+
+@pytest.mark.parametrize(
+    ("full", "small"),
+    [("vad", "vad-mini"), ("vad-tiny", "vad-mini"), ("vad-base", "vad-mini")],
+)
+def test_it_stands_in_for_the_full_model_on_the_embedded_data_only(full: str, small: str, tmp_path: Path) -> None:
+    assert stand_in(full, None, EMBEDDED_DATA) == small
+    assert stand_in(full, None, "nuscenes") == full
+    assert stand_in(full, tmp_path / "weights.pth", EMBEDDED_DATA) == full
+    assert stand_in("idm", None, EMBEDDED_DATA) == "idm" and stand_in(small, None, EMBEDDED_DATA) == small
+
+
+def test_imported_weights_of_the_full_model_go_first(tmp_path: Path) -> None:
+    # What stands in the cache is what counts, not whether it could be loaded.
+    folder = tmp_path / "cache" / "weights"
+    folder.mkdir(parents=True)
+    provenance = read_provenance(miniature("vad-mini").packaged).model_copy(update={"model": "vad-tiny"})
+    write_weights(folder / "vad-x.safetensors", {}, provenance)
+    assert stand_in("vad-tiny", None, EMBEDDED_DATA) == "vad-tiny"
+
+
+def test_missing_weights_are_a_sentence_that_names_the_miniature() -> None:
+    with pytest.raises(InputError, match=r"there are no weights for vad-tiny; .*--model vad-mini"):
+        resolve_checkpoint("vad-tiny", None)
+
+
+def test_a_miniature_without_its_file_and_with_another_is_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adapters.miniatures.PACKAGED", tmp_path)
+    with pytest.raises(InputError, match="not in this installation; train them with"):
+        planner_of("vad-mini", None)
+    assert stand_in("vad", None, EMBEDDED_DATA) == "vad"
+    monkeypatch.undo()
+    with pytest.raises(InputError, match=r"holds the weights of vad-mini, not of uniad-mini"):
+        planner_of("uniad-mini", miniature("vad-mini").packaged)
+    with pytest.raises(InputError, match="'nonsense' is no miniature; those are uniad-mini"):
+        miniature("nonsense")
+
+
+def test_a_miniature_is_a_value() -> None:
+    small = miniature("vad-mini")
+    assert replace(small, name="other").packaged.name == "other.safetensors"
+
+
+def test_the_command_says_which_model_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _model_on(EMBEDDED_DATA, "vad", None) == "vad-mini"
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")
+    assert _model_on(EMBEDDED_DATA, "vad-mini", None) == "vad-mini" and capsys.readouterr().err == ""

@@ -1,0 +1,136 @@
+"""``train planner`` from a data set to weights, facts and card: the same bytes twice, and what it refuses."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from adapters.checkpoints.cache import read_provenance
+from adapters.miniatures import planner_of
+from adapters.training.planners import ENCODER_NAME, PlannerTraining, train_planner
+from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.errors import InputError
+from benchmark.planning import SceneInfo
+from generation.mini import TownSettings, build_town
+from tests.cli_runs import challenger_bench
+
+MODEL = "vad-mini"
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_town(tmp_path_factory.mktemp("town"), TownSettings(2, 0, 0, 64, 36, "keyframes"), workers=1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def encoder(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("encoder") / "eyes.safetensors"
+    train_planner(PlannerTraining(ENCODER_NAME, town, "val", out, steps=2))
+    return out
+
+
+@pytest.fixture(scope="module")
+def trained(town: Path, encoder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("first") / f"{MODEL}.safetensors"
+    train_planner(PlannerTraining(MODEL, town, "val", out, steps=2, image_encoder=encoder))
+    return out
+
+
+def test_two_steps_twice_give_the_same_bytes(town: Path, encoder: Path, trained: Path, tmp_path: Path) -> None:
+    again = tmp_path / trained.name
+    done = challenger_bench(
+        "train", "planner", "--model", MODEL, "--data", town, "--split", "val", "--out", again, "--steps", "2",
+        "--image-encoder", encoder, "--workers", "1",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    for suffix in (".safetensors", ".json", ".md", ".all.log.jsonl"):
+        assert again.with_suffix(suffix).read_bytes() == trained.with_suffix(suffix).read_bytes()
+    assert done.json == json.loads(trained.with_suffix(".json").read_text())
+    assert not list(tmp_path.glob("*.progress.*"))
+
+
+def test_the_file_says_what_it_is_and_drives(town: Path, trained: Path) -> None:
+    provenance = read_provenance(trained)
+    assert (provenance.model, provenance.normalisation, provenance.normalisation_from) == (
+        MODEL,
+        "rgb-mean-std",
+        "training",
+    )
+    tensors = load_file(trained)
+    assert {tensor.dtype for tensor in tensors.values() if tensor.numel() >= 256} == {torch.float16}
+    planner: Any = planner_of(MODEL, trained)
+    data = NuScenesData.open(town)
+    scene = data.scene(data.scene_names("val")[0])
+    planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+    plan = planner.plan(next(iter(data.observations(scene.name))))
+    assert np.isfinite(plan.waypoints).all() and planner.native_protocol == "vad"
+
+
+def test_the_card_names_data_seed_steps_and_scores(trained: Path) -> None:
+    facts = json.loads(trained.with_suffix(".json").read_text())
+    card = trained.with_suffix(".md").read_text()
+    assert facts["seed"] == 0 and facts["phases"]["all"]["steps"] == 2 and facts["frames"] == 40
+    for said in (
+        "| seed | 0 |",
+        "2 (all, learning rate",
+        "40 key frames of 2 scenes",
+        "its own images",
+        "blank images",
+    ):
+        assert said in card
+    assert f"{facts['figures']['own']['l2_3s_m']:.2f}" in card
+    assert facts["figures"]["constant-velocity"]["samples"] == 34
+
+
+def test_it_starts_from_the_weights_that_are_given(encoder: Path, trained: Path) -> None:
+    """Two steps with a low learning rate move what is learned little, and frozen parts not at all."""
+    eyes, own = load_file(encoder), load_file(trained)
+    names = [name for name in eyes if name.startswith("img_backbone.")]
+    assert max(float((eyes[name].float() - own[name].float()).abs().max()) for name in names) < 0.05
+
+
+def test_weights_that_cannot_be_started_from_are_a_sentence(town: Path, encoder: Path, tmp_path: Path) -> None:
+    training = PlannerTraining(MODEL, town, "val", tmp_path / "w.safetensors", steps=1)
+    (tmp_path / "broken.safetensors").write_bytes(b"no")
+    with pytest.raises(InputError, match="cannot read the weights"):
+        train_planner(replace(training, start_from=tmp_path / "broken.safetensors"))
+    save_file({"other": torch.zeros(2)}, tmp_path / "other.safetensors")
+    with pytest.raises(InputError, match="no weights of an image encoder"):
+        train_planner(replace(training, image_encoder=tmp_path / "other.safetensors"))
+    with pytest.raises(InputError, match="none of the weights to start from belongs to this model"):
+        train_planner(replace(training, start_from=tmp_path / "other.safetensors"))
+    assert not (tmp_path / "w.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"model": "uniad"}, "'uniad' is no miniature; those are uniad-mini"),
+        ({"out": Path("w.pth")}, "written as .safetensors"),
+        ({"steps": 0}, "--steps must be at least 1"),
+        ({"learning_rate": 3.0}, "--learning-rate must be between 0 and 1"),
+    ],
+)
+def test_wrong_use_is_a_sentence(changes: dict[str, object], sentence: str) -> None:
+    known: dict[str, object] = {"model": MODEL, "data_root": Path(), "split": "train", "out": Path("w.safetensors")}
+    with pytest.raises(InputError, match=sentence):
+        PlannerTraining(**(known | changes))  # type: ignore[arg-type]
+
+
+def test_a_data_set_without_the_split_is_a_sentence_and_exit_code_2(town: Path, tmp_path: Path) -> None:
+    out = tmp_path / "w.safetensors"
+    done = challenger_bench("train", "planner", "--model", MODEL, "--data", town, "--split", "nonsense", "--out", out)
+    assert done.code == 2 and "nonsense" in done.err and "Traceback" not in done.err
