@@ -39,6 +39,10 @@ class Library:
             InputError: If the library is not installed, or the folder does not hold what the class needs.
         """
         made = getattr(self.imported(), kind)
+        # What `torch.device` concerns is listed once, at its first use. Transformers replaces one of these functions
+        # (linspace) while it loads: a list made then would lack it for the rest of the process.
+        with torch.device("cpu"):
+            torch.empty(0)
         try:
             if not issubclass(made, torch.nn.Module):
                 return made.from_pretrained(folder, local_files_only=True, **settings)

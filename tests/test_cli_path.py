@@ -71,6 +71,19 @@ def test_transfer_and_leaderboard(out: Path) -> None:
     assert "README.md" in stale.out
 
 
+def test_what_eval_writes_can_be_submitted_and_a_changed_number_cannot(town: Path, out: Path, tmp_path: Path) -> None:
+    where = ("--data", town, "--out", out)
+    run = done(challenger_bench("leaderboard", "submit-check", out / "runs", *where))
+    assert run.out.count("fit: ") == 3 * len(PLANNERS)
+    shutil.copytree(out / "runs", tmp_path / "runs")
+    summary = next((tmp_path / "runs").rglob("summary.json"))
+    summary.write_text(summary.read_text().replace("0", "1", 1))
+    refused = challenger_bench("leaderboard", "submit-check", tmp_path / "runs", *where, "--json")
+    assert refused.code == 1 and len(refused.json["sound"]) == 3 * len(PLANNERS) - 1
+    absent = challenger_bench("leaderboard", "submit-check", tmp_path / "absent", *where)
+    assert absent.code == 2 and "there is no folder" in absent.err
+
+
 def test_one_worker_writes_the_same_bytes(town: Path, out: Path, tmp_path: Path) -> None:
     common = ("--data", town, "--split", "adv", "--out", tmp_path, "--workers", "1")
     done(challenger_bench("generate", *common, *SMALL, *SEARCH))

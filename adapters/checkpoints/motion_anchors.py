@@ -85,7 +85,10 @@ def with_motion_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path
         InputError: If the tensors are those of another model, have other anchors, or the pickle is refused.
     """
     if not _is_uniad(tensors):
-        raise InputError(f"{anchors} holds anchors of UniAD, and {path} is no checkpoint of it; leave --anchors out")
+        raise InputError(
+            f"{anchors} is no .safetensors file, so would be anchors of UniAD, and {path} is no checkpoint of UniAD; "
+            "give what weights anchors has written, or leave --anchors out"
+        )
     read = read_motion_anchors(anchors)
     own = tensors.get(MOTION_ANCHORS)
     if own is not None and not (own.shape == read.shape and bool(torch.equal(own.float(), read))):
