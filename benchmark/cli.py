@@ -200,7 +200,8 @@ def generate_command(
             tera_operations=tflops,
             estimates_only=dry_run,
         )
-        rendering = rendering_executor(place, render_device)
+        # Estimates for a GPU are wanted on machines that have none.
+        rendering = None if dry_run else rendering_executor(place, render_device)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
     source = _open_source(data, tables, workers)
     settings = BuildSettings(

@@ -59,6 +59,15 @@ def test_what_is_written_has_no_faults(town: Path, out: Path) -> None:
         assert run.json == {"errors": 0, "faults": []}
 
 
+def test_photorealistic_rendering_says_what_it_costs_and_what_is_missing(town: Path, tmp_path: Path) -> None:
+    common = ("--data", town, "--split", "val-r", "--renderer", "magicdrive", "--out", tmp_path, "--workers", "1")
+    on_gpu = ("--render-device", "cuda", "--tflops", "400", "--dry-run")
+    said = done(challenger_bench("generate", *common, *on_gpu, cache=tmp_path))
+    assert "a GPU at 400 TFLOP/s" in said.err and "transformer" in said.err
+    missing = challenger_bench("generate", *common, cache=tmp_path)
+    assert missing.code == 2 and "there are no weights magicdrive-dit" in missing.err and missing.err.count("\n") == 1
+
+
 def test_transfer_and_leaderboard(out: Path) -> None:
     assert "surrogate" in done(challenger_bench("transfer", "--out", out)).out
     done(challenger_bench("leaderboard", "--out", out))
