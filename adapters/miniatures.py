@@ -137,15 +137,7 @@ def planner_with(
     Returns:
         The planner.
     """
-    return small.planner(
-        network,
-        name=small.name,
-        normalisation=weights.normalisation,
-        weights_sha256=weights.sha256,
-        settings=weights.settings,
-        device=device,
-        precision=precision,
-    )
+    return small.planner(network, name=small.name, **weights.as_arguments(), device=device, precision=precision)
 
 
 def uniad_mini(

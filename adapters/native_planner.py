@@ -58,6 +58,10 @@ class Weights:
         settings = {"weights": provenance.model_dump(mode="json")}
         return cls(normalisation_of(provenance.normalisation), file_sha256(path), settings)
 
+    def as_arguments(self) -> dict[str, Any]:
+        """What a `NativePlanner` is told of its weights, by the names of its arguments."""
+        return {"normalisation": self.normalisation, "weights_sha256": self.sha256, "settings": self.settings}
+
 
 class NativePlanner(ABC, Generic[Network]):
     """A network with given weights; subclasses turn observations into its inputs and its outputs into plans.

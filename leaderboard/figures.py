@@ -10,6 +10,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from benchmark.confusion import EXACT, comparisons
 from benchmark.constants import HORIZON_STEPS
@@ -237,6 +238,7 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord]) 
         axes.set_title(name, fontsize="medium", parse_math=False)
         axes.spines[["top", "right"]].set_visible(False)
         axes.set_xlabel("scenes")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     panels[0].set_xlim(0, 1.25 * max(total[name] / len(runs) for name in order) + 1)
     panels[0].set_yticks(range(len(order)), [drawable(name) for name in order], parse_math=False)
     panels[0].set_ylim(len(order) - 0.5, -0.5)
@@ -260,7 +262,7 @@ def _style(place: int) -> dict[str, Any]:
 
 
 def _heading(figure: Figure, text: str) -> None:
-    figure.text(0.5, 0.995, text, ha="center", va="top", fontsize="large", parse_math=False)
+    figure.text(0.5, 0.98, text, ha="center", va="top", fontsize="large", parse_math=False)
 
 
 def _plain_text(texts: Sequence[Any]) -> None:

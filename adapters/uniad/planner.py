@@ -104,15 +104,7 @@ class UniADPlanner(NativePlanner[UniAD]):
         config = UniADConfig.base_of(read_shapes(path))
         network = UniAD(config, solver=SOLVERS[name], masks=masks, stores_anchors=True)
         weights = Weights.load(network, WEIGHTS, path)
-        return cls(
-            network,
-            name=name,
-            normalisation=weights.normalisation,
-            weights_sha256=weights.sha256,
-            settings=weights.settings,
-            device=device,
-            precision=precision,
-        )
+        return cls(network, name=name, **weights.as_arguments(), device=device, precision=precision)
 
     @property
     def config(self) -> UniADConfig:

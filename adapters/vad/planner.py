@@ -69,15 +69,7 @@ class VADPlanner(NativePlanner[VAD]):
         """
         network = VAD(VARIANTS[name]())
         weights = Weights.load(network, name, checkpoint)
-        return cls(
-            network,
-            name=name,
-            normalisation=weights.normalisation,
-            weights_sha256=weights.sha256,
-            settings=weights.settings,
-            device=device,
-            precision=precision,
-        )
+        return cls(network, name=name, **weights.as_arguments(), device=device, precision=precision)
 
     def reset(self, scene: SceneInfo) -> None:
         """Forget the previous scene."""
