@@ -186,7 +186,7 @@ def _phases_vad() -> "tuple[Phase, ...]":
     from adapters.training.trainer import Recipe
     from adapters.vad.training import VADLesson
 
-    return (Phase("all", VADLesson, Recipe(steps=2000, learning_rate=4e-4, warmup=150, clips=2, check_every=500)),)
+    return (Phase("all", VADLesson, Recipe(steps=6000, learning_rate=5e-4, warmup=150, clips=2, check_every=1500)),)
 
 
 def _planner_vad(network: Any, **known: Any) -> "NativePlanner[Any]":
@@ -215,12 +215,12 @@ def _phases_sparse(name: str) -> "tuple[Phase, ...]":
     from adapters.training.trainer import Recipe
 
     recipe = Recipe(
-        steps=300, learning_rate=1.2e-3, encoder_rate=0.3, warmup=30, average=0.98, clips=2, gradient_norm=10.0
+        steps=4000, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0
     )
     if name == "sparsedrive-mini":
         return (Phase("all", SparseLesson, recipe),)
     # DiffusionDrive starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
-    planner = replace(recipe, steps=250, learning_rate=1e-3, clips=3)
+    planner = replace(recipe, steps=1500, clips=3)
     return (Phase("planner", partial(SparseLesson, perception=False), planner),)
 
 
@@ -256,10 +256,10 @@ def _phases_uniad() -> "tuple[Phase, ...]":
     from adapters.uniad.training import UniADLesson
 
     # A frame alone costs half as much as a clip; what the past adds is learned after what can be seen at all.
-    alone = Recipe(steps=1500, learning_rate=1e-3, encoder_rate=0.3, warmup=100, average=0.99)
-    clips = Recipe(steps=2500, learning_rate=8e-4, encoder_rate=0.3, warmup=50, average=0.99)
+    alone = Recipe(steps=6000, learning_rate=8e-4, encoder_rate=0.3, warmup=100, average=0.995)
+    clips = Recipe(steps=5000, learning_rate=6e-4, encoder_rate=0.3, warmup=50, average=0.998)
     return (
-        Phase("frames", partial(UniADLesson, clip_frames=1), alone),
+        Phase("frames", partial(UniADLesson, clip_frames=1, unaware=0.2), alone),
         Phase("clips", partial(UniADLesson, clip_frames=3, learned_frames=2, unaware=0.15), clips),
     )
 
