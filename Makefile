@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo paper test check bench clean
+.PHONY: setup browser demo paper test check bench clean
 
 setup: $(VENV)/.complete
 
@@ -11,6 +11,9 @@ $(VENV)/.complete: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	touch $@
+
+browser:
+	@sh tests/leaderboard/site/get_chromium.sh
 
 demo: setup
 	$(BIN)/challenger-bench demo
@@ -23,7 +26,7 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: check
+test: check browser
 	$(BIN)/pytest -n auto --dist loadscope
 
 bench: setup

@@ -186,7 +186,7 @@ def _phases_vad() -> "tuple[Phase, ...]":
     from adapters.training.trainer import Recipe
     from adapters.vad.training import VADLesson
 
-    return (Phase("all", VADLesson, Recipe(steps=6000, learning_rate=5e-4, warmup=150, clips=2, check_every=1500)),)
+    return (Phase("all", VADLesson, Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)),)
 
 
 def _planner_vad(network: Any, **known: Any) -> "NativePlanner[Any]":
@@ -215,12 +215,12 @@ def _phases_sparse(name: str) -> "tuple[Phase, ...]":
     from adapters.training.trainer import Recipe
 
     recipe = Recipe(
-        steps=4000, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0
+        steps=2600, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0
     )
     if name == "sparsedrive-mini":
         return (Phase("all", SparseLesson, recipe),)
     # DiffusionDrive starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
-    planner = replace(recipe, steps=1500, clips=3)
+    planner = replace(recipe, steps=1000, clips=3)
     return (Phase("planner", partial(SparseLesson, perception=False), planner),)
 
 

@@ -6,12 +6,12 @@ The paper's seconds are for one scene of about 240 frames.
 import argparse
 import time
 
+from benchmark.published import RUNTIME_S
 from benchmark.workers import single_threaded
 from generation.adversary import Attempt, attempt
 from generation.candidates import choose
 from generation.diffusion.prior import TrajectoryPrior
 from generation.hyperparameters import HyperParameters
-from generation.profile import PAPER_S
 from generation.town import town_scene
 
 STAGES = ("sampling", "physics", "scoring", "other")
@@ -32,9 +32,9 @@ def report(result: Attempt, processor_s: float, wall_s: float) -> None:
     )
     print(f"  {'':<10}{'s':>9}{'share':>9}{'ms an evaluation':>18}{'paper, s':>11}")
     for stage in STAGES:
-        seconds, paper = result.stage_seconds[stage], PAPER_S.get(stage)
+        seconds, paper = result.stage_seconds[stage], RUNTIME_S.get(stage)
         line(stage, seconds, seconds / processor_s, count, paper)
-    line("all", processor_s, 1.0, count, sum(PAPER_S.get(stage, 0.0) for stage in STAGES))
+    line("all", processor_s, 1.0, count, sum(RUNTIME_S.get(stage, 0.0) for stage in STAGES))
 
 
 def line(stage: str, seconds: float, share: float, count: int, paper_s: float | None) -> None:

@@ -1,7 +1,7 @@
 """The command line: the one place that knows all packages, and imports them only inside the command that needs them."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -23,6 +23,10 @@ from benchmark.cli_options import (
     DryRunOption,
     ExecutorName,
     ExecutorOption,
+    FilmFormatName,
+    FilmFormatOption,
+    FilmLayoutName,
+    FilmLayoutOption,
     Frames,
     FramesOption,
     JsonOption,
@@ -40,6 +44,7 @@ from benchmark.cli_options import (
     ScenesOption,
     SeedOption,
     SetOption,
+    SheetPictures,
     SizeOption,
     SpeedOption,
     SplitOption,
@@ -64,6 +69,7 @@ if TYPE_CHECKING:
     from benchmark.hub_weights import HubWeights
     from benchmark.plan_rows import PlannerFactory
     from benchmark.records import RunRecord
+    from benchmark.sheets.writing import SheetSettings, WrittenSheets
     from benchmark.verification import Check
     from benchmark.workspace import Workspace
     from generation.attempts import PriorFactory
@@ -86,11 +92,15 @@ app.add_typer(data_app, name="data")
 app.add_typer(train_app, name="train")
 weights_app = typer.Typer(help="Official weights of the native models.", no_args_is_help=True)
 app.add_typer(weights_app, name="weights")
-leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV) from run records; check submissions.")
+leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
 app.add_typer(leaderboard_app, name="leaderboard")
 
 
 OUT = Path("challenger-out")
+
+
+FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES = 3, 5
+"""Of each recorded scene in ``demo --full``: most variants in ``adv``, and most vehicles tried for the ablation."""
 
 
 def main() -> None:
@@ -480,37 +490,96 @@ def quality_command(
         typer.echo(quality_tables([record])[0].plain())
 
 
+@app.command("sheets")
+def sheets_command(
+    split: SplitOption = "val",
+    data: DataOption = "mini",
+    out: OutOption = OUT,
+    tables: TablesOption = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    pictures: Annotated[
+        SheetPictures, typer.Option(help="Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.")
+    ] = SheetPictures.KEYFRAMES,
+    cell_width: Annotated[int, typer.Option(help="Width of one camera in them, pixels; never enlarged.")] = 320,
+    rounds: Annotated[bool, typer.Option("--rounds", help="Search again, to show the rounds of refinement.")] = False,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
+    from benchmark.sheets.writing import SheetSettings, plan_of
+
+    settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, worker_count(workers))
+    source, root = _open_source(data, tables, workers), _workspace(out).sheet_root()
+    dataset = _open_split(source, split, out, workers)
+    if dry_run:
+        typer.echo(plan_of(dataset, split, root, settings))
+        return
+    written, traced = _write_sheets(source, dataset, split, root, settings, rounds=rounds)
+    if json_output:
+        print_json(written.as_json() | ({} if traced is None else {"traced": traced}))
+        return
+    typer.echo(written.sentence())
+    if traced is not None:
+        typer.echo(f"rounds of refinement of {traced} scenes")
+
+
+def _write_sheets(
+    source: "DataSet", dataset: "DataSet", split: str, root: Path, settings: "SheetSettings", *, rounds: bool
+) -> "tuple[WrittenSheets, int | None]":
+    """Sheets of a split, and the number of scenes whose search was traced, if that was asked for."""
+    from benchmark.sheets.writing import write_sheets
+    from generation.nuscenes_writer.plan import STATE_FOLDER
+    from generation.profile import kept_runtime
+
+    runtime = kept_runtime(dataset.root / STATE_FOLDER)
+    written = write_sheets(dataset, split, root, settings, runtime=None if runtime is None else runtime.as_json())
+    if not rounds:
+        return written, None
+    from generation.trace import write_traces
+
+    names = [each.scene for each in written.scenes]
+    return written, len(write_traces(dataset, source, split, root, names, workers=settings.workers))
+
+
 @leaderboard_app.callback(invoke_without_command=True)
 def leaderboard_command(
     context: typer.Context,
     out: OutOption = OUT,
     records: RecordsOption = None,
     to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
+    site: Annotated[bool, typer.Option("--site/--no-site", help="Whether to write the site too.")] = True,
     check: Annotated[bool, typer.Option("--check", help="Only say whether the written tables are current.")] = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Write the tables (Markdown, LaTeX, CSV) from run records."""
+    """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
     if context.invoked_subcommand is not None:
         return
+    from benchmark.ablation_records import find_ablations
     from benchmark.quality.records import find_quality
+    from benchmark.sheets.records import find_sheets
     from leaderboard.build import stale_files, write_leaderboard
 
     space, folder = _workspace(out), to or out / "leaderboard"
-    quality = find_quality(space.quality_root())
-    only_quality = bool(quality) and records is None and not space.run_root().exists()
-    found = [] if only_quality else _records(out, records)
+    quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
+    ablations = find_ablations(space.out / "ablation")
+    no_runs = bool(quality or sheets.splits or ablations) and records is None and not space.run_root().exists()
+    found = [] if no_runs else _records(out, records)
     if check:
-        stale = stale_files(found, folder, quality)
+        stale = stale_files(found, folder, quality, sheets, ablations, site=site)
         if json_output:
             print_json({"stale": stale})
         else:
             typer.echo("\n".join(stale) or f"{folder} is current")
         raise typer.Exit(1 if stale else 0)
-    written = write_leaderboard(found, folder, quality)
+    written = write_leaderboard(found, folder, quality, sheets, ablations, site=site)
     if json_output:
         print_json({"files": [str(path) for path in written]})
     else:
-        typer.echo(f"{len(written)} files in {folder}; start with {folder / 'README.md'}")
+        typer.echo(
+            f"{len(written)} files in {folder}; start with {folder / ('site/index.html' if site else 'README.md')}"
+        )
 
 
 @leaderboard_app.command("submit-check")
@@ -537,6 +606,52 @@ def submit_check_command(
         for record in sound:
             typer.echo(f"fit: {record.directory}: {record.planner} on {record.run.split}, {len(record.rows)} samples")
     raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
+
+
+@app.command("film")
+def film_command(
+    to: Annotated[Path, typer.Option(help="Folder to write to.")],
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    model: Annotated[list[str] | None, typer.Option("--model", help="Planner to show; may be repeated.")] = None,
+    data: DataOption = "mini",
+    split: SplitOption = "adv",
+    out: OutOption = OUT,
+    records: RecordsOption = None,
+    layout: FilmLayoutOption = FilmLayoutName.BOTH,
+    form: FilmFormatOption = FilmFormatName.WEBM,
+    begin_s: Annotated[float, typer.Option("--from", help="First moment, seconds.")] = 0.0,
+    end_s: Annotated[float | None, typer.Option("--until", help="Last moment, seconds.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames a second; the film is as fast as the scene.")] = 12.0,
+    width: Annotated[int, typer.Option(help="Width of the frames in pixels, which are 16:9.")] = 1280,
+    extent: Annotated[float, typer.Option(help="Half the width of what is seen from above, metres.")] = 24.0,
+    north_up: Annotated[bool, typer.Option("--north-up", help="North points up, not the ego's heading.")] = False,
+    candidates: Annotated[bool, typer.Option(help="Whether to draw what the search chose from.")] = True,
+    protocol: Annotated[str, typer.Option(help="Whose verdicts are shown; native: of each planner's own.")] = "exact",
+    json_output: JsonOption = False,
+) -> None:
+    """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
+    from benchmark.protocols import protocol as known_protocol
+    from leaderboard.drawing_scenes.film import FilmLayout, FilmSettings
+    from leaderboard.drawing_scenes.filming import FilmFormat, planner_folder, sheet_folders, write_film
+
+    judge = protocol if protocol == "native" else known_protocol(protocol).name
+    shown, target, space = FilmLayout(layout.value), FilmFormat(form.value), _workspace(out)
+    settings = FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates)
+    folders = sheet_folders(space.sheet_root(), data, split, name_list(scenes))[:limit]
+    plans = _records(out, records or [planner_folder(space.run_root(), data, split)]) if model else []
+    films = []
+    for folder in folders:
+        films.append(str(write_film(folder, plans, model or [], to, target, settings, watch=_watch)))
+        typer.echo(films[-1], err=json_output)
+    if json_output:
+        print_json({"films": films})
+
+
+def _watch(items: Iterable[Any], total: int, label: str) -> Iterable[Any]:
+    from benchmark.workers import progress
+
+    return progress(items, total=total, label=label)
 
 
 @app.command("verify")
@@ -613,6 +728,8 @@ def demo_command(
         return
     from adapters.registry import planner_factory
     from benchmark.evaluate import EvalSettings, evaluate
+    from benchmark.sheets.records import find_sheets
+    from benchmark.sheets.writing import SheetSettings
     from benchmark.transfer import transfer
     from benchmark.workers import LocalProcesses
     from generation.build import BuildSettings
@@ -648,8 +765,10 @@ def demo_command(
         for name in _planners_of_demo():
             factory = planner_factory(name)
             records.append(evaluate(dataset, split, factory, space.run_root(), EvalSettings(workers=processes)))
+        sheet_settings = SheetSettings(workers=processes)
+        _write_sheets(source, dataset, split, space.sheet_root(), sheet_settings, rounds=split == "adv")
     tell("4/4 writing the leaderboard")
-    write_leaderboard(_records(out, None), out / "leaderboard")
+    write_leaderboard(_records(out, None), out / "leaderboard", sheets=find_sheets(space.sheet_root()))
     if json_output:
         print_json({"leaderboard": str(out / "leaderboard"), "generated": report.as_json()})
         return
@@ -657,7 +776,7 @@ def demo_command(
     tell(collision_table("demo", "exact", records).plain())
     adversarial = in_table_order([record for record in records if record.run.split == "adv"])
     tell(transfer_table("demo", transfer(adversarial)).plain())
-    tell(f"tables: {out / 'leaderboard' / 'README.md'}   scenes: {space.split_root('demo', 'adv')}")
+    tell(f"site: {out / 'leaderboard' / 'site' / 'index.html'}   tables: {out / 'leaderboard' / 'README.md'}")
 
 
 def _planners_of_demo() -> tuple[str, ...]:
@@ -676,6 +795,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     from benchmark.workspace import EMBEDDED
     from generation.ablation import ablate
     from generation.build import BuildSettings
+    from generation.hyperparameters import HyperParameters
     from leaderboard.results import stale_results, write_results
 
     made_from = _results_from()
@@ -686,7 +806,8 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     source, processes = _open_source(EMBEDDED, None, workers), worker_count(workers)
     records = []
     for split in ("val", "val-r", "adv"):
-        dataset = _open_split(source, split, out, workers)
+        # Planners see key frames only; the others would take most of the time.
+        dataset = _open_split(source, split, out, workers, frames="keyframes", per_scene=FULL_DEMO_PER_SCENE)
         for name in _planners_of_demo():
             typer.echo(f"{name} on {split}", err=True)
             settings = EvalSettings(workers=processes)
@@ -695,6 +816,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     assert driver is not None
     settings_of_build = BuildSettings(
         out=out / "ablation" / source.name / driver.factory.facts.name,
+        hyper=HyperParameters(candidate_limit=FULL_DEMO_VEHICLES),
         renderer=_renderer(RendererName.SCHEMATIC, "448x256"),
         frames="keyframes",
         executor=LocalProcesses(processes),
@@ -722,7 +844,7 @@ def _results_from() -> dict[str, Any]:
     return {
         "weights": {name: file_sha256(each.packaged) for name, each in MINIATURES.items() if each.packaged.is_file()},
         "town": TownSettings().folder_name("mini"),
-        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint],
+        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
         "protocols": {name: definition.version for name, definition in PROTOCOLS.items()},
     }
@@ -920,6 +1042,17 @@ def train_planner_command(
     )
 
 
+@train_app.command("judge")
+def train_judge_command(
+    weights: Annotated[Path, typer.Argument(help="Weights file of train planner, with its .json beside it.")],
+    data: Annotated[Path, typer.Option(help="Data set whose split val gives the scores.")],
+) -> None:
+    """Measure a trained miniature again; writes its facts and its card anew."""
+    from adapters.training.planners import judge_again
+
+    print_json(judge_again(weights, data))
+
+
 @train_app.command("ego-status")
 def train_ego_status_command(
     tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
@@ -1058,8 +1191,11 @@ def _open_source(data: str, tables: str | None, workers: int) -> "DataSet":
     return _open_data(build_town(root, settings, workers=worker_count(workers)), None, EMBEDDED)
 
 
-def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "DataSet":
-    """The data set that holds a split; missing splits of the embedded data are generated on the spot."""
+def _open_split(source: "DataSet", split: str, out: Path, workers: int, **settings: Any) -> "DataSet":
+    """The data set that holds a split; missing splits of the embedded data are generated on the spot.
+
+    Further settings are those of `generation.build.BuildSettings`.
+    """
     from benchmark.workspace import EMBEDDED
 
     def build() -> None:
@@ -1070,7 +1206,7 @@ def _open_split(source: "DataSet", split: str, out: Path, workers: int) -> "Data
         renderer = _renderer(RendererName.SCHEMATIC, "448x256")
         target = _workspace(out).split_root(source.name, split)
         executor = LocalProcesses(worker_count(workers))
-        _generate(source, split, BuildSettings(out=target, renderer=renderer, executor=executor))
+        _generate(source, split, BuildSettings(out=target, renderer=renderer, executor=executor, **settings))
 
     return _workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
 

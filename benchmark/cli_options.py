@@ -20,6 +20,14 @@ class Frames(StrEnum):
     KEYFRAMES = "keyframes"
 
 
+class SheetPictures(StrEnum):
+    """Which frames of a scene sheet get a picture of all cameras."""
+
+    KEYFRAMES = "keyframes"
+    ALL = "all"
+    NONE = "none"
+
+
 class Layout(StrEnum):
     """How several variants of one scene lie on disk."""
 
@@ -80,6 +88,22 @@ class Preset(StrEnum):
 
     DEFAULT = "default"
     PAPER = "paper"
+
+
+class FilmLayoutName(StrEnum):
+    """What a frame of a film shows."""
+
+    BOTH = "both"
+    CAMERAS = "cameras"
+    BIRDSEYE = "birdseye"
+
+
+class FilmFormatName(StrEnum):
+    """What a film is written as."""
+
+    WEBM = "webm"
+    PNG = "png"
+    WEBP = "webp"
 
 
 class ExecutorName(StrEnum):
@@ -152,6 +176,10 @@ RenderDeviceOption = Annotated[
 SpeedOption = Annotated[
     float | None,
     typer.Option("--tflops", min=1e-3, help="magicdrive: the device's speed for estimates, if not to be measured."),
+]
+FilmLayoutOption = Annotated[FilmLayoutName, typer.Option("--layout", help="What a frame shows.")]
+FilmFormatOption = Annotated[
+    FilmFormatName, typer.Option("--format", help="A film, numbered frames, or an animated picture for pages.")
 ]
 LosslessOption = Annotated[bool, typer.Option("--lossless", help="Keep a PNG file beside each JPEG file.")]
 FramesOption = Annotated[Frames, typer.Option("--frames", help="Images at all 12 Hz frames or at 2 Hz keyframes.")]

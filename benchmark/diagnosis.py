@@ -15,7 +15,7 @@ The rule, for a sample that collides under ``exact``, about the object that is t
    been hit, the reason says so.
 
 Contact is that of ``exact``: the same ego rectangle, the same instants. The forecast is a box of its own size; its
-heading is that of its path (`benchmark.planning.chord_headings`), held below 1 m/s, and a box has no front, so one
+heading is that of its path (`benchmark.waypoints.chord_headings`), held below 1 m/s, and a box has no front, so one
 that backs up is not turned round.
 """
 
@@ -27,11 +27,12 @@ import numpy as np
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap
-from benchmark.planning import Forecasts, Plan, PlanFrame, chord_headings
+from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.exact import ego_boxes, object_boxes
 from benchmark.record_schema import Cause, DiagnosisRow
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import chord_headings, points_in_lidar
 
 MATCH_WITHIN_M: Final = 2.0
 """Farthest centre of a forecast that may be of an object: where nuScenes matches for its tracking metrics."""
@@ -99,9 +100,9 @@ def forecasts_in_lidar(forecasts: Forecasts, frame: PlanFrame, lidar_ahead_m: fl
     if frame is PlanFrame.LIDAR:
         return forecasts
     boxes = np.asarray(forecasts.boxes, np.float64).reshape(-1, 5).copy()
-    boxes[:, :2] = _ego_to_lidar(boxes[:, :2], lidar_ahead_m)
+    boxes[:, :2] = points_in_lidar(boxes[:, :2], lidar_ahead_m)
     boxes[:, 4] += np.pi / 2
-    trajectories = _ego_to_lidar(np.asarray(forecasts.trajectories, np.float64), lidar_ahead_m)
+    trajectories = points_in_lidar(np.asarray(forecasts.trajectories, np.float64), lidar_ahead_m)
     return Forecasts(boxes, trajectories, forecasts.scores)
 
 
@@ -189,7 +190,3 @@ def _alike(objects: Floats, boxes: Floats) -> Bools:
     """(M, A) whether boxes may be of the same kind of thing."""
     area, other = (objects[:, 2] * objects[:, 3])[:, None], boxes[:, 2] * boxes[:, 3]
     return np.asarray((area <= LARGEST_AREA_RATIO * other) & (other <= LARGEST_AREA_RATIO * area))
-
-
-def _ego_to_lidar(points: Floats, lidar_ahead_m: float) -> Floats:
-    return np.stack([-points[..., 1], points[..., 0] - lidar_ahead_m], axis=-1)

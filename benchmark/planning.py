@@ -13,6 +13,7 @@ from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLA
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.scene import Camera, LidarMount, Scene
+from benchmark.waypoints import waypoints_in_lidar
 
 
 class Command(IntEnum):
@@ -161,49 +162,13 @@ class Plan:
     def waypoints_in_lidar(self, lidar_ahead_m: float = LIDAR_FROM_REAR_AXLE_M) -> Floats:
         """The waypoints as positions of the lidar origin, x right, y forward: what every protocol reads.
 
-        From ``ego`` the reference point moves ahead along the heading of each step (`chord_headings`), because
-        the lidar turns with the car.
-
         Args:
             lidar_ahead_m: Lidar origin ahead of the rear axle.
 
         Returns:
             (6, 2) metres.
         """
-        if self.frame is PlanFrame.LIDAR:
-            return self.waypoints
-        heading = chord_headings(self.waypoints, start_heading_rad=0.0)
-        ahead = self.waypoints + lidar_ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
-        return np.column_stack([-ahead[:, 1], ahead[:, 0] - lidar_ahead_m])
-
-
-def chord_headings(waypoints: Floats, *, start_heading_rad: float, hold_below_m: float = 0.3) -> Floats:
-    """Heading at each waypoint: direction of the chord between its neighbours, held where the car hardly moves.
-
-    The rule of the ``exact`` protocol: chord from waypoint k-1 to k+1 (the start is the origin; the last step
-    uses the last segment) if it is at least ``hold_below_m`` long, else the previous heading.
-
-    Args:
-        waypoints: (..., 6, 2) metres, relative to the start.
-        start_heading_rad: Heading at the start.
-        hold_below_m: Shortest chord that is trusted.
-
-    Returns:
-        (..., 6) radians.
-    """
-    waypoints = np.asarray(waypoints, np.float64)
-    start = np.zeros((*waypoints.shape[:-2], 1, 2))
-    path = np.concatenate([start, waypoints], axis=-2)
-    behind, ahead = path[..., :-1, :], np.concatenate([path[..., 2:, :], path[..., -1:, :]], axis=-2)
-    chord = ahead - behind
-    long_enough = np.hypot(chord[..., 0], chord[..., 1]) >= hold_below_m
-    headings = np.empty(waypoints.shape[:-1])
-    held = np.full(waypoints.shape[:-2], start_heading_rad, dtype=np.float64)
-    for step in range(waypoints.shape[-2]):
-        direction = np.arctan2(chord[..., step, 1], chord[..., step, 0])
-        held = np.where(long_enough[..., step], direction, held)
-        headings[..., step] = held
-    return headings
+        return waypoints_in_lidar(self.waypoints, self.frame, lidar_ahead_m)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from the rows alone. ``run.json`` names the hashes of the other two, and the thr
 """
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from benchmark.errors import InputError
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols import protocol as definition_of
 from benchmark.rates import rates
-from benchmark.record_files import RUN_FILE, read_files, replace_files
+from benchmark.record_files import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_files, replace_files
 from benchmark.record_schema import (
     CAUSES,
     SCHEMA,
@@ -34,6 +35,7 @@ from benchmark.record_schema import (
     SceneFacts,
     Summary,
 )
+from benchmark.storage import content_key
 
 __all__ = [
     "CAUSES",
@@ -87,6 +89,16 @@ class RunRecord:
     def planner(self) -> str:
         """Name of the planner in tables."""
         return self.label or self.run.planner.name
+
+    @property
+    def content_id(self) -> str:
+        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        run, planner = self.run, self.run.planner
+        # Settings are a stranger's: as text they may hold any number.
+        settings = json.dumps(planner.settings, sort_keys=True)
+        ran = [planner.name, planner.weights_sha256, planner.code_sha256, planner.seed, settings]
+        on = [run.data.name, run.data.fingerprint, run.split, run.scenes]
+        return content_key(ran, on, run.protocols, run.seed, run.files)[:12]
 
     @property
     def complete(self) -> bool:
@@ -292,7 +304,8 @@ def load_record(directory: Path) -> RunRecord:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{directory} is not a valid run record: {error.title} {place}: {first['msg']}") from error
+        file = {SampleRow.__name__: ROWS_FILE, Summary.__name__: SUMMARY_FILE}.get(error.title, RUN_FILE)
+        raise InputError(f"{directory / file} is not that of a valid run record: {place}: {first['msg']}") from error
     return RunRecord(directory, run, rows, summary)
 
 
@@ -312,4 +325,10 @@ def find_records(root: Path) -> list[RunRecord]:
         raise InputError(
             f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
         )
-    return [load_record(path.parent) for path in sorted(root.rglob(RUN_FILE))]
+    found = []
+    for path in sorted(root.rglob(RUN_FILE)):
+        try:
+            found.append(load_record(path.parent))
+        except InputError as damage:
+            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
+    return found

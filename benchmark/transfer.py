@@ -65,6 +65,7 @@ class TransferMatrix:
         base_rates: P rates of failed scenes over all scenes that the planner was judged on.
         undecided: P lists of scenes without a verdict for the planner; they are in no denominator of it.
         agreements: One for each pair of planners, in their order.
+        records: P content ids of the records (`benchmark.records.RunRecord.content_id`).
     """
 
     protocol: str
@@ -77,6 +78,7 @@ class TransferMatrix:
     base_rates: tuple[Rate, ...]
     undecided: tuple[tuple[str, ...], ...]
     agreements: tuple[Agreement, ...]
+    records: tuple[str, ...]
 
 
 def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int = 0) -> TransferMatrix:
@@ -114,6 +116,7 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
             )
             for first, second in itertools.combinations(range(len(records)), 2)
         ),
+        records=tuple(record.content_id for record in records),
     )
 
 

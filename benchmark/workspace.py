@@ -44,6 +44,10 @@ class Workspace:
         """Folder of all records of video quality."""
         return self.out / "quality"
 
+    def sheet_root(self) -> Path:
+        """Folder of all scene sheets."""
+        return self.out / "sheets"
+
     def rendering_root(self) -> Path:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
         return self.out / "rendering"

@@ -5,7 +5,7 @@ Pure: the same scene, vehicle, seed, settings and prior give the same track, who
 
 import hashlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from generation.labels import ClosestApproach, Labels, closest_approach, describ
 from generation.physics import MotionModel, VehicleState, rear_axle, simulate
 from generation.proposals import Diversify, Prior, Search, Seconds, run_together
 from generation.ranking import challenge_score
-from generation.refine import Evaluated, NothingToDraw, Refinement, refine
+from generation.refine import Batch, Evaluated, NothingToDraw, Refinement, refine
 from generation.scoring import score_terms, surroundings
 from generation.solvable import log_replay_contacts
 from generation.verify import EGO, Discard, Finding, contacts, verify
@@ -50,6 +50,30 @@ class PlanningFrame:
     score: float | None
     best_scores: tuple[float | None, ...]
     collision_free: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """Everything that was searched at one planning frame.
+
+    Attributes:
+        agent_id: Instance of the vehicle.
+        search: Number of the search for this vehicle, 0 first.
+        frame: Frame index.
+        state: Motion of the vehicle there.
+        batches: The rounds.
+        found: What came of them.
+    """
+
+    agent_id: str
+    search: int
+    frame: int
+    state: VehicleState
+    batches: Sequence[Batch]
+    found: Refinement
+
+
+Watch = Callable[[Planned], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +163,7 @@ def attempt(
     *,
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
+    watch: Watch | None = None,
 ) -> Attempt:
     """Let one vehicle challenge the ego from its launch to the end of the scene, with ``hyper.tries`` chances.
 
@@ -150,6 +175,7 @@ def attempt(
         prior: Diffusion model.
         diversify: Spread of the initial batch; the package's own by default.
         model: Physics; `MotionModel.si` by default.
+        watch: Is shown every planning frame; no result depends on it.
 
     Returns:
         The kept scene, or the reason why there is none.
@@ -157,7 +183,8 @@ def attempt(
     Raises:
         InputError: If there is no such vehicle or the model has no limits.
     """
-    return attempts_together([(scene, agent_index)], seed, hyper, prior, diversify=diversify, model=model)[0]
+    vehicles = [(scene, agent_index)]
+    return attempts_together(vehicles, seed, hyper, prior, diversify=diversify, model=model, watch=watch)[0]
 
 
 def attempts_together(
@@ -168,6 +195,7 @@ def attempts_together(
     *,
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
+    watch: Watch | None = None,
 ) -> list[Attempt]:
     """Attempts side by side, so that the diffusion model answers all of them in one call; each is as if alone.
 
@@ -178,6 +206,7 @@ def attempts_together(
         prior: As in `attempt`.
         diversify: As in `attempt`.
         model: As in `attempt`.
+        watch: As in `attempt`; the planning frames of different vehicles come mixed.
 
     Returns:
         One attempt for each vehicle.
@@ -192,7 +221,9 @@ def attempts_together(
         if not 0 <= agent < len(scene.agents):
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or _packaged_diversify()
-    searches = [_chances(scene, agent, seed, hyper, prior.fingerprint, diversify, model) for scene, agent in vehicles]
+    searches = [
+        _chances(scene, agent, seed, hyper, prior.fingerprint, diversify, model, watch) for scene, agent in vehicles
+    ]
     found, spent = run_together(searches, prior)
     return [
         replace(result, stage_seconds=_stage_seconds(result.stage_seconds, seconds))
@@ -214,6 +245,7 @@ def _chances(
     prior_fingerprint: str,
     diversify: Diversify,
     model: MotionModel,
+    watch: Watch | None,
 ) -> Search[Attempt]:
     """Searches for one vehicle until one is kept or there is no use in another."""
     blank = Attempt(scene.name, scene.agents.ids[agent], seed, None, None, np.zeros((0, 3)), 0.0, None, None, (), None)
@@ -227,7 +259,7 @@ def _chances(
     result = blank
     for number in range(hyper.tries):
         rng = np.random.default_rng(content_seed(*content, number))
-        hunt = _Hunt(scene, agent, start, hyper, diversify, model, rng, stages)
+        hunt = _Hunt(scene, agent, start, hyper, diversify, model, rng, stages, number, watch)
         poses, plans, gave_up = yield from hunt.run()
         driven = replace(blank, start=start, tries=number + 1, poses=poses, plans=plans, finding=gave_up)
         result = _judged(driven, hunt) if gave_up is None else driven
@@ -267,6 +299,8 @@ class _Hunt:
     model: MotionModel
     rng: np.random.Generator
     stages: dict[str, float]
+    number: int = 0
+    watch: Watch | None = None
 
     def run(self) -> Search[tuple[Floats, tuple[PlanningFrame, ...], Finding | None]]:
         """Executed poses (F, 3), trace, and why the rest was not planned: what `verify` could only discard."""
@@ -317,7 +351,12 @@ class _Hunt:
             self.stages["scoring"] += time.process_time() - simulated
             return Evaluated(motion, terms)
 
-        return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
+        def shown(batches: Sequence[Batch], found: Refinement) -> None:
+            if self.watch is not None:
+                agent_id = self.scene.agents.ids[self.agent]
+                self.watch(Planned(agent_id, self.number, frame, state, batches, found))
+
+        return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng, watch=shown))
 
     def _previous(self, frame: int, state: VehicleState, track: Floats) -> Floats:
         """Own rear-axle pose (3,) half a second ago in the local frame: recorded before the launch, executed after."""

@@ -23,6 +23,7 @@ from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.profile import runtime_table
 from generation.rendering import Renderer
+from generation.search_file import SEARCH_FILE, search_file
 from generation.selection import select
 from generation.surrogate import PlannerUnderTest
 from generation.writing import WritingJob, publish_reports, withdraw, write_scenes
@@ -220,7 +221,8 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     written = tuple(job.name for job in chosen.jobs)
     report = BuildReport.of(len(names), found, written, said, settings.adversaries)
-    publish_reports(settings.out, _report_files(report, found, chosen.chains))
+    files = _report_files(report, found, chosen.chains) | {SEARCH_FILE: search_file(search)}
+    publish_reports(settings.out, files)
     if not written:
         withdraw(settings.out)
         raise NothingSurvivedError(

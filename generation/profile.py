@@ -10,11 +10,10 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from benchmark.published import RUNTIME_S
 from benchmark.storage import read_kept_json
 
 STAGES: Final = ("sampling", "physics", "scoring", "rendering", "other")
-PAPER_S: Final = {"sampling": 17.36, "physics": 211.36, "scoring": 194.72, "rendering": 395.18}
-"""Appendix "Runtime Analysis": one scene of about 240 frames, two Xeon 8457C and four L20 for rendering."""
 
 
 class _Note(BaseModel):
@@ -53,10 +52,10 @@ class RuntimeTable:
             f"  {'':<10}{'total':>11}{'each':>11}{'paper':>11}",
         ]
         for stage in STAGES:
-            each, paper = self.each_s(stage), PAPER_S.get(stage)
+            each, paper = self.each_s(stage), RUNTIME_S.get(stage)
             lines.append(f"  {stage:<10}{self.total_s[stage]:>11.2f}{_cell(each)}{_cell(paper)}")
         ours = sum(self.each_s(stage) or 0.0 for stage in STAGES)
-        lines.append(f"  {'all':<10}{sum(self.total_s.values()):>11.2f}{_cell(ours)}{_cell(sum(PAPER_S.values()))}")
+        lines.append(f"  {'all':<10}{sum(self.total_s.values()):>11.2f}{_cell(ours)}{_cell(sum(RUNTIME_S.values()))}")
         lines.append(
             "  each: one attempt, rendering one scene; paper: quoted, two Xeon 8457C and four L20, rendering by "
             "MagicDriveDiT"
@@ -80,6 +79,21 @@ def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTa
         for stage, seconds in note.seconds.items():
             total[stage if stage in total else "other"] += seconds
     return RuntimeTable(len(of_attempts), len(of_scenes), total)
+
+
+def kept_runtime(state: Path) -> RuntimeTable | None:
+    """What a build's folder of finished work still knows of the time that it took.
+
+    Args:
+        state: The folder; it need not exist.
+
+    Returns:
+        All attempts that were timed there, and the scenes that are written now; ``None`` if there are none.
+    """
+    attempts = sorted((state / "timing" / "attempts").glob("*.timing.json"))
+    written = sorted((state / "fragments").glob("*.json"))
+    found = runtime_table(attempts, [state / "timing" / "rendering" / f"{path.stem}.timing.json" for path in written])
+    return found if found.attempts or found.scenes else None
 
 
 def mean_seconds(notes: Sequence[Path]) -> float | None:

@@ -3,7 +3,7 @@
 Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18 and appendix of the same name.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,25 @@ class Refinement:
     rounds: tuple[Round, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """One round as it was searched.
+
+    Attributes:
+        waypoints: (B, 16, 3) candidates before the simulation.
+        evaluated: What they do and their score terms.
+        start: (B,) random initial scores.
+    """
+
+    waypoints: Floats
+    evaluated: Evaluated
+    start: Floats
+
+
+Watch = Callable[[Sequence[Batch], Refinement], None]
+"""Is shown all rounds of a planning frame and what came of them; must not change them."""
+
+
 class NothingToDraw(ArithmeticError):
     """Every weight of the resampling underflowed, as can happen without `HyperParameters.stable_softmax`."""
 
@@ -73,6 +92,8 @@ def refine(
     previous: Floats,
     hyper: HyperParameters,
     rng: np.random.Generator,
+    *,
+    watch: Watch | None = None,
 ) -> Search[Refinement]:
     """Search one planning frame.
 
@@ -82,6 +103,7 @@ def refine(
         previous: (3,) pose half a second ago in the local frame.
         hyper: Settings.
         rng: Source of every random number.
+        watch: Is shown the rounds at the end; no result depends on it.
 
     Yields:
         Requests to the diffusion model (`generation.proposals`).
@@ -93,20 +115,23 @@ def refine(
         NothingToDraw: If the resampling underflows.
     """
     waypoints = diversify((yield Sampling(hyper.candidates, previous, rng)), rng)
-    batches: list[tuple[Floats, Evaluated, Floats]] = []
+    batches: list[Batch] = []
     rounds: list[Round] = []
     for level in (*hyper.noise_levels(), 0):
         start = rng.uniform(0.0, hyper.init_scale, len(waypoints))
-        batch = evaluate(waypoints)
-        scores = final_scores(batch.terms, start, hyper)
-        batches.append((waypoints, batch, start))
-        rounds.append(_summary(scores, batch.terms, hyper))
+        evaluated = evaluate(waypoints)
+        scores = final_scores(evaluated.terms, start, hyper)
+        batches.append(Batch(waypoints, evaluated, start))
+        rounds.append(_summary(scores, evaluated.terms, hyper))
         if level:
             drawn = resample(scores, hyper, rng)
             waypoints = yield Mutation(waypoints[drawn], level, previous, rng)
     number, chosen, score = _best(batches, hyper, rng)
-    waypoints, batch, _ = batches[number]
-    return Refinement(waypoints[chosen], batch.motion, chosen, number, score, tuple(rounds))
+    best = batches[number]
+    found = Refinement(best.waypoints[chosen], best.evaluated.motion, chosen, number, score, tuple(rounds))
+    if watch is not None:
+        watch(batches, found)
+    return found
 
 
 def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -139,23 +164,35 @@ def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -
     return np.asarray(rng.choice(len(scores), size=len(scores), p=weight / total), dtype=np.int64)
 
 
-def _best(
-    batches: list[tuple[Floats, Evaluated, Floats]], hyper: HyperParameters, rng: np.random.Generator
-) -> tuple[int, int, float]:
-    """Round, index and score of the best candidate, the challenge normalised over all rounds that count together."""
-    skipped = 0 if hyper.best_of_all_rounds else len(batches) - 1
-    batches = batches[skipped:]
-    finite = np.stack([batch.terms.finite for _, batch, _ in batches])
-    challenge = normalised(np.stack([batch.terms.challenge for _, batch, _ in batches]), finite)
+def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
+    """Final scores by which rounds compare, the challenge normalised over all of them together.
+
+    Args:
+        batches: R rounds of as many candidates each.
+        hyper: Weights.
+
+    Returns:
+        (R, B) scores, lower is better; infinite where a candidate must never be chosen.
+    """
+    terms = [batch.evaluated.terms for batch in batches]
+    finite = np.stack([each.finite for each in terms])
+    challenge = normalised(np.stack([each.challenge for each in terms]), finite)
     safety = np.stack(
-        [start + hyper.dac_weight * b.terms.dac + hyper.cr_weight * b.terms.cr for _, b, start in batches]
+        [batch.start + hyper.dac_weight * each.dac + hyper.cr_weight * each.cr for batch, each in zip(batches, terms)]
     )
-    score = np.where(finite, safety + hyper.ac_weight * challenge, np.inf)
+    return np.where(finite, safety + hyper.ac_weight * challenge, np.inf)
+
+
+def _best(batches: Sequence[Batch], hyper: HyperParameters, rng: np.random.Generator) -> tuple[int, int, float]:
+    """Round, index and score of the best candidate of all rounds that count."""
+    skipped = 0 if hyper.best_of_all_rounds else len(batches) - 1
+    score = scores_together(batches[skipped:], hyper)
     if hyper.scored:
         number, chosen = np.unravel_index(int(np.argmin(score)), score.shape)
         return skipped + int(number), int(chosen), float(score[number, chosen])
-    last = len(batches) - 1
-    options = np.flatnonzero(finite[last]) if finite[last].any() else np.arange(score.shape[1])
+    last = len(score) - 1
+    finite = np.isfinite(score[last])
+    options = np.flatnonzero(finite) if finite.any() else np.arange(score.shape[1])
     chosen = rng.choice(options)
     return skipped + last, int(chosen), float(score[last, chosen])
 

@@ -1,27 +1,37 @@
 """From run records to the files of a leaderboard; the same records give the same bytes."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+import filecmp
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 from urllib.parse import quote
 
+from benchmark.ablation_records import AblationReport
 from benchmark.errors import InputError
 from benchmark.quality.records import QualityRecord
 from benchmark.records import RunRecord
+from benchmark.sheets.records import NO_SHEETS, Sheets
 from benchmark.storage import file_name, write_bytes, writing_to
-from leaderboard.collision import published_table
-from leaderboard.contents import DataSetTables, data_set_tables
+from leaderboard.contents import DataSetTables, data_set_tables, generation_tables
 from leaderboard.figures import NamedFigure, data_set_figures
 from leaderboard.heat_map import heat_map
-from leaderboard.quality_table import published_quality_table, quality_tables
+from leaderboard.published_tables import published_tables
+from leaderboard.quality_table import quality_tables
+from leaderboard.refinement_figure import refinement_figures
 from leaderboard.selection import one_run_each
+from leaderboard.site.index_data import PlacedFigure, PlacedTable
+from leaderboard.site.site import INDEX_PATH, site_files
 from leaderboard.tables import Table, escape_markdown
 
 Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
 TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
 """Hold one folder for each data set and nothing else, so that what is no longer made there can be told."""
-OURS = (".tex", ".csv", ".md", ".png", ".svg")
+SITE_FOLDER: Final = "site"
+"""Holds the site and nothing else."""
+_ON_THE_SITE: Final = (".tex", ".csv", ".json")
+OURS = (".tex", ".csv", ".json", ".md", ".png", ".svg")
 
 
 def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
@@ -47,82 +57,173 @@ def leaderboard_tables(records: Sequence[RunRecord]) -> list[DataSetTables]:
     ]
 
 
-def leaderboard_files(records: Sequence[RunRecord], quality: Sequence[QualityRecord] = ()) -> Files:
-    """The leaderboard's files.
+def leaderboard_files(
+    records: Sequence[RunRecord],
+    quality: Sequence[QualityRecord] = (),
+    sheets: Sheets = NO_SHEETS,
+    ablations: Sequence[AblationReport] = (),
+) -> Files:
+    """The leaderboard's files without the site.
 
     Args:
-        records: See `leaderboard_tables`; none only if there are quality records.
+        records: See `leaderboard_tables`; none only if there is anything else.
         quality: Records of video quality.
+        sheets: Scene sheets: statistics, manoeuvres, search and runtime are made from them.
+        ablations: Ablation studies.
 
     Returns:
-        ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX and CSV,
-        and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG) below
-        ``figures/<data set>/``; the
-        published numbers apart from ours below ``published/``.
+        ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
+        JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
+        below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
     """
-    found = leaderboard_tables(records) if records or not quality else []
-    published = published_table()
-    text: dict[str, str] = _table_files("published", [published])
+    return _made(records, quality, sheets, ablations).files
+
+
+@dataclass(slots=True)
+class _Made:
+    """The leaderboard's files, and what the site shows of them.
+
+    Attributes:
+        files: Files without the site.
+        tables: Tables in the order in which they are read.
+        figures: Figures, with their place below the leaderboard's folder.
+        records: Run records that stand in tables.
+    """
+
+    files: Files = field(default_factory=dict)
+    tables: list[PlacedTable] = field(default_factory=list)
+    figures: list[PlacedFigure] = field(default_factory=list)
+    records: list[RunRecord] = field(default_factory=list)
+
+    def place(self, data_name: str, group: str, tables: Sequence[Table]) -> None:
+        """Add tables and their files; those of no data set are published ones."""
+        folder = f"{TABLES_FOLDER}/{file_name(data_name)}" if data_name else "published"
+        self.tables += [PlacedTable(table, data_name, group, folder) for table in tables]
+        self.files |= {name: text.encode() for name, text in _table_files(folder, tables).items()}
+
+
+def _made(
+    records: Sequence[RunRecord],
+    quality: Sequence[QualityRecord],
+    sheets: Sheets,
+    ablations: Sequence[AblationReport],
+    *,
+    site: bool = False,
+) -> _Made:
+    """Tables and figures; ``README.md`` names the site if there is one."""
+    found = leaderboard_tables(records) if records or not (quality or sheets.splits or ablations) else []
+    made = _Made()
     sections = ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
+    if site:
+        page = f"{SITE_FOLDER}/index.html"
+        sections += [f"To sort, to filter, and every scene to play: [{page}]({page}), which any browser opens.", ""]
     sections += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
-    files: Files = {}
     for data_set in found:
-        folder = file_name(data_set.data_name)
-        text |= _table_files(f"{TABLES_FOLDER}/{folder}", data_set.tables)
-        text |= {_page(folder, name): _page_text(data_set, name) for name in data_set.others}
-        for name, matrix in data_set.matrices.items():
-            files[_picture(folder, name)] = heat_map(matrix, ".png")
-        figures = data_set_figures(data_set.data_name, data_set.records)
-        for figure in figures:
-            files[_picture(folder, figure.name)] = figure.png
-            files[_picture(folder, figure.name, ".svg")] = figure.svg
-        sections += _section(data_set, figures, folder)
-    sections += _quality(quality, text)
-    text["README.md"] = "\n".join([*sections, "## Published", "", published.markdown()])
-    return files | {name: content.encode() for name, content in text.items()}
+        sections += _add_data_set(made, data_set, sheets)
+    sections += _add_quality(made, quality)
+    for name, tables in generation_tables(sheets, ablations).items():
+        made.place(name, "scenes and their generation", tables)
+        sections += [f"## {escape_markdown(name)}: scenes and their generation", ""]
+        sections += [table.markdown() for table in tables]
+    published = published_tables()
+    made.place("", "published", published)
+    made.files["README.md"] = "\n".join(
+        [*sections, "## Published", "", *(table.markdown() for table in published)]
+    ).encode()
+    return made
 
 
-def write_leaderboard(records: Sequence[RunRecord], folder: Path, quality: Sequence[QualityRecord] = ()) -> list[Path]:
+def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[str]:
+    """Add tables, pages and pictures of one data set; its section of ``README.md``."""
+    name, folder = data_set.data_name, file_name(data_set.data_name)
+    made.records += data_set.records
+    made.place(name, "exact and own protocols", data_set.front)
+    for protocol, tables in data_set.others.items():
+        made.place(name, f"protocol {protocol}", tables)
+        made.files[_page(folder, protocol)] = _page_text(data_set, protocol).encode()
+    titles = {table.name: table.title for table in data_set.front}
+    for table_name, matrix in data_set.matrices.items():
+        picture = _picture(folder, table_name)
+        made.files[picture] = heat_map(matrix, ".png")
+        made.figures.append(PlacedFigure(name, titles[table_name], picture))
+    figures = (*data_set_figures(name, data_set.records), *refinement_figures(name, sheets))
+    for figure in figures:
+        vector = _picture(folder, figure.name, ".svg")
+        made.files |= {_picture(folder, figure.name): figure.png, vector: figure.svg}
+        made.figures.append(PlacedFigure(name, figure.title, vector))
+    return _section(data_set, figures, folder)
+
+
+def write_leaderboard(
+    records: Sequence[RunRecord],
+    folder: Path,
+    quality: Sequence[QualityRecord] = (),
+    sheets: Sheets = NO_SHEETS,
+    ablations: Sequence[AblationReport] = (),
+    *,
+    site: bool = True,
+) -> list[Path]:
     """Write the leaderboard; what an earlier one had and the records no longer give is removed.
 
     Args:
         records: See `leaderboard_tables`.
         folder: Where to.
         quality: Records of video quality.
+        sheets: Scene sheets.
+        ablations: Ablation studies.
+        site: Whether to write the site too.
 
     Returns:
         The files written.
+
+    Raises:
+        InputError: If a file cannot be written, or the site's folder holds something else.
     """
-    files = leaderboard_files(records, quality)
+    files = _all_files(records, quality, sheets, ablations, site=site)
+    if site:
+        _require_own(folder / SITE_FOLDER)
     for name, content in files.items():
-        write_bytes(folder / name, content)
+        data = content.read_bytes() if isinstance(content, Path) else content
+        # A site has thousands of files, and every run of the command writes them all again.
+        write_bytes(folder / name, data, durable=not name.startswith(f"{SITE_FOLDER}/"))
     for path in _left_over(files, folder):
         with writing_to(path):
             path.unlink()
     return [folder / name for name in files]
 
 
-def stale_files(records: Sequence[RunRecord], folder: Path, quality: Sequence[QualityRecord] = ()) -> list[str]:
+def stale_files(
+    records: Sequence[RunRecord],
+    folder: Path,
+    quality: Sequence[QualityRecord] = (),
+    sheets: Sheets = NO_SHEETS,
+    ablations: Sequence[AblationReport] = (),
+    *,
+    site: bool = True,
+) -> list[str]:
     """Files of a leaderboard that differ from what the records say.
 
     Args:
         records: See `leaderboard_tables`.
         folder: A leaderboard written earlier.
         quality: Records of video quality.
+        sheets: Scene sheets.
+        ablations: Ablation studies.
+        site: Whether the site belongs to it.
 
     Returns:
         One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
     """
-    found, files = [], leaderboard_files(records, quality)
+    found, files = [], _all_files(records, quality, sheets, ablations, site=site)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
             found.append(f"{path} is missing")
-        elif path.read_bytes() != content:
+        elif not _same(path, content):
             found.append(f"{path} differs from what the run records say")
     return [
         *found,
-        *(f"{path} is a table or figure that the run records no longer give" for path in _left_over(files, folder)),
+        *(f"{path} is a file that the run records no longer give" for path in _left_over(files, folder)),
     ]
 
 
@@ -150,16 +251,13 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
     return lines
 
 
-def _quality(records: Sequence[QualityRecord], text: dict[str, str]) -> list[str]:
-    """The section on video quality; its LaTeX and CSV files are added to ``text``."""
-    if not records:
-        return []
-    lines = ["## Video quality", ""]
+def _add_quality(made: _Made, records: Sequence[QualityRecord]) -> list[str]:
+    """Add the tables on video quality; their section of ``README.md``."""
+    lines = ["## Video quality", ""] if records else []
     for data_name in sorted({record.facts.data.name for record in records}):
         tables = quality_tables([record for record in records if record.facts.data.name == data_name])
-        text |= _table_files(f"{TABLES_FOLDER}/{file_name(data_name)}", tables)
+        made.place(data_name, "video quality", tables)
         lines += [table.markdown() for table in tables]
-    text |= _table_files("published", [published_quality_table()])
     return lines
 
 
@@ -171,7 +269,8 @@ def _page_text(data_set: DataSetTables, protocol: str) -> str:
 def _table_files(folder: str, tables: Sequence[Table]) -> dict[str, str]:
     named = {f"{folder}/{file_name(table.name)}": table for table in tables}
     latex = {f"{name}.tex": table.latex() for name, table in named.items()}
-    return latex | {f"{name}.csv": table.csv() for name, table in named.items()}
+    facts = {f"{name}.json": table.json() for name, table in named.items()}
+    return latex | facts | {f"{name}.csv": table.csv() for name, table in named.items()}
 
 
 def _page(folder: str, protocol: str) -> str:
@@ -182,7 +281,43 @@ def _picture(folder: str, name: str, suffix: str = ".png") -> str:
     return f"{FIGURES_FOLDER}/{folder}/{file_name(name)}{suffix}"
 
 
-def _left_over(files: Files, folder: Path) -> list[Path]:
-    """Tables and figures in a leaderboard's folder that are not among its files."""
+def _all_files(
+    records: Sequence[RunRecord],
+    quality: Sequence[QualityRecord],
+    sheets: Sheets,
+    ablations: Sequence[AblationReport],
+    *,
+    site: bool,
+) -> dict[str, bytes | Path]:
+    """Every file; a path as value means a copy of that file, so that pictures are not all held at once."""
+    made = _made(records, quality, sheets, ablations, site=site)
+    if not site:
+        return dict(made.files)
+    shown = {figure.path for figure in made.figures}
+    downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
+    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads)
+    return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
+
+
+def _require_own(folder: Path) -> None:
+    """Refuse to write into, and later clear, a folder that is not a site of ours."""
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / INDEX_PATH).is_file():
+        raise InputError(
+            f"{folder} holds files that are not the leaderboard's (it has no {INDEX_PATH}); move it away, name another "
+            "folder with --to, or leave the site out with --no-site"
+        )
+
+
+def _same(path: Path, content: bytes | Path) -> bool:
+    if isinstance(content, Path):
+        return filecmp.cmp(path, content, shallow=False)
+    return path.read_bytes() == content
+
+
+def _left_over(files: Mapping[str, bytes | Path], folder: Path) -> list[Path]:
+    """Files in a leaderboard's folder that are no longer among its own: tables, figures, anything in a site of ours."""
     found = [path for place in (TABLES_FOLDER, FIGURES_FOLDER) for path in sorted((folder / place).glob("*/*"))]
-    return [path for path in found if path.suffix in OURS and path.relative_to(folder).as_posix() not in files]
+    found = [path for path in found if path.suffix in OURS]
+    if f"{SITE_FOLDER}/{INDEX_PATH}" in files and (folder / SITE_FOLDER / INDEX_PATH).is_file():
+        found += [path for path in sorted((folder / SITE_FOLDER).rglob("*")) if path.is_file()]
+    return [path for path in found if path.relative_to(folder).as_posix() not in files]

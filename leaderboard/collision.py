@@ -3,10 +3,11 @@
 from collections.abc import Callable, Sequence
 
 from benchmark.rates import HORIZONS
-from benchmark.records import NATIVE, ProtocolSummary, RunRecord
+from benchmark.records import NATIVE, RunRecord
 from benchmark.scores import registered_version, source_of_scenes
-from leaderboard.published import INCREASE, SOURCE, TABLE_1
-from leaderboard.tables import UNDEFINED, Table, interval, metres, number, percent
+from leaderboard.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
+from leaderboard.published import SOURCE, is_variant, published_cells, published_rate
+from leaderboard.tables import Table, table_of
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
@@ -75,26 +76,6 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
     )
 
 
-def published_table() -> Table:
-    """The paper's Table 1 as printed, with the protocol behind each row."""
-    rows = []
-    for rate in TABLE_1:
-        increase = INCREASE[rate.model] if rate.data_set == "Adv-nuSc" else UNDEFINED
-        rows.append((rate.model, rate.data_set, rate.protocol, *rate.percent, increase))
-    return Table(
-        name="published",
-        title="Published numbers, not ours: collision rate (%)",
-        columns=("planner", "data set", "protocol", "col. 1s", "col. 2s", "col. 3s", "col. avg", "increase"),
-        rows=tuple(rows),
-        notes=(
-            f"Source: {SOURCE}.",
-            "Each row quotes the protocol of the model's own repository; rows of different protocols are not "
-            "comparable with each other, nor with our tables unless the protocol is the same.",
-        ),
-        text_columns=3,
-    )
-
-
 def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Records by planner (privileged ones last), then split."""
 
@@ -139,11 +120,6 @@ def increase_over(baseline: float | None, rate: float | None) -> float | None:
     return (rate - baseline) / baseline
 
 
-def times(value: float | None) -> str:
-    """An increase as the paper prints it, or a dash."""
-    return UNDEFINED if value is None else f"{number(value, 1)}×"
-
-
 def recordings(record: RunRecord) -> int:
     """How many recorded scenes a run's scenes come from: what its intervals rest on."""
     return len(set(source_of_scenes(record).values()))
@@ -185,68 +161,96 @@ def _table(
     runs = [record for record in records if judge_of(record) in record.summary.protocols]
     run_of = {(run.planner, run.run.split): run for run in runs}
     has_mask = any(BEFORE_MASK in run.summary.protocols[judge_of(run)].columns for run in runs)
-    rows = []
+    has_paper = any(published_rate(run, judge_of(run)) is not None for run in runs)
+    rows: list[tuple[str | Shown, ...]] = []
     for run in runs:
         judge = judge_of(run)
         baselines = [run_of.get((run.planner, split)) for split in ("val", "val-r")]
-        increases = [_increase(run, baseline, judge_of) for baseline in baselines]
-        name_cells = (row_name(run, judge), run.run.split, *((judge,) if names_protocol else ()))
-        rows.append((*name_cells, *_numbers(run, run.summary.protocols[judge], increases, has_mask=has_mask)))
-    return Table(
-        name=name,
-        title=title,
-        columns=(
+        rows.append(
+            (
+                *(row_name(run, judge), run.run.split, *((judge,) if names_protocol else ())),
+                *_numbers(run, judge, has_mask=has_mask),
+                *(_increase(run, baseline, judge_of).shown(1, after="×") for baseline in baselines),
+                *_distances_and_counts(run, judge),
+                *(published_cells(published_rate(run, judge)) if has_paper else ()),
+            )
+        )
+    who = "own protocol" if names_protocol else next((judge_of(run) for run in runs), "")
+    return table_of(
+        name,
+        title,
+        (
             *("planner", "split", *(("protocol",) if names_protocol else ())),
-            *(f"col. {horizon}" for horizon in HORIZONS),
-            "95 % of avg",
+            *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
             *(("avg before mask", "steps masked") if has_mask else ()),
             *("increase", "over val-r"),
             *(f"L2 {horizon}" for horizon in HORIZONS),
             *("samples", "scenes", "scenes failed", "coverage"),
+            *((*(f"paper {horizon}" for horizon in HORIZONS), "paper increase") if has_paper else ()),
         ),
-        rows=tuple(rows),
-        notes=(*notes, *_notes(records, judge_of, has_mask=has_mask)),
+        rows,
+        notes=(*notes, *_notes(records, judge_of, has_mask=has_mask, has_paper=has_paper)),
         text_columns=3 if names_protocol else 2,
+        groups=(
+            ("", 3 if names_protocol else 2),
+            (f"collision rate in %, {who}", 5),
+            (f"mask, {who}", 2 if has_mask else 0),
+            (f"increase of the average, {who}", 2),
+            (f"L2 in m, {who}", 4),
+            (f"counted, {who}", 4),
+            (f"paper, collision rate in %, {who}", 5 if has_paper else 0),
+        ),
+        sources=(SOURCE,) if has_paper else (),
     )
 
 
-def _increase(record: RunRecord, baseline: RunRecord | None, judge_of: Callable[[RunRecord], str]) -> float | None:
-    """From a baseline to an adversarial run; ``None`` where they are not of whole splits, or judged differently."""
-    if record.run.split != "adv" or baseline is None or judge_of(baseline) != judge_of(record):
-        return None
-    first, second = (run.summary.protocols[judge_of(run)] for run in (baseline, record))
-    if not (baseline.covers_split and record.covers_split) or first.version != second.version:
-        return None
-    return increase_over(*(summary.columns["collision"]["avg"].value for summary in (first, second)))
-
-
-def _numbers(
-    record: RunRecord, summary: ProtocolSummary, increases: Sequence[float | None], *, has_mask: bool
-) -> tuple[str, ...]:
-    collision, l2 = summary.columns["collision"], summary.columns["l2"]
-    average = collision["avg"]
-    return (
-        *(percent(collision[horizon].value) for horizon in HORIZONS),
-        interval(average.low, average.high, scale=100.0),
-        *(_mask_cells(summary) if has_mask else ()),
-        *(times(increase) for increase in increases),
-        *(metres(l2[horizon].value) for horizon in HORIZONS),
-        str(summary.counted),
-        str(len(record.run.scenes)),
-        f"{summary.scenes_failed}/{summary.scenes_decided}",
-        f"{100 * record.summary.coverage:.1f}",
+def _increase(record: RunRecord, baseline: RunRecord | None, judge_of: Callable[[RunRecord], str]) -> Cell:
+    """From a baseline to an adversarial run; no value unless both are of whole splits and judged alike."""
+    judge = judge_of(record)
+    compared = (
+        baseline is not None
+        and record.run.split == "adv"
+        and judge_of(baseline) == judge
+        and baseline.covers_split
+        and record.covers_split
+        and baseline.summary.protocols[judge].version == record.summary.protocols[judge].version
     )
+    if baseline is None or not compared:
+        return origin_of(record, judge).cell(None, "×", 0)
+    summaries = [run.summary.protocols[judge] for run in (baseline, record)]
+    value = increase_over(*(summary.columns["collision"]["avg"].value for summary in summaries))
+    origin = Origin(judge, record_name(baseline, record))
+    return origin.cell(value, "×", sum(summary.counted for summary in summaries))
 
 
-def _mask_cells(summary: ProtocolSummary) -> tuple[str, str]:
+def _numbers(record: RunRecord, judge: str, *, has_mask: bool) -> tuple[Shown, ...]:
+    """Collision rates, the interval of their average, and what a mask takes away."""
+    origin, summary = origin_of(record, judge), record.summary.protocols[judge]
+    collision = {horizon: origin.percent(rate) for horizon, rate in summary.columns["collision"].items()}
+    shown = (*(collision[horizon].shown(2) for horizon in HORIZONS), collision["avg"].interval())
+    if not has_mask:
+        return shown
     if BEFORE_MASK not in summary.columns:
-        return UNDEFINED, UNDEFINED
-    removed = summary.mask_removed_steps
-    return percent(summary.columns[BEFORE_MASK]["avg"].value), UNDEFINED if removed is None else str(removed)
+        return (*shown, Shown(UNDEFINED), Shown(UNDEFINED))
+    before = origin.percent(summary.columns[BEFORE_MASK]["avg"])
+    return (*shown, before.shown(2), origin.count(summary.mask_removed_steps, "steps").shown())
 
 
-def _notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_mask: bool) -> list[str]:
-    notes = []
+def _distances_and_counts(record: RunRecord, judge: str) -> tuple[Shown, ...]:
+    origin, summary, run = origin_of(record, judge), record.summary.protocols[judge], record.run
+    return (
+        *(origin.amount(summary.columns["l2"][horizon], "m").shown(2) for horizon in HORIZONS),
+        origin.count(summary.counted, "samples", record.summary.samples).shown(),
+        origin.count(len(run.scenes), "scenes", run.scenes_in_split).shown(),
+        origin.count(summary.scenes_failed, "scenes", summary.scenes_decided).shown(after=f"/{summary.scenes_decided}"),
+        origin.cell(record.summary.coverage, "%", record.summary.samples, scale=100.0).shown(1),
+    )
+
+
+def _notes(
+    records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_mask: bool, has_paper: bool
+) -> list[str]:
+    notes = _paper_notes(records, judge_of, has_paper=has_paper)
     if has_mask:
         notes.append(
             "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
@@ -262,3 +266,20 @@ def _notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *
             notes.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
         notes += stale_notes(record, (judge,))
     return [*notes, *completeness_notes(records)]
+
+
+def _paper_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_paper: bool) -> list[str]:
+    """What the paper's numbers beside ours are, and beside whom they do not stand."""
+    notes = []
+    if has_paper:
+        notes.append(
+            "Paper: what it prints for the model of that name under the same protocol on nuScenes-val, nuScenes-val-R "
+            "and Adv-nuSc; on other data it is a reference and no target."
+        )
+    variants = sorted({record.run.planner.name for record in records if is_variant(record, judge_of(record))})
+    if variants:
+        notes.append(
+            f"No published row stands beside {', '.join(variants)}: a miniature or a variant is not the model that the "
+            "paper ran."
+        )
+    return notes

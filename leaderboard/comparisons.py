@@ -1,14 +1,15 @@
 """Differences between splits and between planners, with intervals."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
 from benchmark.errors import InputError
-from benchmark.rates import HORIZONS
-from benchmark.records import RunRecord, protocol_of
+from benchmark.rates import HORIZONS, Estimate
+from benchmark.records import NATIVE, RunRecord, protocol_of
 from benchmark.scores import Scored, scored
 from benchmark.significance import PlannerComparison, SplitComparison, compare_planners, compare_splits
+from leaderboard.cells import Cell, Origin, Shown, record_name
 from leaderboard.collision import (
     FEW_NOTE,
     FEW_SCENES,
@@ -18,9 +19,8 @@ from leaderboard.collision import (
     judges,
     marked,
     recordings,
-    times,
 )
-from leaderboard.tables import Table, interval, number, percent
+from leaderboard.tables import Table, table_of
 
 Found = TypeVar("Found")
 
@@ -108,14 +108,15 @@ def split_table(
     if not wanted:
         return None
     found, refused = (verdicts or Verdicts()).compared(wanted, protocol, compare_splits)
-    return Table(
-        name=f"changes-{protocol}",
-        title=f"{data_name}: change of the average collision rate between splits, {judges(protocol)}",
-        columns=(
+    who = "own protocol" if protocol == NATIVE else protocol
+    return table_of(
+        f"changes-{protocol}",
+        f"{data_name}: change of the average collision rate between splits, {judges(protocol)}",
+        (
             *("planner", "splits", "protocol", "from (%)", "to (%)", "increase", "95 % of increase"),
             *("paired difference (points)", "95 % of difference", "scenes paired", "not paired", "failed samples"),
         ),
-        rows=tuple(_split_row(comparison) for comparison in found),
+        [_split_row(comparison, runs) for comparison in found],
         notes=(
             "Increase: (to − from) / from over all scenes of both splits, as the paper computes it; it can be infinite "
             "where few scenes of the first split collide. Paired difference: over the recorded scenes that both have, "
@@ -126,6 +127,13 @@ def split_table(
             *refused,
         ),
         text_columns=3,
+        groups=(
+            ("", 3),
+            (f"average collision rate in %, {who}", 2),
+            (f"increase, {who}", 2),
+            (f"paired difference in points, {who}", 2),
+            (f"counted, {who}", 3),
+        ),
     )
 
 
@@ -149,15 +157,15 @@ def planner_table(
     if not pairs:
         return None
     found, refused = (verdicts or Verdicts()).compared(pairs, protocol, compare_planners)
-    return Table(
-        name=f"planners-{split}-{protocol}",
-        title=f"{data_name}, split {split}: difference of the average collision rate between planners, "
-        f"{judges(protocol)}",
-        columns=(
+    by_name = {record.planner: record for record in here}
+    return table_of(
+        f"planners-{split}-{protocol}",
+        f"{data_name}, split {split}: difference of the average collision rate between planners, {judges(protocol)}",
+        (
             *("first", "second", "first (%)", "second (%)", "second − first (points)", "95 % of difference"),
             *("samples", "failed samples", "scenes not shared"),
         ),
-        rows=tuple(_planner_row(comparison) for comparison in found),
+        [_planner_row(comparison, by_name) for comparison in found],
         notes=(
             "Both rates are over the samples that both planners planned; samples that one of them failed on are left "
             "out of both.",
@@ -166,43 +174,62 @@ def planner_table(
             *refused,
         ),
         text_columns=2,
+        groups=(
+            ("", 2),
+            (f"average collision rate in %, {protocol}", 2),
+            (f"difference in points, {protocol}", 2),
+            (f"counted, {protocol}", 3),
+        ),
     )
 
 
-def _split_row(comparison: SplitComparison) -> tuple[str, ...]:
+def _split_row(comparison: SplitComparison, runs: Mapping[tuple[str, str], RunRecord]) -> tuple[str | Shown, ...]:
     everything, paired = comparison.everything[AVERAGE], comparison.paired[AVERAGE]
-    increase, difference = everything.increase, paired.difference
+    judge, splits = comparison.protocol, (comparison.baseline_split, comparison.split)
+    sides = [runs[comparison.planner, split] for split in splits]
+    counted = [run.summary.protocols[judge].counted for run in sides]
+    both = Origin(judge, record_name(*sides))
+    increase = both.cell(
+        everything.increase.value, "×", sum(counted), low=everything.increase.low, high=everything.increase.high
+    )
+    difference, scenes = _points(both, paired.difference, len(comparison.sources)), len(comparison.sources)
+    unpaired = len(comparison.only_baseline) + len(comparison.only_split)
     return (
         marked(comparison.planner, privileged=comparison.privileged),
         f"{comparison.baseline_split} → {comparison.split}",
-        comparison.protocol,
-        percent(everything.first),
-        percent(everything.second),
-        times(increase.value),
-        interval(increase.low, increase.high),
-        *_points(difference.value, difference.low, difference.high),
-        str(len(comparison.sources)),
-        str(len(comparison.only_baseline) + len(comparison.only_split)),
-        str(comparison.failed),
+        judge,
+        *(
+            Origin(judge, record_name(run)).cell(rate, "%", count, scale=100.0).shown(2)
+            for run, rate, count in zip(sides, (everything.first, everything.second), counted)
+        ),
+        *(increase.shown(1, after="×"), increase.interval()),
+        *(difference.shown(2, signed=True), difference.interval(2)),
+        both.count(scenes, "recorded scenes").shown(),
+        both.count(unpaired, "scenes").shown(),
+        both.count(comparison.failed, "samples", sum(run.summary.samples for run in sides)).shown(),
     )
 
 
-def _planner_row(comparison: PlannerComparison) -> tuple[str, ...]:
-    found = comparison.by_horizon[AVERAGE]
+def _planner_row(comparison: PlannerComparison, by_name: Mapping[str, RunRecord]) -> tuple[str | Shown, ...]:
+    found, judge = comparison.by_horizon[AVERAGE], comparison.protocol
+    sides = [by_name[name] for name in comparison.planners]
+    both = Origin(judge, record_name(*sides))
+    difference = _points(both, found.difference, comparison.samples, "samples")
     return (
         *(marked(name, privileged=seen) for name, seen in zip(comparison.planners, comparison.privileged)),
-        percent(found.first),
-        percent(found.second),
-        *_points(found.difference.value, found.difference.low, found.difference.high),
-        str(comparison.samples),
-        str(comparison.failed),
-        str(len(comparison.unshared)),
+        *(
+            Origin(judge, record_name(run)).cell(rate, "%", comparison.samples, scale=100.0).shown(2)
+            for run, rate in zip(sides, (found.first, found.second))
+        ),
+        *(difference.shown(2, signed=True), difference.interval(2)),
+        both.count(comparison.samples, "samples").shown(),
+        both.count(comparison.failed, "samples").shown(),
+        both.count(len(comparison.unshared), "scenes").shown(),
     )
 
 
-def _points(value: float | None, low: float | None, high: float | None) -> tuple[str, str]:
-    shown = None if value is None else 100 * value
-    return number(shown, signed=True), interval(low, high, scale=100.0, digits=2)
+def _points(origin: Origin, estimate: Estimate, n: int, of: str = "recorded scenes") -> Cell:
+    return origin.cell(estimate.value, "points", n, of, low=estimate.low, high=estimate.high, scale=100.0)
 
 
 def _unpaired(comparisons: Sequence[SplitComparison]) -> list[str]:

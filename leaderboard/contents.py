@@ -3,16 +3,22 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from benchmark.ablation_records import AblationReport
 from benchmark.confusion import EXACT
 from benchmark.errors import InputError
 from benchmark.records import NATIVE, RunRecord, protocol_of
 from benchmark.scores import require_current
+from benchmark.sheets.records import Sheets
 from benchmark.transfer import TransferMatrix, transfer
+from leaderboard.ablation_tables import ablation_tables
 from leaderboard.collision import SPLIT_ORDER, collision_table, in_table_order, native_table
 from leaderboard.comparisons import Verdicts, planner_table, split_table
 from leaderboard.diagnosis import diagnosis_tables
 from leaderboard.disagreement import disagreement_table
+from leaderboard.manoeuvre_tables import manoeuvre_tables
+from leaderboard.runtime_tables import runtime_tables
 from leaderboard.seeds import seed_spread_table
+from leaderboard.statistics_tables import statistics_tables
 from leaderboard.tables import Table
 from leaderboard.transfer import agreement_table, transfer_table
 
@@ -77,6 +83,24 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
     others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
     return DataSetTables(data_name, tables, others, matrices, tuple(records), _missing(records))
+
+
+def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
+    """Every table that is not made from run records: statistics, manoeuvres, search, runtime, ablation.
+
+    Args:
+        sheets: Scene sheets.
+        ablations: Ablation studies.
+
+    Returns:
+        Tables by name of the data set, in the order of the names.
+
+    Raises:
+        InputError: If a sheet is damaged.
+    """
+    parts = (statistics_tables(sheets), manoeuvre_tables(sheets), runtime_tables(sheets), ablation_tables(ablations))
+    names = sorted({name for part in parts for name in part})
+    return {name: tuple(table for part in parts for table in part.get(name, ())) for name in names}
 
 
 def _tables_under(

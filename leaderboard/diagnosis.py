@@ -11,6 +11,7 @@ from benchmark.confusion import EXACT
 from benchmark.rates import Rate, ratios_over_scenes
 from benchmark.records import CAUSES, RunRecord, SampleRow
 from benchmark.scores import source_of_scenes
+from leaderboard.cells import Cell, Origin, Shown, origin_of
 from leaderboard.collision import (
     FEW_NOTE,
     FEW_SCENES,
@@ -21,12 +22,13 @@ from leaderboard.collision import (
     row_name,
     stale_notes,
 )
-from leaderboard.tables import Table, interval, percent
+from leaderboard.tables import Table, table_of
 
 _RULE: Final = (
     "Misforecasting: the plan is clear of the planner's own forecast of what it hits. Misplanning: it hits that "
     "forecast too, or none is near. Not attributable: the planner gives no forecasts. The rule is in docs/diagnosis.md."
 )
+_CAUSE_GROUP: Final = (f"% of the colliding samples, {EXACT}", 2 * len(CAUSES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,16 @@ class _Run:
     def label(self) -> tuple[str, str]:
         """Planner and split, the first two cells of its rows."""
         return row_name(self.record, EXACT), self.record.run.split
+
+    @property
+    def origin(self) -> Origin:
+        """Where its numbers come from."""
+        return origin_of(self.record, EXACT)
+
+    def counts(self) -> tuple[Shown, Shown]:
+        """Counted samples and those that collide."""
+        rows, colliding = len(self.rows), len(self.colliding)
+        return self.origin.count(rows, "samples").shown(), self.origin.count(colliding, "samples", rows).shown()
 
     def of_scenes(self, scenes: set[str]) -> "_Run":
         """The same for some scenes."""
@@ -107,29 +119,33 @@ def diagnosis_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table
 
 
 def _cause_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
-    return Table(
-        name="diagnosis",
-        title=f"{data_name}: why plans collide (% of the colliding samples), protocol {EXACT}",
-        columns=("planner", "split", "samples", "colliding", *_cause_columns()),
-        rows=tuple((*run.label, str(len(run.rows)), str(len(run.colliding)), *_cause_cells(run)) for run in runs),
+    return table_of(
+        "diagnosis",
+        f"{data_name}: why plans collide (% of the colliding samples), protocol {EXACT}",
+        ("planner", "split", "samples", "colliding", *_cause_columns()),
+        [(*run.label, *run.counts(), *_cause_cells(run)) for run in runs],
         notes=notes,
         text_columns=2,
+        groups=(("", 2), (f"counted, {EXACT}", 2), _CAUSE_GROUP),
     )
 
 
 def _reason_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
-    rows = []
+    rows: list[tuple[str | Shown, ...]] = []
     for run in runs:
         cases = Counter((_cause(row), row.diagnosis.reason) for row in run.colliding if row.diagnosis is not None)
         for (cause, reason), count in sorted(cases.items(), key=lambda case: (CAUSES.index(case[0][0]), case[0][1])):
-            rows.append((*run.label, cause, reason, str(count), percent(count / len(run.colliding), digits=1)))
-    return Table(
-        name="diagnosis-cases",
-        title=f"{data_name}: cases of the diagnosis (colliding samples), protocol {EXACT}",
-        columns=("planner", "split", "cause", "case", "samples", "%"),
-        rows=tuple(rows),
+            among = len(run.colliding)
+            share = run.origin.cell(count / among, "%", among, "colliding samples", scale=100.0)
+            rows.append((*run.label, cause, reason, run.origin.count(count, "samples", among).shown(), share.shown(1)))
+    return table_of(
+        "diagnosis-cases",
+        f"{data_name}: cases of the diagnosis (colliding samples), protocol {EXACT}",
+        ("planner", "split", "cause", "case", "samples", "%"),
+        rows,
         notes=notes,
         text_columns=4,
+        groups=(("", 4), (f"colliding samples, {EXACT}", 2)),
     )
 
 
@@ -141,34 +157,31 @@ def _manoeuvre_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...
     # The most frequent manoeuvres first; planners stay in their order.
     order = sorted(by_kind, key=lambda key: (key[0], -max(scenes for scenes, _ in by_kind[key]), key[1]))
     rows = [_manoeuvre_row(key[1], scenes, run) for key in order for scenes, run in by_kind[key]]
-    counts = ("scenes", "samples", "colliding")
-    return Table(
-        name="diagnosis-manoeuvres",
-        title=f"{data_name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {EXACT}",
-        columns=("split", "manoeuvre", "planner", *counts, "col. 3s", "95 %", *_cause_columns()),
-        rows=tuple(rows),
+    return table_of(
+        "diagnosis-manoeuvres",
+        f"{data_name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {EXACT}",
+        ("split", "manoeuvre", "planner", "scenes", "samples", "colliding", "col. 3s", "95 %", *_cause_columns()),
+        rows,
         notes=("Col. 3s: share of the samples that collide within 3 s; the other shares are of those.", *notes),
         text_columns=3,
+        groups=(("", 3), (f"counted, {EXACT}", 3), (f"collision rate in %, {EXACT}", 2), _CAUSE_GROUP),
     )
 
 
-def _manoeuvre_row(kind: str, scenes: int, run: _Run) -> tuple[str, ...]:
+def _manoeuvre_row(kind: str, scenes: int, run: _Run) -> tuple[str | Shown, ...]:
     planner, split = run.label
-    rate = run.collision_rate()
-    counts = (str(scenes), str(len(run.rows)), str(len(run.colliding)))
-    return (split, kind, planner, *counts, *_rate_cells(rate, digits=2), *_cause_cells(run))
+    rate = run.origin.percent(run.collision_rate())
+    counts = (run.origin.count(scenes, "scenes", len(run.record.run.scenes)).shown(), *run.counts())
+    return (split, kind, planner, *counts, rate.shown(2), rate.interval(), *_cause_cells(run))
 
 
 def _cause_columns() -> tuple[str, ...]:
     return tuple(head for cause in CAUSES for head in (cause, f"95 % of {cause}"))
 
 
-def _cause_cells(run: _Run) -> tuple[str, ...]:
-    return tuple(cell for rate in run.shares() for cell in _rate_cells(rate, digits=1))
-
-
-def _rate_cells(rate: Rate, *, digits: int) -> tuple[str, str]:
-    return percent(rate.value, digits=digits), interval(rate.low, rate.high, scale=100.0)
+def _cause_cells(run: _Run) -> tuple[Shown, ...]:
+    cells: list[Cell] = [run.origin.percent(rate, "colliding samples") for rate in run.shares()]
+    return tuple(shown for cell in cells for shown in (cell.shown(1), cell.interval()))
 
 
 def _cause(row: SampleRow) -> str:

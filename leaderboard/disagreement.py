@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 
-from benchmark.confusion import CAUSES, EXACT, RUNGS, Comparison, comparisons
+from benchmark.confusion import CAUSES, EXACT, RUNGS, Comparison, Confusion, comparisons
 from benchmark.records import RunRecord
+from leaderboard.cells import Cell, Origin, Shown, number, record_name
 from leaderboard.collision import (
     PRIVILEGED_NOTE,
     STALE_MARK,
@@ -12,7 +13,7 @@ from leaderboard.collision import (
     row_name,
     stale_notes,
 )
-from leaderboard.tables import UNDEFINED, Table
+from leaderboard.tables import Table, table_of
 
 _SHORT = dict(zip(RUNGS, ("between", "class", "later", "range", "points", "heading", "raster", "mask"), strict=True))
 """Column heads."""
@@ -40,10 +41,10 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
     ]
     found = [(record, protocol, one) for record in runs for protocol, one in comparisons(record).items()]
     shown = [cause for cause in CAUSES if any(one.causes is not None and one.causes[cause] for _, _, one in found)]
-    return Table(
-        name=f"disagreement-{split}",
-        title=f"{data_name}, split {split}: what each protocol misses and invents, measured by exact",
-        columns=(
+    return table_of(
+        f"disagreement-{split}",
+        f"{data_name}, split {split}: what each protocol misses and invents, measured by exact",
+        (
             "planner",
             "protocol",
             "samples",
@@ -56,37 +57,52 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
             "step misses",
             "step false alarms",
         ),
-        rows=tuple(_row(record, protocol, one, shown) for record, protocol, one in found),
+        [_row(record, protocol, one, shown) for record, protocol, one in found],
         notes=_notes(runs, found),
         text_columns=2,
+        groups=(
+            ("", 2),
+            ("samples, exact and the row's protocol", 5),
+            ("causes, the row's protocol against exact", len(shown)),
+            ("steps, exact and the row's protocol", 3),
+        ),
     )
 
 
-def _row(record: RunRecord, protocol: str, one: Comparison, shown: Sequence[str]) -> tuple[str, ...]:
-    samples, steps = one.samples, one.steps
-    causes = [UNDEFINED if one.causes is None else str(one.causes[cause]) for cause in shown]
+def _row(record: RunRecord, protocol: str, one: Comparison, shown: Sequence[str]) -> tuple[str | Shown, ...]:
+    origin = Origin(f"{protocol} against {EXACT}", record_name(record))
+    samples, steps, causes = one.samples, one.steps, one.causes
+    compared = samples.compared
+
+    def among(count: int | None) -> Cell:
+        return origin.count(count, "samples", compared)
+
+    removed = origin.count(one.mask_removed_steps, "steps", steps.compared)
     return (
         row_name(record, EXACT),
         f"{protocol} {STALE_MARK}" if protocol in record.stale_protocols else protocol,
-        str(samples.compared),
-        str(samples.exact),
-        str(samples.official),
-        _with_share(samples.missed, samples.missed_share),
-        _with_share(samples.false_alarms, samples.false_share),
-        *causes,
-        f"{one.mask_removed_steps} ({one.samples_with_removed_steps})",
-        _with_share(steps.missed, steps.missed_share),
-        _with_share(steps.false_alarms, steps.false_share),
+        *(among(count).shown() for count in (compared, samples.exact, samples.official)),
+        *_wrong(origin, samples, "samples"),
+        *(among(None if causes is None else causes[cause]).shown() for cause in shown),
+        removed.shown(after=f" ({one.samples_with_removed_steps})"),
+        *_wrong(origin, steps, "steps"),
     )
+
+
+def _wrong(origin: Origin, found: Confusion, of: str) -> tuple[Shown, Shown]:
+    """Misses and false alarms with their shares."""
+    missed = origin.count(found.missed, of, found.exact)
+    false_alarms = origin.count(found.false_alarms, of, found.official)
+    return missed.shown(after=_share(found.missed_share)), false_alarms.shown(after=_share(found.false_share))
+
+
+def _share(share: float | None) -> str:
+    return f" ({number(None if share is None else 100 * share, 1)})"
 
 
 def _short(cause: str) -> str:
     kind, _, rung = cause.partition(": ")
     return f"{kind.partition(' ')[0]}: {_SHORT[rung]}"
-
-
-def _with_share(count: int, share: float | None) -> str:
-    return f"{count} ({UNDEFINED if share is None else f'{100 * share:.1f}'})"
 
 
 def _notes(runs: Sequence[RunRecord], found: Sequence[_Found]) -> tuple[str, ...]:

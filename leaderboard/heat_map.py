@@ -14,8 +14,8 @@ from benchmark.rates import Rate
 from benchmark.records import NATIVE
 from benchmark.storage import write_bytes
 from benchmark.transfer import TransferMatrix
+from leaderboard.cells import UNDEFINED
 from leaderboard.drawing import FORMATS, drawable, new_figure, picture
-from leaderboard.tables import UNDEFINED
 from leaderboard.transfer import planner_names
 
 COLOURS: Final = "cividis"

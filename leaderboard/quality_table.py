@@ -6,16 +6,11 @@ from typing import Final
 
 from benchmark.quality.records import QualityRecord
 from benchmark.storage import content_key
+from leaderboard.cells import UNDEFINED, Origin, Shown, named_record
 from leaderboard.collision import FEW_NOTE, FEW_SCENES, SPLIT_ORDER
-from leaderboard.tables import UNDEFINED, Table, interval, number
+from leaderboard.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3, quoted
+from leaderboard.tables import Table, table_of
 
-SOURCE: Final = "Challenger: Affordable Adversarial Driving Video Generation, Table 3"
-TABLE_3: Final = {
-    "val": ("nuScenes-val", "0.8349", "0.3801"),
-    "val-r": ("nuScenes-val-R", "0.8173", "0.3471"),
-    "adv": ("Adv-nuSc", "0.8093", "0.3469"),
-}
-"""The paper's name, subject consistency and imaging quality of each split, as printed."""
 _COLUMNS: Final = (
     "split",
     "subjects",
@@ -30,6 +25,14 @@ _COLUMNS: Final = (
     "scenes",
     "SC (paper)",
     "IQ (paper)",
+)
+_COLUMN_GROUPS: Final = (
+    ("", 2),
+    ("subject consistency", 2),
+    ("imaging quality of vehicles", 2),
+    ("imaging quality of frames", 2),
+    ("counted", 3),
+    ("paper", 2),
 )
 _GROUPS: Final = ("all", "adversary", "others")
 
@@ -53,66 +56,61 @@ def quality_tables(records: Sequence[QualityRecord]) -> list[Table]:
     return [_table(found, several=of_source[found[0].masks] > 1) for found in ordered]
 
 
-def published_quality_table() -> Table:
-    """The paper's Table 3 as printed."""
-    return Table(
-        name="quality-published",
-        title="Video quality as published",
-        columns=("data set", "SC", "IQ"),
-        rows=tuple(TABLE_3.values()),
-        notes=(f"Source: {SOURCE}.",),
-    )
-
-
 def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
     kind = _kind(records[0])
     name = f"quality-{records[0].masks}" + (f"-{kind[:8]}" if several else "")
     chosen = _one_each(records)
     rows = [row for record in chosen for row in _rows(record)]
     data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
-    return Table(
-        name=name,
-        title=f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}",
-        columns=_COLUMNS,
-        rows=tuple(rows),
+    return table_of(
+        name,
+        f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}",
+        _COLUMNS,
+        rows,
         notes=(
             "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its "
             "first; IQ: imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. "
             "Brackets: 95 % bootstrap interval over recorded scenes. What is measured in detail: docs/quality.md.",
             *_what_was_seen(chosen),
-            f"Paper: {SOURCE}; its frame rate, resolution and regions are not published, so that its values are a "
-            "reference and no target.",
+            "Paper: frame rate, resolution and regions are not published: its values are a reference and no target.",
         ),
         text_columns=2,
+        groups=_COLUMN_GROUPS,
+        sources=(QUALITY_SOURCE,),
     )
 
 
-def _rows(record: QualityRecord) -> list[tuple[str, ...]]:
+def _rows(record: QualityRecord) -> list[tuple[str | Shown, ...]]:
     summary, split = record.facts.summary, record.facts.split
-    paper = TABLE_3.get(split, ("", UNDEFINED, UNDEFINED))
-    rows: list[tuple[str, ...]] = []
+    origin = Origin(record=named_record(record.content_id, "video quality", split))
+    rows: list[tuple[str | Shown, ...]] = []
     for group in _GROUPS:
         if group not in summary.groups:
             continue
-        found = summary.groups[group]
-        whole = summary.frames_imaging if group == "all" else None
+        found, is_whole = summary.groups[group], group == "all"
+        rates = [(found.consistency, "SC", "appearances"), (found.imaging, "IQ", "appearances")]
+        rates += [(summary.frames_imaging, "IQ", "frames")] if is_whole else []
+        cells = [origin.amount(rate, unit, of) for rate, unit, of in rates]
         rows.append(
             (
-                split,
-                group,
-                number(found.consistency.value, 4),
-                interval(found.consistency.low, found.consistency.high, digits=3),
-                number(found.imaging.value, 4),
-                interval(found.imaging.low, found.imaging.high, digits=3),
-                number(whole.value, 4) if whole else UNDEFINED,
-                interval(whole.low, whole.high, digits=3) if whole else UNDEFINED,
-                str(found.subjects),
-                str(found.appearances),
-                str(len(record.facts.scenes)),
-                *(paper[1:] if group == "all" else (UNDEFINED, UNDEFINED)),
+                *(split, group),
+                *(shown for cell in cells for shown in (cell.shown(4), cell.interval(3))),
+                *(() if is_whole else (UNDEFINED, UNDEFINED)),
+                origin.count(found.subjects, "vehicles").shown(),
+                origin.count(found.appearances, "appearances").shown(),
+                origin.count(len(record.facts.scenes), "scenes", record.facts.scenes_in_split).shown(),
+                *(_paper(split) if is_whole else (UNDEFINED, UNDEFINED)),
             )
         )
     return rows
+
+
+def _paper(split: str) -> tuple[str | Shown, str | Shown]:
+    row = TABLE_3.get(DATA_SET_OF_SPLIT.get(split, ""))
+    if row is None:
+        return UNDEFINED, UNDEFINED
+    origin = Origin(source=QUALITY_SOURCE)
+    return quoted(row[0], "SC", origin), quoted(row[1], "IQ", origin)
 
 
 def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -57,7 +56,7 @@ def write_results(
     numbers = {
         "made_from": made_from,
         "page_sha256": hashlib.sha256(page).hexdigest(),
-        "tables": [asdict(table) for table in tables],
+        "tables": [table.as_json() for table in tables],
         "ablation": ablation_facts,
     }
     # The numbers come last: they vouch for the page.

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.records import RunRecord, protocol_of
+from benchmark.records import NATIVE, RunRecord, protocol_of
 from benchmark.scores import require_current
-from leaderboard.collision import in_table_order, marked
-from leaderboard.tables import UNDEFINED, Table, percent
+from leaderboard.cells import Cell, Origin, Shown, record_name
+from leaderboard.collision import in_table_order, judges, marked
+from leaderboard.tables import Table, table_of
 
 _RULE = (
     "Runs of one planner on one split that differ in the seed and in nothing else that a record names. Deviation: of "
@@ -34,34 +35,36 @@ def seed_spread_table(data_name: str, protocol: str, records: Sequence[RunRecord
     for runs in _versions(records):
         if len({run.run.planner.seed for run in runs}) < 2:
             continue
-        rates = []
+        kept = []
         for run in runs:
             refusal = _refusal(run, protocol)
             if refusal is None:
-                rates.append(run.summary.protocols[protocol_of(run, protocol)].columns["collision"]["avg"].value)
+                kept.append(run)
             else:
                 notes.append(f"Left out: {refusal}.")
-        rows.append(_row(runs[0], protocol, [rate for rate in rates if rate is not None]))
+        rows.append(_row(runs[0], protocol, kept))
     if not rows:
         return None
-    return Table(
-        name=f"seeds-{protocol}",
-        title=f"{data_name}: average collision rate (%) over the seeds of a planner, protocol {protocol}",
-        columns=("planner", "split", "protocol", "seeds", "mean", "lowest", "highest", "deviation"),
-        rows=tuple(rows),
-        notes=tuple(notes),
+    who = "own protocol" if protocol == NATIVE else protocol
+    return table_of(
+        f"seeds-{protocol}",
+        f"{data_name}: average collision rate (%) over the seeds of a planner, {judges(protocol)}",
+        ("planner", "split", "protocol", "seeds", "mean", "lowest", "highest", "deviation"),
+        rows,
+        notes=notes,
         text_columns=3,
+        groups=(("", 3), (f"average collision rate in %, {who}", 5)),
     )
 
 
 def _versions(records: Sequence[RunRecord]) -> list[list[RunRecord]]:
-    """Records of one planner with one set of weights and settings on one split, at most one a seed."""
+    """Records of one planner with one set of weights and settings on one split, at most one a seed, by seed."""
     found: dict[str, dict[int, RunRecord]] = {}
     for record in in_table_order(records):
         planner = record.run.planner
         facts = [planner.name, planner.weights_sha256, planner.settings, record.run.split]
         found.setdefault(json.dumps(facts, sort_keys=True), {}).setdefault(planner.seed, record)
-    return [list(runs.values()) for runs in found.values()]
+    return [[runs[seed] for seed in sorted(runs)] for runs in found.values()]
 
 
 def _refusal(record: RunRecord, protocol: str) -> str | None:
@@ -75,16 +78,26 @@ def _refusal(record: RunRecord, protocol: str) -> str | None:
     return None
 
 
-def _row(record: RunRecord, protocol: str, rates: Sequence[float]) -> tuple[str, ...]:
-    planner = record.run.planner
-    several = len(rates) > 1
+def _row(first: RunRecord, protocol: str, runs: Sequence[RunRecord]) -> tuple[str | Shown, ...]:
+    """One planner; ``runs`` are those that count."""
+    planner, judge = first.run.planner, protocol_of(first, protocol)
+    found = [run.summary.protocols[judge].columns["collision"]["avg"].value for run in runs]
+    rates = [rate for rate in found if rate is not None]
+    origin = Origin(judge, record_name(*runs) or None)
+
+    def of_seeds(value: float | None) -> Cell:
+        return origin.cell(value, "%", len(rates), "seeds", scale=100.0)
+
+    numbers = (
+        float(np.mean(rates)) if rates else None,
+        min(rates, default=None),
+        max(rates, default=None),
+        float(np.std(rates, ddof=1)) if len(rates) > 1 else None,
+    )
     return (
         marked(planner.name, privileged=planner.privileged),
-        record.run.split,
-        protocol_of(record, protocol),
-        str(len(rates)),
-        percent(float(np.mean(rates)) if rates else None, 3),
-        percent(min(rates, default=None), 3),
-        percent(max(rates, default=None), 3),
-        percent(float(np.std(rates, ddof=1)), 3) if several else UNDEFINED,
+        first.run.split,
+        judge,
+        origin.count(len(rates), "seeds").shown(),
+        *(of_seeds(value).shown(3) for value in numbers),
     )

@@ -1,14 +1,17 @@
-"""A table as data, and its Markdown, LaTeX and CSV text. Same table, same bytes."""
+"""A table as data, and its Markdown, LaTeX, CSV and JSON text. Same table, same bytes."""
 
 import csv
 import io
-import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-UNDEFINED = "–"
-"""Shown where a number does not exist; never a zero."""
+from benchmark.storage import canonical_json
+from leaderboard.cells import UNDEFINED, Cell, Shown
+
+Groups = tuple[tuple[str, int], ...]
+"""Labels over neighbouring columns, each with how many it stands over; an empty label is no label."""
 
 _LATEX_SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -39,7 +42,7 @@ _LATEX_SPECIAL = {
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Cells of text under named columns.
+    """Cells of text under named columns, with the facts behind them.
 
     Attributes:
         name: File stem, for example ``collision``.
@@ -48,6 +51,10 @@ class Table:
         rows: Cells, one tuple a row, as many as there are columns.
         notes: Sentences below the table.
         text_columns: How many leading columns are text (left-aligned); the others are numbers.
+        groups: Labels over columns that cover all of them, or none. Where numbers rest on verdicts the label names the
+            protocol.
+        cells: The facts behind each cell of ``rows``, ``None`` where it is text alone; ``None`` if none has any.
+        sources: Where quoted numbers come from.
     """
 
     name: str
@@ -56,11 +63,30 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
     text_columns: int = 1
+    groups: Groups = ()
+    cells: tuple[tuple[Cell | None, ...], ...] | None = None
+    sources: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        width = len(self.columns)
         for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(f"table {self.name}: a row has {len(row)} cells for {len(self.columns)} columns")
+            if len(row) != width:
+                raise ValueError(f"table {self.name}: a row has {len(row)} cells for {width} columns")
+        if self.groups and sum(span for _, span in self.groups) != width:
+            raise ValueError(f"table {self.name}: groups do not cover {width} columns")
+        if self.cells is not None and [len(row) for row in self.cells] != [width] * len(self.rows):
+            raise ValueError(f"table {self.name}: cells are not those of {len(self.rows)} rows of {width}")
+
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Column heads that say everything: ``head | group`` where there is a group."""
+        labels = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.columns)
+        return tuple(f"{head} | {label}" if label else head for head, label in zip(self.columns, labels))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes and sources as the sentences below the table."""
+        return (*self.notes, *(f"Source of quoted numbers: {source}." for source in self.sources))
 
     def markdown(self) -> str:
         """The table as GitHub Markdown, with its title and notes."""
@@ -68,7 +94,7 @@ class Table:
         lines = [f"### {escape_markdown(self.title)}", ""]
         lines += [_markdown_row([escape_markdown(head) for head in self.columns]), _markdown_row(rule)]
         lines += [_markdown_row([escape_markdown(cell) for cell in row]) for row in self.rows]
-        lines += ["", *(f"- {escape_markdown(note)}" for note in self.notes)] if self.notes else []
+        lines += ["", *(f"- {escape_markdown(note)}" for note in self.remarks)] if self.remarks else []
         return "\n".join(lines) + "\n"
 
     def plain(self) -> str:
@@ -82,27 +108,89 @@ class Table:
                 for column, (cell, width) in enumerate(zip(line, widths))
             ]
             texts.append("  ".join(cells).rstrip())
-        return "\n".join([*texts, *self.notes]) + "\n"
+        return "\n".join([*texts, *self.remarks]) + "\n"
 
     def latex(self) -> str:
-        """The table as a LaTeX ``table`` environment with booktabs rules."""
+        """The table as a LaTeX ``table`` environment with booktabs rules, groups over their columns."""
         alignment = "l" * self.text_columns + "r" * (len(self.columns) - self.text_columns)
         lines = [r"\begin{table}", r"  \centering", rf"  \begin{{tabular}}{{{alignment}}}", r"    \toprule"]
+        lines += [f"    {line}" for line in _latex_groups(self.groups)]
         lines += [f"    {_latex_row(self.columns)}", r"    \midrule"]
         lines += [f"    {_latex_row(row)}" for row in self.rows]
         lines += [r"    \bottomrule", r"  \end{tabular}"]
         label = re.sub("[^A-Za-z0-9-]", "-", self.name)
-        caption = " ".join([f"{self.title}.", *self.notes])
+        caption = " ".join([f"{self.title}.", *self.remarks])
         lines += [rf"  \caption{{{escape_latex(caption)}}}", rf"  \label{{tab:{label}}}", r"\end{table}"]
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
-        """The table as CSV, heads first."""
+        """The table as CSV, heads with their groups first."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(self.columns)
+        writer.writerow(self.heads)
         writer.writerows([["" if cell == UNDEFINED else cell for cell in row] for row in self.rows])
         return stream.getvalue()
+
+    def as_json(self) -> dict[str, Any]:
+        """The table and the facts behind its cells as JSON values."""
+        cells = None
+        if self.cells is not None:
+            cells = [[None if cell is None else cell.as_json() for cell in row] for row in self.cells]
+        return {
+            "name": self.name,
+            "title": self.title,
+            "columns": list(self.columns),
+            "groups": [list(group) for group in self.groups],
+            "text_columns": self.text_columns,
+            "rows": [list(row) for row in self.rows],
+            "cells": cells,
+            "notes": list(self.notes),
+            "sources": list(self.sources),
+        }
+
+    def json(self) -> str:
+        """`as_json` as text, one line for each row of the table and of its facts."""
+        return "{\n" + ",\n".join(_json_members(self.as_json())) + "\n}\n"
+
+
+def table_of(
+    name: str,
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str | Shown]],
+    *,
+    notes: Sequence[str] = (),
+    text_columns: int = 1,
+    groups: Sequence[tuple[str, int]] = (),
+    sources: Sequence[str] = (),
+) -> Table:
+    """A table of texts and of numbers that bring their facts.
+
+    Args:
+        name: See `Table`, as for all that follow.
+        title: One line above the table.
+        columns: Column heads.
+        rows: Text, or a number as its cell shows it.
+        notes: Sentences below the table.
+        text_columns: How many leading columns are text.
+        groups: Labels over columns; those over none are left out.
+        sources: Where quoted numbers come from.
+
+    Returns:
+        The table.
+    """
+    shown = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    return Table(
+        name,
+        title,
+        tuple(columns),
+        tuple(tuple(cell.text for cell in row) for row in shown),
+        tuple(notes),
+        text_columns,
+        tuple((label, span) for label, span in groups if span),
+        tuple(tuple(cell.cell for cell in row) for row in shown),
+        tuple(sources),
+    )
 
 
 def escape_latex(text: str) -> str:
@@ -119,49 +207,31 @@ def escape_markdown(text: str) -> str:
     return " ".join(safe.split())
 
 
-def percent(fraction: float | None, digits: int = 2) -> str:
-    """A fraction as a percentage without its sign, or a dash."""
-    return UNDEFINED if fraction is None else f"{100 * fraction:.{digits}f}"
-
-
-def interval(low: float | None, high: float | None, *, scale: float = 1.0, digits: int = 1) -> str:
-    """An interval as ``[low, high]``, or a dash where there is none to speak of.
-
-    Args:
-        low: Lower end.
-        high: Upper end; may be infinite.
-        scale: What the ends are multiplied with, for example 100 for a percentage.
-        digits: Decimals.
-
-    Returns:
-        The text. An interval without width is a dash too: where all scenes agree there is nothing to draw, and
-        "[0.0, 0.0]" would look like certainty.
-    """
-    if low is None or high is None or low == high:
-        return UNDEFINED
-    return f"[{number(scale * low, digits)}, {number(scale * high, digits)}]"
-
-
-def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
-    """A number, or a dash where it does not exist; never "-0.0"."""
-    if value is None:
-        return UNDEFINED
-    if math.isinf(value):
-        return "∞" if value > 0 else "-∞"
-    text = f"{value:.{digits}f}"
-    if float(text) == 0.0:
-        return text.removeprefix("-")
-    return f"+{text}" if signed and value > 0 else text
-
-
-def metres(value: float | None, digits: int = 2) -> str:
-    """A length in metres, or a dash."""
-    return UNDEFINED if value is None else f"{value:.{digits}f}"
-
-
 def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
 def _latex_row(cells: Sequence[str]) -> str:
     return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
+
+
+def _latex_groups(groups: Groups) -> Iterator[str]:
+    """A row of labels over their columns, and the rules below them."""
+    if not any(label for label, _ in groups):
+        return
+    cells, rules, first = [], [], 1
+    for label, span in groups:
+        cells.append(rf"\multicolumn{{{span}}}{{c}}{{{escape_latex(label)}}}")
+        rules += [rf"\cmidrule(lr){{{first}-{first + span - 1}}}"] if label else []
+        first += span
+    yield " & ".join(cells) + r" \\"
+    yield " ".join(rules)
+
+
+def _json_members(value: dict[str, Any]) -> Iterator[str]:
+    for name in sorted(value):
+        if name in ("rows", "cells") and value[name]:
+            lines = ",\n".join(canonical_json(row) for row in value[name])
+            yield f"{canonical_json(name)}:[\n{lines}\n]"
+        else:
+            yield f"{canonical_json(name)}:{canonical_json(value[name])}"

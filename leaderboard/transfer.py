@@ -3,8 +3,9 @@
 from benchmark.rates import Rate
 from benchmark.records import NATIVE
 from benchmark.transfer import Agreement, TransferMatrix
+from leaderboard.cells import UNDEFINED, Origin, Shown, interval, named_record
 from leaderboard.collision import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, judges, marked
-from leaderboard.tables import UNDEFINED, Table, interval, number
+from leaderboard.tables import Table, table_of
 
 
 def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
@@ -18,16 +19,21 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
         One row per surrogate; cells are percentages with their interval and ``victim fails / surrogate fails``.
     """
     names = planner_names(matrix)
-    rows = []
+    rows: list[tuple[str | Shown, ...]] = []
     for own, (surrogate, cells) in enumerate(zip(names, matrix.cells)):
-        shown = [UNDEFINED if column == own else _cell(cell) for column, cell in enumerate(cells)]
-        rows.append((surrogate, str(round(cells[own].numerator)), *shown))
-    rows.append(("all scenes", UNDEFINED, *(_cell(rate) for rate in matrix.base_rates)))
-    return Table(
-        name=f"transfer-{matrix.split}-{matrix.protocol}",
-        title=f"{data_name}, split {matrix.split}: transfer of failures (%), {judges(matrix.protocol)}",
-        columns=("surrogate", "its failed scenes", *names),
-        rows=tuple(rows),
+        shown = [
+            Shown(UNDEFINED) if victim == own else _cell(cell, _origin(matrix, own, victim))
+            for victim, cell in enumerate(cells)
+        ]
+        failed = round(cells[own].numerator)
+        rows.append((surrogate, _origin(matrix, own).count(failed, "scenes").shown(), *shown))
+    everywhere = (_cell(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates))
+    rows.append(("all scenes", UNDEFINED, *everywhere))
+    return table_of(
+        f"transfer-{matrix.split}-{matrix.protocol}",
+        f"{data_name}, split {matrix.split}: transfer of failures (%), {judges(matrix.protocol)}",
+        ("surrogate", "its failed scenes", *names),
+        rows,
         notes=(
             "Cell: share of the surrogate's failed scenes that the victim (column) fails too, with counts and the 95 % "
             "bootstrap interval over recorded scenes. "
@@ -37,6 +43,7 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
             *_undecided(matrix),
             *_common_notes(matrix),
         ),
+        groups=(("", 1), (f"surrogate, {_who(matrix)}", 1), (f"failed by the victim in %, {_who(matrix)}", len(names))),
     )
 
 
@@ -50,12 +57,11 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
     Returns:
         One row per pair of planners: counts, phi with its interval, lift.
     """
-    name_of = dict(zip(matrix.planners, planner_names(matrix)))
-    return Table(
-        name=f"agreement-{matrix.split}-{matrix.protocol}",
-        title=f"{data_name}, split {matrix.split}: do planners fail the same scenes, {judges(matrix.protocol)}",
-        columns=("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift"),
-        rows=tuple(_agreement_row(agreement, name_of) for agreement in matrix.agreements),
+    return table_of(
+        f"agreement-{matrix.split}-{matrix.protocol}",
+        f"{data_name}, split {matrix.split}: do planners fail the same scenes, {judges(matrix.protocol)}",
+        ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift"),
+        [_agreement_row(matrix, agreement) for agreement in matrix.agreements],
         notes=(
             "φ: correlation of the two verdicts over the scenes that both were judged on: 1 the same scenes, 0 as by "
             f"chance, below 0 other ones; {UNDEFINED} where one of them fails all or none.",
@@ -65,6 +71,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
             *_common_notes(matrix),
         ),
         text_columns=2,
+        groups=(("", 2), (f"scenes that fail, {_who(matrix)}", 4), (f"agreement, {_who(matrix)}", 3)),
     )
 
 
@@ -91,20 +98,33 @@ def _common_notes(matrix: TransferMatrix) -> list[str]:
     return [*few, *([PRIVILEGED_NOTE] if any(matrix.privileged) else [])]
 
 
-def _cell(rate: Rate) -> str:
-    if rate.value is None:
-        return UNDEFINED
-    ends = interval(rate.low, rate.high, scale=100.0, digits=0)
+def _who(matrix: TransferMatrix) -> str:
+    return "own protocols" if matrix.protocol == NATIVE else matrix.protocol
+
+
+def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
+    """Where numbers of some of the planners come from, by their places in the matrix."""
+    judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
+    records = (named_record(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
+    return Origin(judged, "; ".join(records))
+
+
+def _cell(rate: Rate, origin: Origin) -> Shown:
+    cell = origin.percent(rate, "scenes")
+    ends = interval(cell.low, cell.high, digits=0)
     shown = "" if ends == UNDEFINED else f" {ends}"
-    return f"{100 * rate.value:.0f}{shown} ({round(rate.numerator)}/{rate.denominator})"
+    return cell.shown(0, after=f"{shown} ({round(rate.numerator)}/{rate.denominator})")
 
 
-def _agreement_row(agreement: Agreement, name_of: dict[str, str]) -> tuple[str, ...]:
-    phi = agreement.phi
+def _agreement_row(matrix: TransferMatrix, agreement: Agreement) -> tuple[str | Shown, ...]:
+    places = [matrix.planners.index(name) for name in agreement.planners]
+    names, origin = planner_names(matrix), _origin(matrix, *places)
+    counts = (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)
+    phi = origin.cell(agreement.phi.value, "φ", sum(counts), "scenes", low=agreement.phi.low, high=agreement.phi.high)
     return (
-        *(name_of[name] for name in agreement.planners),
-        *(str(count) for count in (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)),
-        number(phi.value),
-        interval(phi.low, phi.high, digits=2),
-        number(agreement.lift),
+        *(names[place] for place in places),
+        *(origin.count(count, "scenes", sum(counts)).shown() for count in counts),
+        phi.shown(2),
+        phi.interval(2),
+        origin.cell(agreement.lift, "×", sum(counts), "scenes").shown(2),
     )

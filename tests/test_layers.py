@@ -15,6 +15,9 @@ ALLOWED = {
 LEADERBOARD_MAY_READ = {
     "benchmark.records",
     "benchmark.quality.records",
+    "benchmark.sheets.records",
+    "benchmark.ablation_records",
+    "benchmark.published",
     "benchmark.rates",
     "benchmark.transfer",
     "benchmark.scores",
@@ -24,6 +27,8 @@ LEADERBOARD_MAY_READ = {
     "benchmark.storage",
     "benchmark.errors",
     "benchmark.constants",
+    "benchmark.geometry",
+    "benchmark.waypoints",
 }
 
 

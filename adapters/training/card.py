@@ -38,8 +38,15 @@ rows, so the rows below the first say how much of a plan comes from the images.
 |---|---|---|---|---|---|
 {rows}
 
+{forecasts}
+
 Weights and card: Apache-2.0, as the code; the town is drawn by it.
 """
+_FORECASTS: Final = """\
+Of {vehicles:,} vehicles within 30 m (annotated, at least one lidar point) {recall:.0%} have a forecast, matched as the
+diagnosis of collisions matches (`docs/diagnosis.md`); {precision:.0%} of the forecasts there are of something that is
+annotated. Mean error over 3 s of the matched ones: {least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most
+likely mode), {standing_error_m:.2f} m if everybody were expected to stay where it is."""
 _TITLES: Final = {
     "own": "its own images",
     "blank": "blank images",
@@ -86,5 +93,6 @@ def card_of(small: Miniature, facts: Mapping[str, Any]) -> str:
         bytes=facts["bytes"],
         sha256=facts["sha256"],
         judged=f"{len(facts['judged_on']['scenes'])} scenes of `{facts['judged_on']['data']}`",
+        forecasts=_FORECASTS.format(**facts["forecasts"]) if facts["forecasts"] else "Forecasts: not measured.",
         rows="\n".join(rows) or "| not measured | | | | | |",
     )

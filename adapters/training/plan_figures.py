@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.training.forecast_figures import ForecastFigures, forecast_figures
 from benchmark.constants import HORIZON_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
@@ -55,7 +56,14 @@ class PlanFigures:
 def plan_figures(
     planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
 ) -> PlanFigures:
-    """Let a planner plan and compare its plans with what happened.
+    """The first of `figures`."""
+    return figures(planner, data, scenes, images=images, every=every)[0]
+
+
+def figures(
+    planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
+) -> tuple[PlanFigures, ForecastFigures | None]:
+    """Let a planner plan and compare its plans and forecasts with what happened.
 
     Args:
         planner: The planner.
@@ -65,7 +73,7 @@ def plan_figures(
         every: Of the samples, one in so many is judged; planners with memory see all of them.
 
     Returns:
-        The figures.
+        Figures of the plans, and of the forecasts where the planner gives any.
 
     Raises:
         InputError: If no sample is complete, shuffling has only one scene, or something in the data is broken.
@@ -78,12 +86,14 @@ def plan_figures(
             plan = planner.plan(observation)
             if truth.complete and truth.index % every == 0:
                 truths.append(truth)
-                plans.append(plan.waypoints_in_lidar(truth.lidar_ahead_m))
+                plans.append(plan)
     if not truths:
         raise InputError(f"none of the {len(scenes)} scenes has a sample with three recorded seconds after it")
-    outcomes = protocol("exact").evaluate(truths, np.array(plans))
+    waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in zip(truths, plans, strict=True)]
+    outcomes = protocol("exact").evaluate(truths, np.array(waypoints))
     l2 = {name: float(outcomes.l2[:, step - 1].mean()) for name, step in HORIZON_STEPS.items()}
-    return PlanFigures(len(truths), l2["1s"], l2["2s"], l2["3s"], float(outcomes.collision.any(-1).mean()))
+    of_plans = PlanFigures(len(truths), l2["1s"], l2["2s"], l2["3s"], float(outcomes.collision.any(-1).mean()))
+    return of_plans, forecast_figures(truths, plans)
 
 
 def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> Iterator[Observation]:

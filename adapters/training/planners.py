@@ -20,14 +20,20 @@ from adapters.training.frame_store import FrameStore, build_frames, frames_key
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderLesson
 from adapters.training.phases import Phase
-from adapters.training.plan_figures import Images, plan_figures
+from adapters.training.plan_figures import Images, figures, plan_figures
 from adapters.training.run_files import tensors_key
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
 from benchmark import __version__
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.environment import source_state
 from benchmark.errors import InputError
-from benchmark.storage import content_seed, file_sha256, write_bytes, write_json
+from benchmark.storage import (
+    content_seed,
+    file_sha256,
+    read_json,
+    write_bytes,
+    write_json,
+)
 from benchmark.workspace import cache_root
 
 ENCODER_NAME: Final = "image-encoder"
@@ -119,6 +125,32 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     return _train_miniature(training, store, learned, given, checked, judged)
 
 
+def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
+    """Measure weights that were trained earlier, and write their facts and card anew.
+
+    Args:
+        weights: A file of `train_planner`, with its facts beside it.
+        data_root: Data set on whose split ``val`` they are measured.
+
+    Returns:
+        The facts.
+
+    Raises:
+        InputError: If the weights or their facts are missing or do not belong together, or the data cannot be used.
+    """
+    path = weights.with_suffix(".json")
+    facts = read_json(path)
+    if not isinstance(facts, dict) or not weights.is_file() or facts.get("sha256") != file_sha256(weights):
+        raise InputError(f"{path} does not hold the facts of {weights}; give a file that train planner has written")
+    small, data = miniature(str(facts.get("model"))), open_data(data_root)
+    network = small.build()
+    Weights.load(network, small.name, weights)
+    facts |= _Checked(small, data, data.scene_names(JUDGED_SPLIT)).facts(network.state_dict())
+    write_json(path, facts)
+    write_bytes(weights.with_suffix(".md"), card_of(small, facts).encode())
+    return facts
+
+
 def _train_encoder(training: PlannerTraining, store: FrameStore, learned: Sequence[int]) -> dict[str, Any]:
     torch.manual_seed(content_seed("network", ENCODER_NAME, training.seed))
     network = ImageEncoder()
@@ -184,11 +216,7 @@ def _write_miniature(
     """Weights in half precision, and figures of what the file holds."""
     stored = {name: _halved(value) for name, value in weights.items()}
     write_weights(training.out, stored, _provenance(training, store, stored))
-    facts = _facts(training, store, learned, phases, stored) | {
-        "started_from": started_from,
-        "figures": judged.all_figures(stored),
-        "judged_on": {"data": judged.data.root.resolve().name, "scenes": list(judged.scenes)},
-    }
+    facts = _facts(training, store, learned, phases, stored) | {"started_from": started_from, **judged.facts(stored)}
     write_json(training.out.with_suffix(".json"), facts)
     write_bytes(training.out.with_suffix(".md"), card_of(judged.small, facts).encode())
     return facts
@@ -206,16 +234,21 @@ class _Checked:
         """Of plans made from the images."""
         return plan_figures(self._planner(weights), self.data, self.scenes, every=2).as_log()
 
-    def all_figures(self, weights: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
-        """With all kinds of images, and of constant velocity; none without scenes."""
+    def facts(self, weights: Mapping[str, Tensor]) -> dict[str, Any]:
+        """Figures with all kinds of images, of constant velocity and of the forecasts; none without scenes."""
+        place = {"data": self.data.root.resolve().name, "scenes": list(self.scenes)}
         if not self.scenes:
-            return {}
+            return {"figures": {}, "forecasts": None, "judged_on": place}
         found = {"constant-velocity": plan_figures(ConstantVelocity(), self.data, self.scenes).as_log()}
+        forecasts: dict[str, float] | None = None
         for images in Images:
             if images is Images.SHUFFLED and len(self.scenes) < 2:
                 continue
-            found[images.value] = plan_figures(self._planner(weights), self.data, self.scenes, images=images).as_log()
-        return found
+            of_plans, expected = figures(self._planner(weights), self.data, self.scenes, images=images)
+            found[images.value] = of_plans.as_log()
+            if images is Images.OWN and expected is not None:
+                forecasts = expected.as_log()
+        return {"figures": found, "forecasts": forecasts, "judged_on": place}
 
     def _planner(self, weights: Mapping[str, Tensor]) -> Any:
         network = self.small.build()

@@ -56,6 +56,7 @@ class UniADConfig:
         max_boxes: Most tracks, and most boxes, that are reported.
         max_lines: Map elements that get a mask.
         occupancy_half_m: Half the side of the square whose occupancy is predicted.
+        occupied_above: Occupancy times the track's score above which a cell counts as occupied.
         rotation_centre: Column and row of the previous view, in cells, around which it is turned.
         image_format: Its images.
         motion_across_scenes: Whether the first key frame of a scene is told the motion from wherever the ego was last
@@ -102,6 +103,7 @@ class UniADConfig:
     max_boxes: int = 300
     max_lines: int = 100
     occupancy_half_m: float = 50.0
+    occupied_above: float = 0.1
     rotation_centre: tuple[float, float] = (100.0, 100.0)
     image_format: ImageFormat = PUBLISHED_IMAGE
     motion_across_scenes: bool = True
@@ -149,6 +151,8 @@ class UniADConfig:
             max_boxes=24,
             max_lines=12,
             occupancy_half_m=12.0,
+            # Its occupancy is faint everywhere: at 0.1 the plan would be moved away from nothing.
+            occupied_above=0.2,
             rotation_centre=(12.0, 12.0),
             image_format=MINIATURE_IMAGE,
             motion_across_scenes=False,

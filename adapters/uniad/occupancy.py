@@ -14,8 +14,6 @@ CELL_M = 0.5
 """Side of a cell of the occupancy grid."""
 SEEN = 0.3
 """Cells attend to the vehicles whose mask is not lower there."""
-OCCUPIED = 0.1
-"""Occupancy times the track's score above which a cell counts as occupied."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,14 +275,15 @@ class OccupancyHead(nn.Module):
             steps, side = self.config.occupancy_steps, self.places.shape[1]
             nothing = torch.zeros(0, steps, side, side, device=bev.device)
             free = torch.zeros(steps, side, side, device=bev.device)
-            return Occupancy(nothing, nothing, free.bool(), free - OCCUPIED)
+            return Occupancy(nothing, nothing, free.bool(), free - self.config.occupied_above)
         modes = self.mode_fuser(mode_queries).amax(1)
         vehicles = self.multi_query_fuser(torch.cat([modes, states, positions], -1))
         futures, masks, queries = self._futures(self._resampled(bev), vehicles)
         features = self.dense_decoder(torch.stack(futures))
         logits = torch.einsum("tvc,tchw->vthw", self.query_to_occ_feat(torch.stack(queries)), features).float()
         probability = (logits.sigmoid() * scores[:, None, None, None]).amax(0)
-        return Occupancy(logits, torch.stack(masks, 1).float(), probability > OCCUPIED, probability - OCCUPIED)
+        level = self.config.occupied_above
+        return Occupancy(logits, torch.stack(masks, 1).float(), probability > level, probability - level)
 
     def _resampled(self, bev: Tensor) -> Tensor:
         """(cells, C) to (1, C, side / 4, side / 4) on the occupancy grid."""

@@ -11,6 +11,7 @@ from torch import Tensor
 from adapters.layers.ego_motion import EgoMotion
 from adapters.training.frames import TrainingFrame
 from adapters.training.losses import Matches, plan_loss
+from adapters.training.turned_worlds import turned_can_bus
 from adapters.uniad.bev import Detections
 from adapters.uniad.frames import UniADInputs
 from adapters.uniad.model import Memory, UniAD
@@ -33,7 +34,6 @@ from adapters.uniad.training_targets import (
     network_inputs,
     occupancy_targets,
 )
-from adapters.vad.training import turned_can_bus
 
 Stage = Literal["perception", "all"]
 """``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""

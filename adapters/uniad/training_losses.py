@@ -4,6 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from adapters.training.dense_targets import CHANNELS, dense_targets
 from adapters.training.frames import TrainingFrame
 from adapters.training.losses import (
     FOCAL_GAMMA,
@@ -23,7 +24,6 @@ from adapters.uniad.map_head import MapElements
 from adapters.uniad.motion import Forecasts
 from adapters.uniad.occupancy import Occupancy
 from adapters.uniad.training_targets import EGO_LABEL, Agents, Road
-from adapters.vad.dense_targets import CHANNELS, dense_targets
 
 CODE_WEIGHTS = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.2, 0.2)
 CLASS_WEIGHT, BOX_WEIGHT = 2.0, 0.25
@@ -112,7 +112,7 @@ def _agent_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tenso
 
 
 def dense_loss(bev: Tensor, frame: TrainingFrame, config: UniADConfig) -> Tensor:
-    """Of the first channels of the bird's-eye view, which say what is in each cell (`adapters.vad.dense_targets`).
+    """Of the first channels of the bird's-eye view, which say what is in each cell (`adapters.training.dense_targets`).
 
     Args:
         bev: (cells, C).

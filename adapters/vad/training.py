@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.layers.ego_motion import EgoMotion
+from adapters.training.dense_targets import CHANNELS, dense_targets
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
@@ -24,7 +25,7 @@ from adapters.training.losses import (
     query_class_loss,
     trajectory_losses,
 )
-from adapters.vad.dense_targets import CHANNELS, dense_targets
+from adapters.training.turned_worlds import turned_can_bus
 from adapters.vad.model import VAD, VADInputs
 from adapters.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.vad.predictions import Predictions
@@ -136,26 +137,6 @@ def inputs_of(frame: TrainingFrame) -> VADInputs:
         command=frame.command,
         scene_token=frame.scene,
     )
-
-
-def turned_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
-    """The same motion in a world that is turned around its origin.
-
-    Args:
-        can_bus: (18,) as `adapters.camera_inputs.can_bus_vector` gives it.
-        turn_rad: Counter-clockwise.
-
-    Returns:
-        (18,); motion itself is measured in the frame of the car and stays.
-    """
-    turned = can_bus.clone()
-    cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
-    turned[0] = cosine * can_bus[0] - sine * can_bus[1]
-    turned[1] = sine * can_bus[0] + cosine * can_bus[1]
-    heading_rad = (float(can_bus[16]) + turn_rad) % (2 * math.pi)
-    turned[3:7] = abs(math.cos(heading_rad / 2))
-    turned[16], turned[17] = heading_rad, math.degrees(heading_rad)
-    return turned
 
 
 def frame_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:

@@ -4,7 +4,7 @@ Definition:
 
 * The ego is a 4.084 m x 1.85 m rectangle whose centre is 0.5 m ahead of the lidar origin, along its heading. Its
   heading at a waypoint is the direction of the chord between the neighbouring waypoints where that is at least 0.3 m
-  long, else the heading before (`benchmark.planning.chord_headings`); between waypoints the position is linear and the
+  long, else the heading before (`benchmark.waypoints.chord_headings`); between waypoints the position is linear and the
   heading takes the shortest arc.
 * Every annotated object of every category counts. Between two keyframes it moves linearly and is there only if it is
   annotated at both; at a keyframe it is there if it is annotated there.
@@ -23,10 +23,10 @@ import numpy as np
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
-from benchmark.planning import chord_headings
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import chord_headings
 
 INSTANTS_PER_STEP = 5
 """Instants that are checked in each half second; the last one is the waypoint."""

@@ -11,13 +11,11 @@ from shapely.errors import GEOSException
 from shapely.geometry import MultiPoint, Polygon
 from shapely.geometry import box as rectangle
 
-from benchmark.geometry import Bools, Floats, rotation_matrix
+from benchmark.box_projection import BOX_EDGES, agents_at, at_near_plane, corners_of_box, to_camera
+from benchmark.geometry import Bools, Floats
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, Scene
 
-_CORNERS: Final = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-"""Of a unit box; neighbours differ in one coordinate."""
-_EDGES: Final = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 _SUBPIXEL_BITS: Final = 6
 
 
@@ -68,13 +66,13 @@ def boxes_in_view(
         Boxes of which something is in the image, in the order of the scene's agents.
     """
     camera = view.camera.resized(*size)
-    poses = _poses_at(scene, view.timestamp_us)
+    poses = agents_at(scene, view.timestamp_us)
     found = []
     for agent, (position, yaw, there) in enumerate(zip(*poses)):
         if not there or scene.agents.categories[agent] not in categories:
             continue
-        corners = _corners(position, float(yaw), scene.agents.size[agent])
-        in_camera = _to_camera(np.vstack([corners, position]), view.global_T_ego, camera)
+        corners = corners_of_box(position, float(yaw), scene.agents.size[agent])
+        in_camera = to_camera(np.vstack([corners, position]), view.global_T_ego, camera)
         polygon = _outline(in_camera[:8], camera, near_m)
         if polygon is None:
             continue
@@ -103,42 +101,15 @@ def visible_parts(boxes: Sequence[ProjectedBox], height: int, width: int) -> dic
     return parts
 
 
-def _poses_at(scene: Scene, timestamp_us: int) -> tuple[Floats, Floats, Bools]:
-    """Position, yaw and presence of all agents at a time; outside the scene those of its first or last frame."""
-    times = scene.timestamps_us
-    after = int(np.clip(np.searchsorted(times, timestamp_us), 1, max(len(times) - 1, 1))) if len(times) > 1 else 0
-    before = max(after - 1, 0)
-    span = float(times[after] - times[before])
-    share = 0.0 if span == 0 else float(np.clip((timestamp_us - times[before]) / span, 0.0, 1.0))
-    agents = scene.agents
-    position = (1 - share) * agents.position[:, before] + share * agents.position[:, after]
-    turn = np.angle(np.exp(1j * (agents.yaw[:, after] - agents.yaw[:, before])))
-    nearest = after if share >= 0.5 else before
-    return position, agents.yaw[:, before] + share * turn, agents.valid[:, nearest]
-
-
-def _corners(position: Floats, yaw: float, size: Floats) -> Floats:
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray((_CORNERS * size) @ turned.T + position)
-
-
-def _to_camera(points: Floats, global_T_ego: Floats, camera: Camera) -> Floats:
-    """Global points in camera axes: x right, y down, z forward."""
-    in_ego = (points - global_T_ego[:3, 3]) @ global_T_ego[:3, :3]
-    return np.asarray((in_ego - camera.translation) @ rotation_matrix(camera.rotation))
-
-
 def _outline(corners: Floats, camera: Camera, near_m: float) -> Floats | None:
     """(P, 2) convex outline of what lies in front of the camera and in the image; ``None`` if nothing does."""
     ahead = corners[:, 2] >= near_m
     if not ahead.any():
         return None
     points = [corners[ahead]]
-    for first, second in _EDGES:
+    for first, second in BOX_EDGES:
         if ahead[first] != ahead[second]:
-            share = (near_m - corners[first, 2]) / (corners[second, 2] - corners[first, 2])
-            points.append((corners[first] + share * (corners[second] - corners[first]))[None])
+            points.append(at_near_plane(corners[first], corners[second], near_m)[None])
     projected = np.vstack(points) @ camera.intrinsic.T
     pixels = projected[:, :2] / projected[:, 2:]
     try:

@@ -27,7 +27,7 @@ from benchmark.quality.schema import (
 )
 from benchmark.rates import Rate, ratios_over_scenes
 from benchmark.record_schema import RateRow, SceneFacts
-from benchmark.storage import file_sha256, read_json, read_json_lines, write_json, write_json_lines
+from benchmark.storage import content_key, file_sha256, read_json, read_json_lines, write_json, write_json_lines
 
 QUALITY_FILE: Final = "quality.json"
 _SUBJECTS_FILE, _VIDEOS_FILE = "subjects.jsonl", "videos.jsonl"
@@ -53,6 +53,12 @@ class QualityRecord:
     def covers_split(self) -> bool:
         """Whether all scenes of the split were scored."""
         return len(self.facts.scenes) == self.facts.scenes_in_split
+
+    @property
+    def content_id(self) -> str:
+        """Twelve hexadecimal digits made of what was measured and what came out, whatever the machine or folder."""
+        facts = self.facts
+        return content_key(facts.data.name, facts.data.fingerprint, facts.split, facts.scenes, facts.files)[:12]
 
     @property
     def masks(self) -> str:
@@ -187,7 +193,13 @@ def find_quality(folder: Path) -> list[QualityRecord]:
     Raises:
         InputError: If one of them is damaged.
     """
-    return [load_quality(path.parent) for path in sorted(folder.rglob(QUALITY_FILE))]
+    found = []
+    for path in sorted(folder.rglob(QUALITY_FILE)):
+        try:
+            found.append(load_quality(path.parent))
+        except InputError as damage:
+            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
+    return found
 
 
 def _ratio(sums: Sequence[tuple[str, Sum]]) -> RateRow:

@@ -14,11 +14,12 @@ from torch import Tensor
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.layers.bev_geometry import BEVGrid
 from adapters.layers.ego_motion import EgoMotion
+from adapters.training.dense_targets import CHANNELS, VEHICLES, dense_targets
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, TrainingFrame
 from adapters.training.losses import normalised_boxes
+from adapters.training.turned_worlds import turned_can_bus
 from adapters.vad.config import VADConfig
-from adapters.vad.dense_targets import CHANNELS, VEHICLES, dense_targets
 from adapters.vad.first_values import RARE, set_first_values, untrained
 from adapters.vad.model import VAD
 from adapters.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
@@ -35,7 +36,6 @@ from adapters.vad.training import (
     frame_losses,
     inputs_of,
     predictions_of,
-    turned_can_bus,
 )
 from benchmark.datasets.nuscenes import NuScenesData
 from tests.adapters.small_vad import SMALL, rig, small_network

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.geometry import Floats, box_corners, box_gap, boxes_overlap, to_global, yaw_of_quaternion
-from benchmark.planning import chord_headings
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import contacts, ego_boxes
 from benchmark.records import scene_failures
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import chord_headings
 from tests.benchmark.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.benchmark.protocol_cases import Traits, plan_of, sample_of, traits
 from tests.hand_made import Car, scene_on_straight_road

@@ -1,7 +1,9 @@
 """Records: what is written reads back, old ones load for ever, damaged ones say so."""
 
 import json
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -251,6 +253,32 @@ def test_records_are_found_by_path(directory: Path, tmp_path: Path) -> None:
     assert [record.directory for record in find_records(tmp_path)] == sorted([directory, tmp_path / "runs" / "another"])
     with pytest.raises(InputError, match="no folder"):
         find_records(tmp_path / "nowhere")
+
+
+def test_one_damaged_record_among_others_is_named_with_what_to_do(directory: Path, tmp_path: Path) -> None:
+    other = tmp_path / "runs" / "another"
+    shutil.copytree(directory, other)
+    change(other / "run.json", status="wonderful")
+    with pytest.raises(InputError, match=r"another/run\.json is not .*status.*; or delete or move .*/another to"):
+        find_records(tmp_path)
+    shutil.copyfile(directory / "run.json", other / "run.json")
+    (other / "samples.jsonl").write_text("")
+    with pytest.raises(InputError, match=r"another/samples\.jsonl .*; or delete or move"):
+        find_records(tmp_path)
+
+
+def test_a_record_is_known_by_its_content_wherever_it_lies(directory: Path, tmp_path: Path) -> None:
+    known = load_record(directory)
+    assert re.fullmatch("[0-9a-f]{12}", known.content_id)
+    other = tmp_path / "elsewhere"
+    shutil.copytree(directory, other)
+    change(other / "run.json", environment={"processor": "another"})
+    assert load_record(other).content_id == known.content_id
+    change(other / "run.json", seed=99)
+    assert load_record(other).content_id != known.content_id
+    hostile = known.run.planner.model_copy(update={"settings": {"gap_m": float("nan")}})
+    other_planner = replace(known, run=known.run.model_copy(update={"planner": hostile}))
+    assert other_planner.content_id != known.content_id
 
 
 def change(path: Path, **values: Any) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmark.ablation_records import VARIANTS, AblationReport, read_ablation
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from generation.ablation import VARIANTS, AblationReport, ablate, ablation_estimate, read_ablation
+from generation.ablation import ablate, ablation_estimate
 from generation.surrogate import PlannerUnderTest
 from tests.generation.drivers import Drivers, RaisingDriver
 from tests.generation.recorded_roads import CHEAP, contents, recorded, write_source

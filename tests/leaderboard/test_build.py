@@ -1,7 +1,5 @@
 """From records to files: the same bytes whatever the order, and nothing in one table that does not belong together."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +15,12 @@ from benchmark.evaluate import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.records import RunRecord, find_records
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
-from leaderboard.collision import published_table
 from leaderboard.published import TABLE_1
+from leaderboard.published_tables import published_table
 from leaderboard.selection import one_run_each
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.leaderboard.csv_rows import csv_rows
 
 FIRST_SCENE = EvalSettings(scenes=("scene-9901",))
 
@@ -55,10 +54,6 @@ def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
 
-def rows_of(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
-
-
 def named(record: RunRecord, *, data: str | None = None, planner: str | None = None) -> RunRecord:
     run = record.run
     facts = run.data.model_copy(update={"name": data or run.data.name})
@@ -85,7 +80,7 @@ def test_the_same_records_give_the_same_bytes(runs: tuple[RunRecord, ...], drawn
 
 
 def test_one_row_for_each_planner_and_split_with_what_was_counted(runs: tuple[RunRecord, ...]) -> None:
-    rows = rows_of(texts(runs)["tables/fake/collision-exact.csv"])
+    rows = csv_rows(texts(runs)["tables/fake/collision-exact.csv"])
     assert [(row["planner"], row["split"]) for row in rows] == [
         ("straight", "val"),
         ("straight", "adv"),
@@ -150,7 +145,7 @@ def test_a_planner_that_failed_on_samples_is_noted(tmp_path: Path) -> None:
     record = evaluate(town_of_two(), "val", Failing(), tmp_path)
     files = texts([record])
     assert "failing on val: 2 samples failed." in files["README.md"]
-    (row,) = rows_of(files["tables/fake/collision-exact.csv"])
+    (row,) = csv_rows(files["tables/fake/collision-exact.csv"])
     assert row["coverage"] == "93.8"
 
 
@@ -176,14 +171,14 @@ def test_the_increase_is_that_of_the_paper(runs: tuple[RunRecord, ...]) -> None:
     text = val.summary.model_dump(by_alias=True)
     text["protocols"]["exact"]["columns"]["collision"]["avg"]["value"] = baseline
     val = replace(val, summary=type(val.summary).model_validate(text))
-    rows = rows_of(texts([val, by_key["straight", "adv"]])["tables/fake/collision-exact.csv"])
+    rows = csv_rows(texts([val, by_key["straight", "adv"]])["tables/fake/collision-exact.csv"])
     assert [row["increase"] for row in rows] == ["", "3.0×"]
-    unknown = rows_of(texts(runs)["tables/fake/collision-exact.csv"])
+    unknown = csv_rows(texts(runs)["tables/fake/collision-exact.csv"])
     assert [row["increase"] for row in unknown] == ["", "", "", ""]
 
 
 def test_the_published_increases_follow_from_the_published_averages() -> None:
-    shown = {row[0]: float(row[-1]) for row in published_table().rows if row[1] == "Adv-nuSc"}
+    shown = {row[0]: float(row[-1].removesuffix("×")) for row in published_table().rows if row[1] == "Adv-nuSc"}
     averages = {(rate.model, rate.data_set): float(rate.percent[3]) for rate in TABLE_1}
     for model, increase in shown.items():
         val, adv = averages[model, "nuScenes-val"], averages[model, "Adv-nuSc"]
@@ -210,7 +205,7 @@ def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails(
     runs: tuple[RunRecord, ...], tmp_path: Path
 ) -> None:
     elsewhere = evaluate(town_of_two(slow_leader=True), "adv", Elsewhere(), tmp_path)
-    rows = rows_of(texts([*runs, elsewhere])["tables/fake/transfer-adv-exact.csv"])
+    rows = csv_rows(texts([*runs, elsewhere])["tables/fake/transfer-adv-exact.csv"])
     by_surrogate = {row["surrogate"]: row for row in rows}
     assert by_surrogate["straight"]["its failed scenes"] == "1"
     assert [row["surrogate"] for row in rows] == ["elsewhere", "straight", "log-replay †", "all scenes"]
@@ -230,7 +225,7 @@ def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     for path in write_leaderboard([named(record, data=name) for record in runs], folder):
         assert path.resolve().is_relative_to(folder.resolve())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["board"]
-    assert sorted(path.name for path in folder.iterdir()) == ["README.md", "figures", "published", "tables"]
+    assert sorted(path.name for path in folder.iterdir()) == ["README.md", "figures", "published", "site", "tables"]
 
 
 def test_a_hostile_planner_name_stays_text_everywhere(runs: tuple[RunRecord, ...]) -> None:

@@ -7,11 +7,12 @@ import pytest
 
 from benchmark.records import RunRecord
 from benchmark.transfer import transfer
+from leaderboard.cells import UNDEFINED
 from leaderboard.collision import FEW_NOTE, collision_table, increase_over, native_table
 from leaderboard.comparisons import planner_table, split_table
 from leaderboard.contents import data_set_tables
 from leaderboard.published import INCREASE, TABLE_1
-from leaderboard.tables import UNDEFINED, Table
+from leaderboard.tables import Table
 from leaderboard.transfer import agreement_table, transfer_table
 from tests.benchmark.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 

@@ -1,7 +1,5 @@
 """Tables of diagnoses: counts, shares and intervals from records, and what is said where there are none."""
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +14,7 @@ from leaderboard.diagnosis import diagnosis_tables
 from leaderboard.tables import Table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.leaderboard.csv_rows import csv_rows
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +24,7 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
 
 
 def rows_of(table: Table) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(table.csv())))
+    return csv_rows(table.csv())
 
 
 def tables_of(*records: RunRecord) -> dict[str, Table]:

@@ -1,7 +1,5 @@
 """The disagreement table: every count from rows alone, and no cause where the record has none."""
 
-import csv
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +9,12 @@ import pytest
 from benchmark.evaluate import evaluate
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records import RunRecord, load_record
+from leaderboard.cells import UNDEFINED
 from leaderboard.disagreement import disagreement_table
-from leaderboard.tables import UNDEFINED, Table
+from leaderboard.tables import Table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.leaderboard.csv_rows import csv_rows
 
 
 class TowardsTheOncomingLane:
@@ -38,7 +38,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[RunRecord]:
 
 
 def rows_of(table: Table) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(table.csv())))
+    return csv_rows(table.csv())
 
 
 def test_one_row_for_each_planner_and_protocol_but_exact(runs: list[RunRecord]) -> None:

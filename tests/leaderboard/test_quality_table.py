@@ -10,7 +10,8 @@ from benchmark.quality.definition import Definition
 from benchmark.quality.records import QualityRecord, write_quality
 from benchmark.quality.schema import SceneRows, SubjectRow, Sum, VideoRow
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
-from leaderboard.quality_table import published_quality_table, quality_tables
+from leaderboard.published_tables import published_quality_table
+from leaderboard.quality_table import quality_tables
 
 
 def rows(scene: str, *, adversary: bool, level: float, size: tuple[int, int]) -> SceneRows:
@@ -78,7 +79,7 @@ def test_splits_stand_in_the_order_of_the_paper_with_its_values_beside(tmp_path:
     assert table.rows[0][-2:] == ("0.8349", "0.3801") and table.rows[1][-2:] == ("0.8093", "0.3469")
     assert table.rows[2][-2:] == ("–", "–")
     assert any("448 x 256 pixels, jpg" in note for note in table.notes)
-    assert any("Table 3" in note for note in table.notes) and any("Fewer than 20" in note for note in table.notes)
+    assert any("Table 3" in source for source in table.sources) and any("Fewer than 20" in note for note in table.notes)
 
 
 def test_what_does_not_compare_has_a_table_of_its_own(tmp_path: Path) -> None:

@@ -75,6 +75,5 @@ def test_checking_without_full_is_wrong_use_and_nothing_there_is_stale(tmp_path:
     assert absent.code == 1 and absent.json == {"stale": [f"there are no results in {tmp_path}"]}
 
 
-@pytest.mark.skipif(not RESULTS.is_dir(), reason="docs/results is written once all miniatures are trained")
 def test_the_results_in_the_documentation_are_current() -> None:
     assert stale_results(RESULTS, _results_from()) == []

@@ -1,7 +1,5 @@
 """The spread over seeds: runs that differ in the seed alone, and nothing else."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,10 +8,12 @@ import numpy as np
 
 from benchmark.labels import labelled
 from benchmark.records import RunRecord
+from leaderboard.cells import UNDEFINED
 from leaderboard.contents import data_set_tables
 from leaderboard.seeds import seed_spread_table
-from leaderboard.tables import UNDEFINED, Table
+from leaderboard.tables import Table
 from tests.benchmark.hand_made_records import CLEAN, FAILED, HIT, hand_made
+from tests.leaderboard.csv_rows import csv_rows
 
 
 def run(seed: int, flags: Sequence[str | None], *, name: str = "noisy", split: str = "adv", **facts: Any) -> RunRecord:
@@ -33,7 +33,7 @@ RUNS = [
 
 def rows_of(table: Table | None) -> list[dict[str, str]]:
     assert table is not None
-    return list(csv.DictReader(io.StringIO(table.csv())))
+    return csv_rows(table.csv())
 
 
 def test_mean_ends_and_deviation_are_those_of_the_rates() -> None:

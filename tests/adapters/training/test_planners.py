@@ -1,6 +1,7 @@
 """``train planner`` from a data set to weights, facts and card: the same bytes twice, and what it refuses."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,11 @@ from safetensors.torch import load_file, save_file
 
 from adapters.checkpoints.cache import read_provenance
 from adapters.miniatures import planner_of
-from adapters.training.planners import ENCODER_NAME, PlannerTraining, train_planner
+from adapters.training.planners import ENCODER_NAME, PlannerTraining, judge_again, train_planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.planning import SceneInfo
+from benchmark.storage import write_json
 from generation.mini import TownSettings, build_town
 from tests.cli_runs import challenger_bench
 
@@ -93,6 +95,26 @@ def test_the_card_names_data_seed_steps_and_scores(trained: Path) -> None:
         assert said in card
     assert f"{facts['figures']['own']['l2_3s_m']:.2f}" in card
     assert facts["figures"]["constant-velocity"]["samples"] == 34
+
+
+def test_a_file_can_be_judged_again_and_only_with_its_own_facts(town: Path, trained: Path, tmp_path: Path) -> None:
+    for suffix in (".safetensors", ".json", ".md"):
+        shutil.copy(trained.with_suffix(suffix), tmp_path / f"w{suffix}")
+    before = json.loads((tmp_path / "w.json").read_text())
+    done = challenger_bench("train", "judge", tmp_path / "w.safetensors", "--data", town)
+    facts = done.json
+    assert facts == json.loads((tmp_path / "w.json").read_text())
+    assert {**facts, "figures": 0, "forecasts": 0, "judged_on": 0} == {
+        **before,
+        "figures": 0,
+        "forecasts": 0,
+        "judged_on": 0,
+    }
+    assert len(facts["judged_on"]["scenes"]) >= len(before["judged_on"]["scenes"])
+    assert f"{facts['figures']['own']['l2_3s_m']:.2f}" in (tmp_path / "w.md").read_text()
+    write_json(tmp_path / "w.json", {**facts, "sha256": "0" * 64})
+    with pytest.raises(InputError, match="does not hold the facts of"):
+        judge_again(tmp_path / "w.safetensors", town)
 
 
 def test_it_starts_from_the_weights_that_are_given(encoder: Path, trained: Path) -> None:

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 
 from adapters.uniad.config import UniADConfig
-from adapters.uniad.occupancy import OCCUPIED, SEEN, DownBlock, OccupancyHead
+from adapters.uniad.occupancy import SEEN, DownBlock, OccupancyHead
 from tests.adapters.uniad.small_uniad import SMALL
 
 
@@ -54,7 +54,9 @@ def test_occupied_is_where_any_vehicle_is_likely() -> None:
         found = head()(torch.randn(384, 16), torch.randn(3, 6, 16), torch.randn(3, 16), torch.randn(3, 16), scores)
     likely = found.logits.sigmoid().double() * scores[:, None, None, None]
     assert found.logits.shape == (3, 5, 32, 32) and found.mask_logits.shape == (3, 5, 4, 4)
-    assert torch.equal(found.occupied, (likely > OCCUPIED).any(0)) and torch.equal(found.occupied, found.margin > 0)
+    assert torch.equal(found.occupied, (likely > SMALL.occupied_above).any(0)) and torch.equal(
+        found.occupied, found.margin > 0
+    )
 
 
 def test_cells_that_no_vehicle_claims_look_at_all() -> None:

@@ -1,0 +1,25 @@
+"""The same drive in a world that is turned: no image shows where north is, so nothing may be learned from it."""
+
+import math
+
+from torch import Tensor
+
+
+def turned_can_bus(can_bus: Tensor, turn_rad: float) -> Tensor:
+    """The same motion in a world that is turned around its origin.
+
+    Args:
+        can_bus: (18,) as `adapters.camera_inputs.can_bus_vector` gives it.
+        turn_rad: Counter-clockwise.
+
+    Returns:
+        (18,); motion itself is measured in the frame of the car and stays.
+    """
+    turned = can_bus.clone()
+    cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
+    turned[0] = cosine * can_bus[0] - sine * can_bus[1]
+    turned[1] = sine * can_bus[0] + cosine * can_bus[1]
+    heading_rad = (float(can_bus[16]) + turn_rad) % (2 * math.pi)
+    turned[3:7] = abs(math.cos(heading_rad / 2))
+    turned[16], turned[17] = heading_rad, math.degrees(heading_rad)
+    return turned

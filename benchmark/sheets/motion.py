@@ -1,0 +1,96 @@
+"""Tracks of the ego and of everybody near it, rounded to what can be seen."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
+from benchmark.geometry import Bools, Floats
+from benchmark.scene import Scene
+from benchmark.sheets.records import Point, SheetAgent, SheetEgo
+
+NEAR_M: Final = 80.0
+"""Agents are shown while they are so near to the ego."""
+
+
+def origin_of(scene: Scene) -> Point:
+    """Where a sheet's positions are counted from: the ego's first position, whole metres."""
+    x, y = np.rint(scene.ego.position[0, :2])
+    return float(x), float(y)
+
+
+def ego_of(scene: Scene, origin: Point) -> SheetEgo:
+    """Recorded motion of the ego.
+
+    Args:
+        scene: The scene.
+        origin: See `origin_of`.
+
+    Returns:
+        One pose a frame, centimetres and milliradians.
+    """
+    pose = scene.ego.pose
+    return SheetEgo(
+        x_m=_rounded(pose[:, 0] - origin[0], 2),
+        y_m=_rounded(pose[:, 1] - origin[1], 2),
+        yaw_rad=_rounded(_wrapped(pose[:, 2]), 3),
+        length_m=EGO_LENGTH_M,
+        width_m=EGO_BODY_WIDTH_M,
+        centre_ahead_m=EGO_CENTER_FROM_REAR_AXLE_M,
+    )
+
+
+def agents_of(scene: Scene, origin: Point) -> tuple[SheetAgent, ...]:
+    """Tracks of the agents that come near the ego, and of all adversaries.
+
+    Args:
+        scene: The scene.
+        origin: See `origin_of`.
+
+    Returns:
+        In the order of the scene, adversaries last. An agent's values go from the first frame in which it is near to
+        the last; an adversary's from the first in which it is there.
+    """
+    agents = scene.agents
+    away_m = np.linalg.norm(agents.position[..., :2] - scene.ego.position[None, :, :2], axis=-1)
+    shown = agents.valid & (away_m <= NEAR_M)
+    adversaries = [name in scene.adversaries for name in agents.ids]
+    shown[adversaries] = agents.valid[adversaries]
+    order = sorted(range(len(agents)), key=lambda agent: adversaries[agent])
+    return tuple(
+        _agent(scene, agent, shown[agent], origin, adversary=adversaries[agent])
+        for agent in order
+        if shown[agent].any()
+    )
+
+
+def _agent(scene: Scene, agent: int, shown: Bools, origin: Point, *, adversary: bool) -> SheetAgent:
+    at = np.flatnonzero(shown)
+    frames = slice(int(at[0]), int(at[-1]) + 1)
+    agents = scene.agents
+    there = agents.valid[agent, frames]
+    length_m, width_m, height_m = (round(float(side), 2) for side in agents.size[agent])
+    return SheetAgent(
+        id=agents.ids[agent],
+        category=agents.categories[agent],
+        size_m=(length_m, width_m, height_m),
+        adversary=adversary,
+        first=frames.start,
+        x_m=_where(there, _rounded(agents.position[agent, frames, 0] - origin[0], 2)),
+        y_m=_where(there, _rounded(agents.position[agent, frames, 1] - origin[1], 2)),
+        yaw_rad=_where(there, _rounded(_wrapped(agents.yaw[agent, frames]), 3)),
+    )
+
+
+def _wrapped(yaw: Floats) -> Floats:
+    return np.asarray(np.angle(np.exp(1j * yaw)))
+
+
+def _rounded(values: Floats, digits: int) -> tuple[float, ...]:
+    # Adding zero turns a negative zero into zero.
+    return tuple((np.round(values, digits) + 0.0).tolist())
+
+
+def _where(there: Bools, values: Sequence[float]) -> tuple[float | None, ...]:
+    return tuple(value if known else None for known, value in zip(there, values, strict=True))

@@ -1,0 +1,242 @@
+"""Pictures of all cameras in one, and the edges of adversaries' boxes in them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.box_projection import BOX_EDGES, agents_at, at_near_plane, corners_of_box, to_camera
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.planning import CameraView
+from benchmark.scene import Camera, Scene
+from benchmark.sheets.records import CAMERA_GRID, Segment, SheetCamera
+
+Videos = Mapping[str, Sequence[CameraView]]
+WEBP_QUALITY: Final = 80
+NEAR_PLANE_M: Final = 0.1
+FARTHEST_IN_TIME_S: Final = 0.06
+"""A frame between samples has a picture if each camera has an image so near in time; images are 0.083 s apart."""
+_LEAST_EDGE_PX: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class PicturedFrame:
+    """What stands in the picture of one frame.
+
+    Attributes:
+        frame: Of the scene.
+        views: By camera name; a camera without an image at this sample is missing.
+    """
+
+    frame: int
+    views: Mapping[str, CameraView]
+
+
+def with_files(scene: str, videos: Videos) -> Videos:
+    """Images that are there.
+
+    Args:
+        scene: Name of the scene, for messages.
+        videos: Images by camera name.
+
+    Returns:
+        The same, or nothing where all files are missing: the scene is one without images.
+
+    Raises:
+        InputError: If some of the files are missing.
+    """
+    paths = [view.path for views in videos.values() for view in views]
+    missing = [path for path in paths if not path.is_file()]
+    if missing and len(missing) < len(paths):
+        raise InputError(
+            f"image {missing[0]} is missing, {len(missing)} of {len(paths)} images of scene {scene} are; complete the "
+            "data set, or make sheets with --pictures none"
+        )
+    return {} if missing else {name: views for name, views in videos.items() if views}
+
+
+def between_samples(keyframes: Videos, every: Videos) -> Videos:
+    """The images of all that are not those of a sample."""
+    own = {(name, view.path) for name, views in keyframes.items() for view in views}
+    return {name: tuple(view for view in views if (name, view.path) not in own) for name, views in every.items()}
+
+
+def pictured_frames(scene: Scene, keyframes: Videos, sweeps: Videos) -> tuple[PicturedFrame, ...]:
+    """Which frames get a picture, of which images.
+
+    Args:
+        scene: The scene.
+        keyframes: One image a sample by camera name.
+        sweeps: The images between samples; none where they are not wanted.
+
+    Returns:
+        Every sample of which there is an image, each image at the sample that is nearest in time, and every other frame
+        at which each camera has an image within `FARTHEST_IN_TIME_S`, less what it is late at samples.
+    """
+    times_us, samples_us = scene.timestamps_us, scene.timestamps_us[scene.keyframes]
+    found: dict[int, dict[str, CameraView]] = {}
+    late_us: dict[str, list[int]] = {name: [] for name in keyframes}
+    for name, views in keyframes.items():
+        for view in views:
+            sample = int(np.abs(samples_us - view.timestamp_us).argmin())
+            late_us[name].append(view.timestamp_us - int(samples_us[sample]))
+            found.setdefault(int(scene.keyframes[sample]), {})[name] = view
+    of_samples = set(found)
+    for name, views in sweeps.items():
+        if not views:
+            continue
+        # Cameras look one after the other, the first of them half a frame before the sample: a camera's images are
+        # counted from its own images of the samples, or some would be left out and others shown twice.
+        taken_us = np.array([view.timestamp_us for view in views], np.int64) - int(np.median(late_us[name]))
+        for frame, time_us in enumerate(times_us.tolist()):
+            away_us = np.abs(taken_us - time_us)
+            nearest = int(away_us.argmin())
+            if frame not in of_samples and away_us[nearest] <= 1e6 * FARTHEST_IN_TIME_S:
+                found.setdefault(frame, {})[name] = views[nearest]
+    whole = {frame for frame, views in found.items() if frame in of_samples or set(views) == set(keyframes)}
+    return tuple(PicturedFrame(frame, found[frame]) for frame in sorted(whole))
+
+
+def layout(cameras: Mapping[str, Camera], cell_width_px: int) -> tuple[SheetCamera, ...]:
+    """Where each camera stands: the rows of `CAMERA_GRID`, then rows of three of cameras that are not in it.
+
+    Args:
+        cameras: Calibration by camera name.
+        cell_width_px: Widest cell; narrower images are not enlarged.
+
+    Returns:
+        Cells without gaps between the cameras of a row.
+    """
+    usual = {name for row in CAMERA_GRID for name in row}
+    others = sorted(set(cameras) - usual)
+    rows = [*CAMERA_GRID, *(others[first : first + 3] for first in range(0, len(others), 3))]
+    cells: list[SheetCamera] = []
+    top = 0
+    for row in rows:
+        left = height = 0
+        for name in (name for name in row if name in cameras):
+            cell = _cell(cameras[name], left, top, cell_width_px)
+            cells.append(cell)
+            left, height = left + cell.width, max(height, cell.height)
+        top += height
+    return tuple(cells)
+
+
+def _cell(camera: Camera, left: int, top: int, cell_width_px: int) -> SheetCamera:
+    width = min(camera.width, cell_width_px)
+    height = max(round(camera.height * width / camera.width), 1)
+    return SheetCamera(name=camera.name, left=left, top=top, width=width, height=height)
+
+
+def mosaic(cells: Sequence[SheetCamera], views: Mapping[str, CameraView]) -> bytes:
+    """One picture of all cameras.
+
+    Args:
+        cells: Where each stands.
+        views: Images by camera name; the cell of a camera that has none stays black.
+
+    Returns:
+        A WebP file.
+
+    Raises:
+        InputError: If an image is broken, or the picture is larger than WebP allows.
+    """
+    width = max(cell.left + cell.width for cell in cells)
+    height = max(cell.top + cell.height for cell in cells)
+    canvas: NDArray[np.uint8] = np.zeros((height, width, 3), np.uint8)
+    for cell in cells:
+        if cell.name in views:
+            image = views[cell.name].load()
+            smaller = cv2.resize(image, (cell.width, cell.height), interpolation=cv2.INTER_AREA)
+            canvas[cell.top : cell.top + cell.height, cell.left : cell.left + cell.width] = smaller[..., ::-1]
+    try:
+        done, data = cv2.imencode(".webp", canvas, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
+    except cv2.error:
+        done = False
+    if not done:
+        raise InputError(f"a picture of {width} x {height} pixels is too large for WebP; choose a smaller --cell-width")
+    return data.tobytes()
+
+
+def adversary_edges(
+    scene: Scene, cells: Sequence[SheetCamera], views: Mapping[str, CameraView]
+) -> dict[str, tuple[Segment, ...]]:
+    """Edges of the adversaries' 3-D boxes in a picture, each camera by its own exposure and pose.
+
+    Args:
+        scene: The scene.
+        cells: Where each camera stands.
+        views: Images by camera name.
+
+    Returns:
+        For each camera that sees an adversary: segments in pixels of the picture, cut at the near plane and at the
+        cell's borders.
+    """
+    found = {}
+    adversaries = [scene.agents.ids.index(name) for name in scene.adversaries]
+    for cell in cells if adversaries else ():
+        if cell.name not in views:
+            continue
+        view = views[cell.name]
+        camera = view.camera.resized(cell.width, cell.height)
+        position, yaw, there = agents_at(scene, view.timestamp_us)
+        segments: list[Segment] = []
+        for agent in adversaries:
+            if there[agent]:
+                corners = corners_of_box(position[agent], float(yaw[agent]), scene.agents.size[agent])
+                segments += _edges(to_camera(corners, view.global_T_ego, camera), camera, cell)
+        if segments:
+            found[cell.name] = tuple(segments)
+    return found
+
+
+def _edges(corners: Floats, camera: Camera, cell: SheetCamera) -> list[Segment]:
+    """Edges of one box, (8, 3) corners in camera axes."""
+    segments = []
+    in_front = corners[:, 2] >= NEAR_PLANE_M
+    for one, other in BOX_EDGES:
+        if not (in_front[one] or in_front[other]):
+            continue
+        ends, ahead = corners[[one, other]], in_front[[one, other]]
+        if not ahead.all():
+            ends[~ahead] = at_near_plane(ends[0], ends[1], NEAR_PLANE_M)
+        projected = ends @ camera.intrinsic.T
+        # A matrix that is none gives points that are nowhere, and those are not drawn.
+        with np.errstate(all="ignore"):
+            inside = cut_at_borders(projected[:, :2] / projected[:, 2:], cell.width, cell.height)
+        if inside is not None:
+            (x1, y1), (x2, y2) = (np.round(inside + [cell.left, cell.top], 1) + 0.0).tolist()
+            segments.append((x1, y1, x2, y2))
+    return segments
+
+
+def cut_at_borders(segment: Floats, width: int, height: int) -> Floats | None:
+    """The part of a segment inside a rectangle (Liang and Barsky).
+
+    Args:
+        segment: (2, 2) its ends, pixels.
+        width: Of the rectangle, whose corner is the origin.
+        height: Of the rectangle.
+
+    Returns:
+        (2, 2), or ``None`` where nothing that could be seen is inside.
+    """
+    start, along = segment[0], segment[1] - segment[0]
+    first, last = 0.0, 1.0
+    for axis, limit in ((0, width), (1, height)):
+        if along[axis] == 0:
+            if not 0 <= start[axis] <= limit:
+                return None
+            continue
+        low, high = sorted((-start[axis] / along[axis], (limit - start[axis]) / along[axis]))
+        first, last = max(first, float(low)), min(last, float(high))
+    if first > last:
+        return None
+    inside = np.stack([start + first * along, start + last * along])
+    # A little beyond the border is a matter of rounding.
+    inside = np.clip(inside, 0.0, [width, height])
+    return inside if np.abs(inside[1] - inside[0]).max() >= _LEAST_EDGE_PX else None

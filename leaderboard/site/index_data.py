@@ -1,0 +1,183 @@
+"""The site's index: everything that is shown without loading a scene."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+from urllib.parse import quote
+
+from benchmark.confusion import EXACT
+from benchmark.quality.records import QualityRecord
+from benchmark.records import RunRecord
+from benchmark.sheets.records import Sheets
+from benchmark.storage import file_name
+from leaderboard.cells import Cell, number
+from leaderboard.site.model_index import model_index
+from leaderboard.site.scene_index import scene_index, scene_key
+from leaderboard.tables import Table
+
+TITLE: Final = "challenger-bench"
+_FORMATS: Final = (".csv", ".tex", ".json")
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedTable:
+    """A table and where it stands.
+
+    Attributes:
+        table: The table.
+        data_name: Name of its data set; empty for what is of none.
+        group: What it is shown together with, for example ``protocol vad``.
+        folder: Where its files lie below the leaderboard's folder.
+    """
+
+    table: Table
+    data_name: str
+    group: str
+    folder: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedFigure:
+    """A figure among the site's files.
+
+    Attributes:
+        data_name: Name of its data set.
+        title: What it shows.
+        path: Its file below the site's folder.
+    """
+
+    data_name: str
+    title: str
+    path: str
+
+
+def index_data(
+    records: Sequence[RunRecord],
+    tables: Sequence[PlacedTable],
+    quality: Sequence[QualityRecord],
+    sheets: Sheets,
+    figures: Sequence[PlacedFigure],
+    written: frozenset[str],
+) -> dict[str, Any]:
+    """The value of ``window.CHALLENGER``.
+
+    Args:
+        records: Run records that stand in tables.
+        tables: Tables in the order in which they are read.
+        quality: Records of video quality.
+        sheets: Scene sheets.
+        figures: Figures.
+        written: Paths of the site's other files.
+
+    Returns:
+        Something that JSON can hold; lists are in the order in which pages show them.
+    """
+    protocols = {name for record in records for name in record.summary.protocols}
+    ids, origins = _table_ids(tables), _Origins()
+    return {
+        "title": TITLE,
+        "tables": [_table(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
+        "figures": [
+            {"data": figure.data_name, "title": figure.title, "path": quote(figure.path)}
+            for figure in figures
+            if figure.path in written
+        ],
+        "models": model_index(records),
+        "scenes": scene_index(records, sheets, quality, written),
+        "attempts": _attempts(sheets),
+        "origins": origins.found,
+        "words": origins.words,
+        "protocols": sorted(protocols, key=lambda name: (name != EXACT, name)),
+    }
+
+
+def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:
+    """Names for addresses, unique whatever data sets and splits are called."""
+    found: list[str] = []
+    for placed in tables:
+        base = "-".join(file_name(part) for part in (placed.data_name, placed.table.name) if part)
+        same = [name for name in found if name == base or name.startswith(f"{base}~")]
+        found.append(f"{base}~{len(same) + 1}" if same else base)
+    return found
+
+
+def _table(placed: PlacedTable, name: str, origins: "_Origins", written: frozenset[str]) -> dict[str, Any]:
+    table = placed.table
+    stem = f"{placed.folder}/{file_name(table.name)}"
+    return {
+        "id": name,
+        "data": placed.data_name,
+        "group": placed.group,
+        "title": table.title,
+        "columns": table.columns,
+        "textColumns": table.text_columns,
+        "rows": table.rows,
+        "groups": table.groups,
+        "cells": None if table.cells is None else [[origins.cell(cell) for cell in row] for row in table.cells],
+        "notes": table.remarks,
+        "files": {suffix[1:]: quote(stem + suffix) for suffix in _FORMATS if stem + suffix in written},
+    }
+
+
+class _Origins:
+    """What many cells have in common, written once: cells name its place as ``record``.
+
+    Attributes:
+        found: For each origin the places of its unit, of what is counted, of its protocol, record and source among the
+            words; -1 where there is none.
+        words: Texts.
+    """
+
+    def __init__(self) -> None:
+        self._origins: dict[tuple[int, ...], int] = {}
+        self._words: dict[str, int] = {}
+
+    @property
+    def found(self) -> list[list[int]]:
+        """See the class."""
+        return [list(origin) for origin in self._origins]
+
+    @property
+    def words(self) -> list[str]:
+        """See the class."""
+        return list(self._words)
+
+    def cell(self, cell: Cell | None) -> dict[str, Any] | None:
+        """The facts behind a number, whose text is in the row; what there is none of is left out."""
+        if cell is None:
+            return None
+        said = (cell.unit, cell.of, cell.protocol, cell.record, cell.source)
+        origin = tuple(-1 if word is None else self._words.setdefault(word, len(self._words)) for word in said)
+        numbers = {"low": cell.low, "high": cell.high, "n": cell.n}
+        shown = {name: _significant(value) for name, value in numbers.items() if value is not None}
+        return {**shown, "record": self._origins.setdefault(origin, len(self._origins))}
+
+
+def _significant(value: float) -> float | int | str:
+    """Four digits: more than pages show."""
+    if isinstance(value, int):
+        return value
+    if not math.isfinite(value):
+        return number(value)
+    short = float(f"{value:.4g}")
+    return int(short) if short.is_integer() else short
+
+
+def _attempts(sheets: Sheets) -> list[dict[str, Any]]:
+    """Vehicles that the search tried; what is not there is left out, because there are many."""
+    found = []
+    for (data_name, split), sheet in sorted(sheets.splits.items()):
+        for attempt in sheet.attempts:
+            facts = {
+                "data": data_name,
+                "split": split,
+                "source": attempt.source,
+                "agent": attempt.agent,
+                "scene": attempt.scene,
+                "key": scene_key((data_name, split, attempt.scene)) if attempt.scene is not None else None,
+                "reason": attempt.discarded,
+                "manoeuvre": attempt.manoeuvre,
+            }
+            found.append({name: value for name, value in facts.items() if value is not None})
+    return found

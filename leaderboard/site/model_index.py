@@ -1,0 +1,105 @@
+"""What the site's index says of planners: what ran, and its rates under every protocol."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from benchmark.records import ProtocolSummary, RateRow, RunRecord
+from leaderboard.collision import in_table_order, recordings
+
+_SHOWN_COLUMNS: Final = ("collision", "l2")
+_DIGITS: Final = 6
+"""Decimals of rates: pages show two of a percentage."""
+
+
+def model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
+    """One entry for each planner.
+
+    Args:
+        records: At most one for each data set, split and planner.
+
+    Returns:
+        Entries in the order of the tables: privileged planners last.
+    """
+    runs_of: dict[str, list[RunRecord]] = {}
+    for record in in_table_order(records):
+        runs_of.setdefault(record.planner, []).append(record)
+    return [
+        {
+            "name": name,
+            "privileged": runs[0].run.planner.privileged,
+            "nativeProtocol": runs[0].run.planner.native_protocol,
+            "facts": {
+                "seed": runs[0].run.planner.seed,
+                "settings": _words(runs[0].run.planner.settings),
+                "weights": runs[0].run.planner.weights_sha256,
+            },
+            "runs": [_run(record) for record in runs],
+        }
+        for name, runs in runs_of.items()
+    ]
+
+
+def _run(record: RunRecord) -> dict[str, Any]:
+    """One run; code, commit and machine are of the run, because two runs of a planner may differ in them."""
+    run, summary = record.run, record.summary
+    environment = run.environment
+    source = _words(environment.get("source") or {})
+    return {
+        "record": record.content_id,
+        "data": run.data.name,
+        "split": run.split,
+        "fingerprint": run.data.fingerprint,
+        "code": run.planner.code_sha256,
+        "commit": source.get("commit"),
+        "dirty": source.get("dirty"),
+        "hardware": _words(environment.get("hardware") or {}),
+        "packages": _words(environment.get("packages") or {}),
+        "rescored": run.rescored is not None,
+        "samples": summary.samples,
+        "failed": summary.failed,
+        "coverage": summary.coverage,
+        "scenes": len(run.scenes),
+        "scenesInSplit": run.scenes_in_split,
+        "recordings": recordings(record),
+        "protocols": {
+            name: _protocol(of_protocol, stale=name in record.stale_protocols)
+            for name, of_protocol in summary.protocols.items()
+        },
+    }
+
+
+def _protocol(summary: ProtocolSummary, *, stale: bool) -> dict[str, Any]:
+    shown = {name: summary.columns[name] for name in _SHOWN_COLUMNS if name in summary.columns}
+    return {
+        "version": summary.version,
+        "stale": stale,
+        "counted": summary.counted,
+        "scenesFailed": summary.scenes_failed,
+        "scenesDecided": summary.scenes_decided,
+        **{name: {horizon: _rate(rate) for horizon, rate in by_horizon.items()} for name, by_horizon in shown.items()},
+    }
+
+
+def _rate(rate: RateRow) -> dict[str, float | int | None]:
+    return {
+        "value": _rounded(rate.value),
+        "low": _rounded(rate.low),
+        "high": _rounded(rate.high),
+        "n": rate.denominator,
+    }
+
+
+def _words(facts: Any) -> dict[str, str | None]:
+    """Facts of a stranger's record as text: they may hold anything that JSON can, NaN too."""
+    if not isinstance(facts, Mapping):
+        return {}
+    return {str(name): _said(value) for name, value in facts.items()}
+
+
+def _said(value: Any) -> str | None:
+    return value if value is None or isinstance(value, str) else json.dumps(value)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, _DIGITS)

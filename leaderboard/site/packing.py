@@ -1,0 +1,53 @@
+"""Numbers of a scene as short JSON: whole units, each as the step from the one before."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+CENTIMETRE: Final = 0.01
+DECIMETRE: Final = 0.1
+MILLIRADIAN: Final = 0.001
+
+Packed = list[int | None]
+"""First value, then steps, in whole units; null where there is no value; zeros at the end are left out."""
+
+
+def packed(values: Sequence[float | None], unit: float) -> Packed:
+    """A series as steps.
+
+    Args:
+        values: Numbers, ``None`` where there is none.
+        unit: What they are rounded to. Rounding comes first, so that errors do not add up.
+
+    Returns:
+        As many steps as values, less the zeros at the end.
+    """
+    steps: Packed = []
+    before = 0
+    for value in values:
+        if value is None:
+            steps.append(None)
+            continue
+        now = round(value / unit)
+        steps.append(now - before)
+        before = now
+    while steps and steps[-1] == 0:
+        steps.pop()
+    return steps
+
+
+def packed_path(points: ArrayLike, unit: float, start: tuple[float, float] = (0.0, 0.0)) -> list[int]:
+    """A path as steps, x and y in turn; zeros at the end stay, so that its length is known.
+
+    Args:
+        points: (N, 2) metres.
+        unit: What they are rounded to.
+        start: Where the first step begins.
+
+    Returns:
+        2 N whole numbers.
+    """
+    whole = np.rint(np.vstack([np.array([start]), np.asarray(points, np.float64).reshape(-1, 2)]) / unit)
+    return [int(step) for step in np.diff(whole, axis=0).ravel()]

@@ -1,0 +1,253 @@
+"""One script for each scene, from which the player draws, and the pictures that it shows.
+
+A script holds an object with these members; lengths are packed (`leaderboard.site.packing`) in centimetres and angles
+in milliradians, in the sheet's local frame, unless said otherwise:
+
+* ``key, data, split, scene, source, manoeuvre, description, labels, hasSheet, origin`` (metres, global);
+* ``frames``: seconds from the first frame, one a frame of the player (12 Hz with a sheet, one a sample without);
+* ``samples``: ``{frame, t, command}`` of each sample, ``command`` 0 right, 1 left, 2 straight, null if no planner ran;
+* ``body``: ``{length, width, ahead}`` of the ego as protocols see it, ``ahead`` of the lidar origin, metres;
+* ``ego``: ``{x, y, yaw}`` of the rear axle and ``{length, width, ahead}`` of the body, metres; null without a sheet;
+* ``agents``: ``{id, category, size, adversary, first, count, x, y, yaw}``, ``size`` in metres;
+* ``road``: ``{drivable, crossings, walkways, carparks}`` as polygons of rings, ``dividers`` as ``{paint, points}``;
+* ``recorded``: without a sheet, for each sample the recorded way of the lidar (x, y in turn, centimetres) in the ego's
+  frame at the sample, which then is the local frame of that sample;
+* ``cameras, pictures, media, edges``: cells, frames with a picture, their folder, and for each such frame and number
+  of a camera the edges of adversaries' boxes (four whole pixels each);
+* ``protocols``: names; ``models``: `leaderboard.site.scene_plans.planner_samples` of each planner, by name.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.confusion import EXACT
+from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.records import RunRecord, SampleRow
+from benchmark.sheets.records import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
+from benchmark.waypoints import points_in_ego
+from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
+from leaderboard.site.scene_index import SceneName, scene_key
+from leaderboard.site.scene_plans import planner_samples
+from leaderboard.site.scripts import data_script
+from leaderboard.site.thumbnails import thumbnail
+
+_MICROSECONDS: Final = 1e6
+_SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Ran:
+    """One planner in one scene: its record and its rows by sample token."""
+
+    record: RunRecord
+    rows: Mapping[str, SampleRow]
+
+
+def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes | Path]:
+    """Files of every scene that a record or a sheet names.
+
+    Args:
+        sheets: Scene sheets.
+        records: At most one for each data set, split and planner (`leaderboard.selection.one_run_each`).
+
+    Returns:
+        ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp`` and ``media/<key>/thumb.webp`` below the site's
+        folder; a path as value means a copy of that file.
+
+    Raises:
+        InputError: If a record has samples that the scene's sheet lacks, or lists of a sheet or a plan are of the wrong
+            lengths.
+    """
+    ran = _by_scene(records)
+    files: dict[str, bytes | Path] = {}
+    for sheet in sheets.scenes.values():
+        _require_whole(sheet)
+    for name in sorted({*ran, *sheets.scenes}):
+        key, stored = scene_key(name), sheets.scenes.get(name)
+        data = _scene(name, key, stored, ran.get(name, []))
+        files[f"data/scenes/{key}.js"] = data_script(f'({_SCENES})["{key}"]', data)
+        if stored is not None:
+            files |= {
+                f"media/{key}/{picture_name(frame)}": stored.picture_path(frame) for frame in stored.sheet.pictures
+            }
+            if stored.sheet.timestamps_us:
+                files[f"media/{key}/thumb.webp"] = thumbnail(stored.sheet)
+    return files
+
+
+def _require_whole(stored: StoredSheet) -> None:
+    """Lists that belong together must be of one length; a schema cannot say so."""
+    sheet, frames = stored.sheet, len(stored.sheet.timestamps_us)
+    whole = all(len(values) == frames for values in (sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad))
+    whole &= len(sheet.sample_tokens) == len(sheet.keyframes) and all(0 <= at < frames for at in sheet.keyframes)
+    for agent in sheet.agents:
+        whole &= len(agent.x_m) == len(agent.y_m) == len(agent.yaw_rad) <= frames - agent.first
+    if not whole:
+        raise InputError(
+            f"the sheet of {sheet.scene} in {stored.directory} has lists of different lengths; run challenger-bench "
+            "sheets again"
+        )
+
+
+def _by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[_Ran]]:
+    found: dict[SceneName, list[_Ran]] = defaultdict(list)
+    for record in sorted(records, key=lambda record: record.planner):
+        rows: dict[str, dict[str, SampleRow]] = {scene: {} for scene in record.run.scenes}
+        for row in record.rows:
+            rows.setdefault(row.scene, {})[row.sample_token] = row
+        for scene, by_token in rows.items():
+            found[record.run.data.name, record.run.split, scene].append(_Ran(record, by_token))
+    return found
+
+
+def _scene(name: SceneName, key: str, stored: StoredSheet | None, ran: Sequence[_Ran]) -> dict[str, Any]:
+    data_name, split, scene = name
+    protocols = sorted(
+        {each for one in ran for each in one.record.run.protocols}, key=lambda each: (each != EXACT, each)
+    )
+    facts = {
+        "key": key,
+        "data": data_name,
+        "split": split,
+        "scene": scene,
+        "hasSheet": stored is not None,
+        "protocols": protocols,
+        "body": {"length": EGO_LENGTH_M, "width": EGO_WIDTH_M, "ahead": EGO_BOX_FROM_LIDAR_M},
+    }
+    drawn = _without_sheet(name, ran) if stored is None else _of_sheet(stored.sheet, key)
+    tokens, poses = _samples_without_sheet(ran) if stored is None else _samples_of_sheet(stored, ran)
+    agents = {agent.id: number for number, agent in enumerate(stored.sheet.agents)} if stored is not None else {}
+    seconds, frames = drawn["frames"], range(len(tokens)) if stored is None else stored.sheet.keyframes
+    commands = {token: row.command for one in ran for token, row in one.rows.items()}
+    samples = [
+        {"frame": frame, "t": seconds[frame], "command": commands.get(token)}
+        for token, frame in zip(tokens, frames, strict=True)
+    ]
+    models = [planner_samples(one.record, one.rows, tokens, poses, protocols, agents) for one in ran]
+    return {**facts, **drawn, "samples": samples, "models": models}
+
+
+def _of_sheet(sheet: Sheet, key: str) -> dict[str, Any]:
+    return {
+        "source": sheet.source,
+        "manoeuvre": sheet.manoeuvre,
+        "description": sheet.description,
+        "labels": list(sheet.labels),
+        "origin": list(sheet.origin_m),
+        "frames": _seconds(sheet.timestamps_us),
+        "ego": {
+            "x": packed(sheet.ego.x_m, CENTIMETRE),
+            "y": packed(sheet.ego.y_m, CENTIMETRE),
+            "yaw": packed(sheet.ego.yaw_rad, MILLIRADIAN),
+            "length": sheet.ego.length_m,
+            "width": sheet.ego.width_m,
+            "ahead": sheet.ego.centre_ahead_m,
+        },
+        "agents": [_agent(agent) for agent in sheet.agents],
+        "road": _road(sheet.road),
+        "cameras": [camera.model_dump() for camera in sheet.cameras],
+        "pictures": list(sheet.pictures),
+        "media": f"media/{key}/cameras/",
+        "edges": _edges(sheet),
+    }
+
+
+def _without_sheet(name: SceneName, ran: Sequence[_Ran]) -> dict[str, Any]:
+    """Each sample by itself in the ego's frame; its poses in the world are in no record."""
+    rows = _rows_in_order(ran)
+    facts = next((one.record.run.scene_facts[name[2]] for one in ran if name[2] in one.record.run.scene_facts), None)
+    return {
+        "source": facts.source if facts else name[2],
+        "manoeuvre": facts.manoeuvre if facts else None,
+        "description": "",
+        "labels": [],
+        "origin": None,
+        "frames": _seconds([row.timestamp_us for row in rows]),
+        "ego": None,
+        "agents": [],
+        "road": _road(SheetMap()),
+        "recorded": [_recorded_way(row) for row in rows],
+        "cameras": [],
+        "pictures": [],
+        "media": None,
+        "edges": {},
+    }
+
+
+def _samples_of_sheet(stored: StoredSheet, ran: Sequence[_Ran]) -> tuple[Sequence[str], Floats]:
+    sheet = stored.sheet
+    for one in ran:
+        unknown = next((token for token in one.rows if token not in sheet.sample_tokens), None)
+        if unknown is not None:
+            raise InputError(
+                f"{one.record.directory} has sample {unknown} of {sheet.scene}, which the scene's sheet in "
+                f"{stored.directory} lacks; run challenger-bench sheets again"
+            )
+    ego = np.column_stack([sheet.ego.x_m, sheet.ego.y_m, sheet.ego.yaw_rad])
+    return sheet.sample_tokens, ego[list(sheet.keyframes)]
+
+
+def _samples_without_sheet(ran: Sequence[_Ran]) -> tuple[Sequence[str], Floats]:
+    tokens = [row.sample_token for row in _rows_in_order(ran)]
+    return tokens, np.zeros((len(tokens), 3))
+
+
+def _rows_in_order(ran: Sequence[_Ran]) -> list[SampleRow]:
+    """One row for each sample of any planner, by time."""
+    by_token = {token: row for one in ran for token, row in one.rows.items()}
+    return sorted(by_token.values(), key=lambda row: (row.timestamp_us, row.index))
+
+
+def _recorded_way(row: SampleRow) -> list[int]:
+    known = [pose[:2] for pose in row.recorded_future if pose is not None]
+    return packed_path(points_in_ego(np.array(known).reshape(-1, 2), row.lidar_ahead_m), CENTIMETRE)
+
+
+def _seconds(timestamps_us: Sequence[int]) -> list[float]:
+    return [round((time - timestamps_us[0]) / _MICROSECONDS, 3) for time in timestamps_us]
+
+
+def _agent(agent: SheetAgent) -> dict[str, Any]:
+    return {
+        "id": agent.id,
+        "category": agent.category,
+        "size": [round(metres, 2) for metres in agent.size_m],
+        "adversary": agent.adversary,
+        "first": agent.first,
+        "count": len(agent.x_m),
+        "x": packed(agent.x_m, CENTIMETRE),
+        "y": packed(agent.y_m, CENTIMETRE),
+        "yaw": packed(agent.yaw_rad, MILLIRADIAN),
+    }
+
+
+def _road(road: SheetMap) -> dict[str, Any]:
+    def rings(polygons: Sequence[Polygon]) -> list[list[list[int]]]:
+        return [[packed_path(ring, CENTIMETRE) for ring in polygon] for polygon in polygons]
+
+    return {
+        "drivable": rings(road.drivable),
+        "crossings": rings(road.crossings),
+        "walkways": rings(road.walkways),
+        "carparks": rings(road.carparks),
+        "dividers": [{"paint": line.paint, "points": packed_path(line.points, CENTIMETRE)} for line in road.dividers],
+    }
+
+
+def _edges(sheet: Sheet) -> dict[str, dict[str, list[int]]]:
+    number = {camera.name: str(index) for index, camera in enumerate(sheet.cameras)}
+    return {
+        frame: {
+            number[camera]: [round(pixel) for segment in segments for pixel in segment]
+            for camera, segments in by_camera.items()
+            if camera in number
+        }
+        for frame, by_camera in sheet.adversary_edges.items()
+    }

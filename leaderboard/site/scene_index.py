@@ -1,0 +1,213 @@
+"""What the site's index says of scenes: enough to browse and filter them without loading any."""
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+from urllib.parse import quote
+
+from benchmark.confusion import EXACT
+from benchmark.errors import InputError
+from benchmark.quality.records import QualityRecord
+from benchmark.records import RunRecord, SampleRow, scene_failures
+from benchmark.scores import registered_version, source_of_scenes
+from benchmark.sheets.records import Sheet, Sheets
+from benchmark.storage import content_key, file_name
+from leaderboard.collision import SPLIT_ORDER
+
+SceneName = tuple[str, str, str]
+"""Data set, split and scene."""
+_MICROSECONDS: Final = 1e6
+_QUALITY_DIGITS: Final = 4
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What run records say of one scene, by planner where it is of one."""
+
+    source: str
+    manoeuvre: str | None = None
+    seconds: float = 0.0
+    verdicts: dict[str, dict[str, bool | None]] = field(default_factory=dict)
+    causes: dict[str, dict[str, int]] = field(default_factory=dict)
+    colliding: dict[str, int] = field(default_factory=dict)
+    failed: dict[str, int] = field(default_factory=dict)
+
+
+def scene_key(name: SceneName) -> str:
+    """Key of a scene in addresses and file names, 16 hexadecimal digits."""
+    return content_key(*name)[:16]
+
+
+def scene_index(
+    records: Sequence[RunRecord], sheets: Sheets, quality: Sequence[QualityRecord], written: frozenset[str]
+) -> list[dict[str, Any]]:
+    """One entry for each scene that a record or a sheet names.
+
+    Args:
+        records: At most one for each data set, split and planner.
+        sheets: Scene sheets.
+        quality: Records of video quality.
+        written: Paths of the site's files; tells which scenes have a thumbnail.
+
+    Returns:
+        Entries by data set, split (the paper's three first) and name.
+
+    Raises:
+        InputError: If a sheet was made from other content than a record of its split.
+    """
+    seen: dict[SceneName, _Seen] = {}
+    for record in records:
+        _add_record(seen, record)
+    _require_same_content(records, sheets)
+    qualities = _qualities(quality)
+    names = sorted({*seen, *sheets.scenes}, key=_place)
+    return [_entry(name, seen.get(name), sheets, qualities.get(name, []), written) for name in names]
+
+
+def _place(name: SceneName) -> tuple[str, int, str, str]:
+    data_name, split, scene = name
+    return data_name, SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split, scene
+
+
+def _entry(
+    name: SceneName,
+    seen: _Seen | None,
+    sheets: Sheets,
+    quality: list[dict[str, Any]],
+    written: frozenset[str],
+) -> dict[str, Any]:
+    data_name, split, scene = name
+    stored = sheets.scenes.get(name)
+    sheet = stored.sheet if stored else None
+    known = seen or _Seen(scene)
+    key = scene_key(name)
+    thumbnail = f"media/{key}/thumb.webp"
+    rounds = f"figures/{file_name(data_name)}/{file_name(f'refinement-{split}-{scene}')}.svg"
+    return {
+        "key": key,
+        "data": data_name,
+        "split": split,
+        "scene": scene,
+        "source": sheet.source if sheet else known.source,
+        "manoeuvre": sheet.manoeuvre if sheet else known.manoeuvre,
+        "description": sheet.description if sheet else "",
+        "labels": [label_words(label) for label in sheet.labels] if sheet else [],
+        "hasSheet": sheet is not None,
+        "thumb": thumbnail if thumbnail in written else None,
+        "rounds": quote(rounds) if rounds in written else None,
+        "seconds": round(_duration_s(sheet) if sheet else known.seconds, 2),
+        "verdicts": known.verdicts,
+        "causes": known.causes,
+        "colliding": known.colliding,
+        "failed": known.failed,
+        "quality": quality,
+    }
+
+
+def _duration_s(sheet: Sheet) -> float:
+    return (sheet.timestamps_us[-1] - sheet.timestamps_us[0]) / _MICROSECONDS if sheet.timestamps_us else 0.0
+
+
+def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
+    """Add what one record says of its scenes."""
+    data_name, split, planner = record.run.data.name, record.run.split, record.planner
+    rows_of: dict[str, list[SampleRow]] = defaultdict(list)
+    for row in record.rows:
+        rows_of[row.scene].append(row)
+    sources = source_of_scenes(record)
+    for scene in (*record.run.scenes, *rows_of):
+        facts = record.run.scene_facts.get(scene)
+        found = seen.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
+        if facts is not None:
+            found.source, found.manoeuvre = facts.source, facts.manoeuvre
+    for protocol in sorted(record.summary.protocols):
+        # A newer version's protocol cannot be asked what a failed scene is; the tables below it say so.
+        if registered_version(protocol) is None:
+            continue
+        for scene, failed in scene_failures(record.rows, protocol).items():
+            seen[data_name, split, scene].verdicts.setdefault(planner, {})[protocol] = failed
+    for scene, rows in rows_of.items():
+        _add_samples(seen[data_name, split, scene], planner, rows)
+
+
+def _add_samples(found: _Seen, planner: str, rows: Sequence[SampleRow]) -> None:
+    times = [row.timestamp_us for row in rows]
+    found.seconds = max(found.seconds, (max(times) - min(times)) / _MICROSECONDS)
+    causes: Counter[str] = Counter(row.diagnosis.cause for row in rows if row.diagnosis is not None)
+    colliding = sum(_collides(row) for row in rows)
+    failed = sum(row.status == "failed" for row in rows)
+    if causes:
+        found.causes[planner] = dict(causes)
+    if colliding:
+        found.colliding[planner] = colliding
+    if failed:
+        found.failed[planner] = failed
+
+
+def _collides(row: SampleRow) -> bool:
+    outcome = row.outcomes.get(EXACT)
+    return row.status == "ok" and outcome is not None and outcome.counted and any(outcome.collision)
+
+
+def label_words(label: Mapping[str, Any]) -> str:
+    """What a data set's labels say of one adversary, in words; what a stranger's labels lack is left out.
+
+    Args:
+        label: The labels (docs/manoeuvres.md).
+
+    Returns:
+        For example ``cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking``.
+    """
+    manoeuvre, place = label.get("manoeuvre"), label.get("place")
+    words = [manoeuvre if isinstance(manoeuvre, str) else "", f"on: {place}" if isinstance(place, str) else ""]
+    closest = label.get("closest_approach")
+    if isinstance(closest, Mapping):
+        words.append(_approach(closest))
+    occurred = label.get("occurred")
+    if isinstance(occurred, list | tuple):
+        kinds = [str(each["kind"]) for each in occurred if isinstance(each, Mapping) and "kind" in each]
+        others = [kind for kind in dict.fromkeys(kinds) if kind != manoeuvre]
+        words.append(f"also {', '.join(others)}" if others else "")
+    return "; ".join(word for word in words if word)
+
+
+def _approach(closest: Mapping[str, Any]) -> str:
+    gap, side, time = closest.get("gap_m"), closest.get("side"), closest.get("time_s")
+    words = [
+        f"closest {gap:.2f} m" if isinstance(gap, float | int) else "",
+        str(side) if isinstance(side, str) else "",
+        f"at {time:.1f} s" if isinstance(time, float | int) else "",
+    ]
+    return ", ".join(word for word in words if word)
+
+
+def _qualities(records: Sequence[QualityRecord]) -> dict[SceneName, list[dict[str, Any]]]:
+    found: dict[SceneName, list[dict[str, Any]]] = defaultdict(list)
+    for record in sorted(records, key=lambda record: (record.masks, record.directory.as_posix())):
+        for scene, summary in record.facts.summary.scenes.items():
+            found[record.facts.data.name, record.facts.split, scene].append(
+                {
+                    "masks": record.masks,
+                    "consistency": _rounded(summary.consistency),
+                    "imaging": _rounded(summary.imaging),
+                }
+            )
+    return found
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, _QUALITY_DIGITS)
+
+
+def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
+    """Plans drawn over other content than they were made on would be a picture of nothing."""
+    content = {(record.run.data.name, record.run.split): record for record in records}
+    for (data_name, split, scene), stored in sheets.scenes.items():
+        record = content.get((data_name, split))
+        if record is not None and record.run.data.fingerprint != stored.sheet.data.fingerprint:
+            raise InputError(
+                f"the sheet of {scene} ({stored.directory}) shows other content of split {split} of {data_name} than "
+                "the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval again "
+                "if the data is newer"
+            )

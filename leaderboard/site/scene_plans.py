@@ -1,0 +1,154 @@
+"""What each planner did in one scene, in the scene's local frame: plans, forecasts, verdicts."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.confusion import EXACT
+from benchmark.constants import PLAN_STEP_S
+from benchmark.geometry import Floats, to_global
+from benchmark.records import OutcomeRow, PlanRow, RunRecord, SampleRow
+from leaderboard.drawing_scenes.placing import INSTANTS_PER_STEP, PlacedForecasts, placed_plan
+from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
+
+MODES_SHOWN: Final = 12
+"""Alternatives of a plan, most likely first; some models have thousands."""
+FORECASTS_SHOWN: Final = 16
+"""Forecasts of one sample, nearest to the ego first."""
+STANDING_M: Final = 0.5
+"""A forecast that stays nearer to its start than this is drawn as its box alone."""
+ERROR_CHARACTERS: Final = 240
+COUNTED: Final = 64
+"""Bit of a verdict above those of the six steps."""
+_CENTIRADIAN: Final = 0.01
+
+
+def planner_samples(
+    record: RunRecord,
+    rows: Mapping[str, SampleRow],
+    tokens: Sequence[str],
+    poses: Floats,
+    protocols: Sequence[str],
+    agents: Mapping[str, int],
+) -> dict[str, Any]:
+    """One planner's part of a scene's script.
+
+    Args:
+        record: Its run record.
+        rows: Its rows of the scene by sample token.
+        tokens: The scene's samples in order.
+        poses: (S, 3) rear axle at these samples, local.
+        protocols: Names in the order of the verdicts.
+        agents: Number of each agent by instance identifier.
+
+    Returns:
+        ``name``, ``privileged``, ``native`` and ``samples``: null where the record has no row, else `sample_entry`.
+
+    Raises:
+        InputError: If a plan has lists of the wrong lengths.
+    """
+    found = [
+        None if token not in rows else sample_entry(rows[token], pose, protocols, agents)
+        for token, pose in zip(tokens, poses, strict=True)
+    ]
+    return {
+        "name": record.planner,
+        "privileged": record.run.planner.privileged,
+        "native": record.native_protocol,
+        "samples": found,
+    }
+
+
+def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents: Mapping[str, int]) -> dict[str, Any]:
+    """What a planner did at one sample.
+
+    Args:
+        row: Its row.
+        axle: (3,) pose of the rear axle at the sample, local.
+        protocols: Names in the order of the verdicts.
+        agents: Number of each agent by instance identifier.
+
+    Returns:
+        ``failed``, the last line of the error, alone where the planner raised. Else ``path`` and ``yaw`` (lidar origin
+        at the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
+        ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres
+        if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
+        judge), ``contact`` (seconds to each protocol's first contact, or null), ``cause``, ``reason``, ``hit`` and
+        ``l2`` (metres at the six steps; null past the recording). What there is none of is left out.
+
+    Raises:
+        InputError: If the plan has lists of the wrong lengths.
+    """
+    placed = placed_plan(_most_likely_first(row), axle)
+    if placed is None:
+        return {"failed": _last_line(row.error)}
+    start = to_global(np.array([row.lidar_ahead_m, 0.0]), axle)
+    begin = (float(start[0]), float(start[1]))
+    judged = [row.outcomes.get(name) for name in protocols]
+    entry: dict[str, Any] = {
+        "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
+        "yaw": packed(placed.footprints[INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP, 4].tolist(), MILLIRADIAN),
+        "modes": [packed_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
+        "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
+        "verdicts": [None if outcome is None else _bits(outcome) for outcome in judged],
+        "contact": [_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
+        "l2": _displacements(judged),
+    }
+    if row.diagnosis is not None:
+        entry |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason, "hit": agents.get(row.diagnosis.hit)}
+    return {name: value for name, value in entry.items() if value is not None and value != []}
+
+
+def _most_likely_first(row: SampleRow) -> SampleRow:
+    """The row with the modes that can be shown; in their order where they have no scores."""
+    plan: PlanRow | None = row.plan
+    if plan is None or not plan.modes:
+        return row
+    scores = plan.mode_scores or []
+    if len(scores) != len(plan.modes):
+        return row
+    order = sorted(range(len(scores)), key=lambda index: -scores[index])
+    # One more than is shown, because one of them is the plan itself.
+    modes = [plan.modes[index] for index in order[: MODES_SHOWN + 1]]
+    return row.model_copy(update={"plan": plan.model_copy(update={"modes": modes})})
+
+
+def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
+    distance = np.hypot(forecasts.boxes[:, 0] - axle[0], forecasts.boxes[:, 1] - axle[1])
+    shown = []
+    for index in np.argsort(distance, kind="stable")[:FORECASTS_SHOWN].tolist():
+        x, y, length, width, yaw = forecasts.boxes[index].tolist()
+        path = forecasts.paths[index]
+        turned = (yaw + np.pi) % (2 * np.pi) - np.pi
+        forecast: list[Any] = [*(round(value / DECIMETRE) for value in (x, y, length, width))]
+        forecast.append(round(turned / _CENTIRADIAN))
+        if np.hypot(path[:, 0] - x, path[:, 1] - y).max() >= STANDING_M:
+            forecast.append(packed_path(path, DECIMETRE, (x, y)))
+        shown.append(forecast)
+    return shown
+
+
+def _bits(outcome: OutcomeRow) -> int:
+    steps = sum(1 << step for step, collides in enumerate(outcome.collision) if collides)
+    return steps + (COUNTED if outcome.counted else 0)
+
+
+def _first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) -> float | None:
+    """Seconds from the sample; protocols other than ``exact`` look at waypoints only."""
+    if outcome is None or not any(outcome.collision):
+        return None
+    if protocol == EXACT and row.diagnosis is not None:
+        return round(row.diagnosis.first_contact_s, 2)
+    return PLAN_STEP_S * (outcome.collision.index(True) + 1)
+
+
+def _displacements(judged: Sequence[OutcomeRow | None]) -> list[float | None] | None:
+    """L2 at the steps: the same for all protocols, which differ in how they average it."""
+    first = next((outcome for outcome in judged if outcome is not None), None)
+    return None if first is None else [None if metres is None else round(metres, 2) for metres in first.l2]
+
+
+def _last_line(error: str | None) -> str:
+    lines = (error or "").strip().splitlines()
+    return lines[-1][:ERROR_CHARACTERS] if lines else "no reason was recorded"

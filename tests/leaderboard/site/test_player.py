@@ -1,0 +1,199 @@
+"""The scene player and the comparison of two planners in a real browser."""
+
+import re
+import shutil
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+from tests.leaderboard.site.browser import Browser
+from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.reading import (
+    birdseye,
+    colliding_frames,
+    key_of,
+    model_query,
+    most_collisions,
+    open_player,
+    query_of,
+    scene_route,
+)
+
+
+def scrub_to(browser: Browser, frame: int) -> None:
+    browser.choose("player-scrub", str(frame))
+    browser.until("document.querySelector('[data-testid=player-scrub]').value === String(arguments[0])", frame)
+    browser.frames()
+
+
+def shown_seconds(browser: Browser) -> float:
+    found = re.search(r"\d+(?:\.\d+)?", browser.one("player-time").text)
+    assert found
+    return float(found.group())
+
+
+def chosen(browser: Browser) -> set[str]:
+    return {str(box.get_property("value")) for box in browser.all("player-model") if box.is_selected()}
+
+
+def focus_on_the_page(browser: Browser) -> None:
+    browser.js("document.activeElement.blur();")
+
+
+def test_scrubbing_changes_time_view_and_pictures(browser: Browser, site: Site) -> None:
+    planner, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene, "?" + model_query(planner)))
+    sheet = next(stored.sheet for (_, _, name), stored in site.sheets.scenes.items() if name == scene)
+    scrub = browser.one("player-scrub")
+    assert (scrub.get_attribute("min"), scrub.get_attribute("step")) == ("0", "1")
+    assert int(str(scrub.get_attribute("max"))) == len(sheet.timestamps_us) - 1
+    cameras = browser.one("player-cameras")
+    views, pictures, times = [], [], []
+    for frame in (0, 30, 66):
+        scrub_to(browser, frame)
+        browser.frames(6)
+        views.append(birdseye(browser))
+        pictures.append(cameras.screenshot_as_png)
+        times.append(shown_seconds(browser))
+    assert times == pytest.approx([0.0, 2.5, 5.5], abs=0.06)
+    assert len(set(views)) == len(set(pictures)) == 3
+
+
+def test_the_time_goes_into_the_address_and_comes_back(browser: Browser, site: Site) -> None:
+    _, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene))
+    scrub_to(browser, 42)
+    browser.until("new URLSearchParams(location.hash.split('?')[1]).get('t') !== null")
+    browser.until("Math.abs(new URLSearchParams(location.hash.split('?')[1]).get('t') - 3.5) < 0.05")
+    open_player(browser, browser.route)
+    assert browser.value("player-scrub") == "42"
+
+
+def test_keys_steer(browser: Browser, site: Site) -> None:
+    _, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene, "?t=2"))
+    focus_on_the_page(browser)
+    last = int(str(browser.one("player-scrub").get_attribute("max")))
+    for keys, frame in (
+        ((Keys.ARROW_RIGHT,), 25),
+        ((Keys.ARROW_LEFT, Keys.ARROW_LEFT), 23),
+        ((Keys.END,), last),
+        ((Keys.ARROW_RIGHT,), last),
+        ((Keys.HOME,), 0),
+        ((Keys.ARROW_LEFT,), 0),
+    ):
+        browser.press(*keys)
+        browser.until("document.querySelector('[data-testid=player-scrub]').value === String(arguments[0])", frame)
+    browser.press(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, holding=Keys.SHIFT)
+    browser.until("document.querySelector('[data-testid=player-scrub]').value === '12'")
+
+
+def test_space_plays_and_stops(browser: Browser, site: Site) -> None:
+    _, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene))
+    focus_on_the_page(browser)
+    before = birdseye(browser)
+    browser.press(" ")
+    browser.until("Number(document.querySelector('[data-testid=player-scrub]').value) >= 3")
+    assert birdseye(browser) != before
+    browser.press(" ")
+    browser.frames(3)
+    stopped = browser.value("player-scrub")
+    browser.frames(20)
+    assert browser.value("player-scrub") == stopped
+    browser.one("player-play").click()
+    browser.until("document.querySelector('[data-testid=player-scrub]').value !== arguments[0]", stopped)
+
+
+@pytest.mark.parametrize("protocol", ["exact", "uniad"])
+def test_collisions_are_marked_where_the_record_says(browser: Browser, site: Site, protocol: str) -> None:
+    planner, scene = most_collisions(site)
+    planners = [planner, next(name for name in site.made.planners if name != planner)]
+    open_player(browser, scene_route(site, scene, f"?{model_query(*planners)}&protocol={protocol}"))
+    expected = sorted(frame for name in planners for frame in colliding_frames(site, name, scene, protocol))
+    marks = browser.all("player-collision")
+    assert sorted(int(str(mark.get_attribute("data-frame"))) for mark in marks) == expected
+    assert expected
+    browser.click(marks[-1])
+    browser.until(
+        "document.querySelector('[data-testid=player-scrub]').value === arguments[0]",
+        marks[-1].get_attribute("data-frame"),
+    )
+    assert "collides" in browser.one("player").text.lower()
+
+
+def test_planners_are_chosen_and_remembered(browser: Browser, site: Site) -> None:
+    planner, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene, f"?{model_query(planner)}&t=1"))
+    assert {str(box.get_property("value")) for box in browser.all("player-model")} == set(site.made.planners)
+    assert chosen(browser) == {planner}
+    alone = birdseye(browser)
+    for box in browser.all("player-model"):
+        if not box.is_selected():
+            browser.click(box)
+    assert chosen(browser) == set(site.made.planners)
+    assert birdseye(browser) != alone
+    browser.until("location.hash.split('model=').length - 1 === arguments[0]", len(site.made.planners))
+    assert set(query_of(browser)["model"]) == set(site.made.planners)
+    open_player(browser, browser.route)
+    assert chosen(browser) == set(site.made.planners)
+
+
+def test_a_deep_link_restores_everything(browser: Browser, site: Site) -> None:
+    planner, scene = most_collisions(site)
+    route = scene_route(site, scene, f"?t=2.5&{model_query(planner)}&protocol=vad&camera=CAM_BACK")
+    open_player(browser, route)
+    assert browser.value("player-scrub") == "30"
+    assert chosen(browser) == {planner}
+    assert browser.value("player-protocol") == "vad"
+    assert browser.value("player-camera") == "CAM_BACK"
+    first = browser.one("player-cameras").screenshot_as_png
+    browser.choose("player-camera", "CAM_FRONT")
+    browser.frames(6)
+    assert browser.one("player-cameras").screenshot_as_png != first
+    assert query_of(browser)["camera"] == ["CAM_FRONT"]
+
+
+def test_two_planners_side_by_side(browser: Browser, site: Site) -> None:
+    planner, scene = most_collisions(site)
+    other, third = [name for name in site.made.planners if name != planner][:2]
+    query = f"?a={quote(planner, safe='')}&b={quote(other, safe='')}&t=2"
+    open_player(browser, f"#/compare/{key_of(scene, 'adv')}{query}")
+    assert (browser.value("compare-a"), browser.value("compare-b")) == (planner, other)
+    assert len(browser.all("player-birdseye")) == 2
+    assert birdseye(browser, 0) != birdseye(browser, 1)
+    left, right = birdseye(browser, 0), birdseye(browser, 1)
+    scrub_to(browser, 40)
+    assert birdseye(browser, 0) != left
+    assert birdseye(browser, 1) != right
+    left, right = birdseye(browser, 0), birdseye(browser, 1)
+    browser.choose("compare-b", third)
+    assert (birdseye(browser, 0) == left, birdseye(browser, 1) == right) == (True, False)
+    browser.until("new URLSearchParams(location.hash.split('?')[1]).get('b') === arguments[0]", third)
+    open_player(browser, browser.route)
+    assert (browser.value("compare-a"), browser.value("compare-b")) == (planner, third)
+    text = browser.one("player").text
+    assert planner in text
+    assert third in text
+
+
+def test_a_scene_without_a_sheet_has_its_plans(browser: Browser, site: Site) -> None:
+    planner = site.made.planners[1]
+    open_player(browser, scene_route(site, site.made.without_sheet, "?" + model_query(planner)))
+    assert "challenger-bench sheets" in browser.driver.find_element(By.TAG_NAME, "main").text
+    shown = birdseye(browser)
+    browser.click(next(box for box in browser.all("player-model") if box.get_property("value") == planner))
+    assert birdseye(browser) != shown
+
+
+def test_a_missing_script_is_said(browser: Browser, site: Site, tmp_path: Path) -> None:
+    broken = shutil.copytree(site.index.parent, tmp_path / "site")
+    _, scene = most_collisions(site)
+    (broken / "data" / "scenes" / f"{key_of(scene, 'adv')}.js").unlink()
+    browser.open(scene_route(site, scene), start=(broken / "index.html").as_uri())
+    assert browser.one("error").text.endswith(".")
+    assert any("ERR_FILE_NOT_FOUND" in message for message in browser.note_logs())
+    browser.forget_logs()

@@ -1,0 +1,119 @@
+"""The scene browser and the list of attempts in a real browser."""
+
+from collections import Counter
+from urllib.parse import quote
+
+from selenium.webdriver.common.by import By
+
+from tests.leaderboard.site.big_workspace import EMOJI, HOSTILE_REASON, IMAGE_TAG, RIGHT_TO_LEFT, SCRIPT_TAG
+from tests.leaderboard.site.browser import Browser
+from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.reading import failing, key_of, query_of, record_of, shown_scenes
+
+
+def keys(site: Site, scenes: set[str] | list[str] | tuple[str, ...]) -> set[str]:
+    return {key_of(scene, "adv" if scene in site.made.adversarial else "val") for scene in scenes}
+
+
+def test_all_scenes_are_there_with_their_pictures(browser: Browser, site: Site) -> None:
+    browser.open("#/scenes")
+    shown = shown_scenes(browser)
+    assert len(shown) == len(set(shown)) == len(site.made.scenes)
+    assert set(shown) == keys(site, site.made.scenes)
+    for card in browser.all("scene-card"):
+        browser.js("arguments[0].scrollIntoView();", card)
+        pictures = card.find_elements(By.TAG_NAME, "img")
+        without = card.get_attribute("data-key") == key_of(site.made.without_sheet, "val")
+        assert len(pictures) == (0 if without else 1)
+        if pictures:
+            browser.until("arguments[0].complete && arguments[0].naturalWidth > 0", pictures[0])
+
+
+def test_split_and_manoeuvre_filters(browser: Browser, site: Site) -> None:
+    browser.open("#/scenes")
+    browser.choose("filter-split", "val")
+    assert set(shown_scenes(browser)) == keys(site, site.made.recorded)
+    browser.choose("filter-split", "adv")
+    assert set(shown_scenes(browser)) == keys(site, site.made.adversarial)
+    facts = record_of(site, site.made.planners[0], "adv").run.scene_facts
+    for manoeuvre in sorted({str(each.manoeuvre) for each in facts.values()}):
+        browser.choose("filter-manoeuvre", manoeuvre)
+        expected = [scene for scene, each in facts.items() if each.manoeuvre == manoeuvre]
+        assert set(shown_scenes(browser)) == keys(site, expected)
+        assert query_of(browser)["manoeuvre"] == [manoeuvre]
+
+
+def test_filter_by_who_fails(browser: Browser, site: Site) -> None:
+    browser.open("#/scenes?split=adv")
+    seen = []
+    for planner in site.made.planners:
+        browser.choose("filter-fails", planner)
+        shown = set(shown_scenes(browser))
+        assert shown == keys(site, failing(site, planner))
+        seen.append(len(shown))
+    assert len(set(seen)) > 1, "all planners fail the same number of scenes, so this shows nothing"
+
+
+def test_text_filter_finds_names_of_any_script(browser: Browser, site: Site) -> None:
+    browser.open("#/scenes")
+    for text, scene in (("🚗", EMOJI), ("سيارة", RIGHT_TO_LEFT), ("<SCRIPT>", SCRIPT_TAG)):
+        browser.choose("filter-text", text)
+        assert set(shown_scenes(browser)) == keys(site, [scene])
+    browser.choose("filter-text", "no scene is called like this")
+    assert shown_scenes(browser) == []
+    browser.choose("filter-text", "")
+    assert len(shown_scenes(browser)) == len(site.made.scenes)
+
+
+def test_a_deep_link_restores_the_filters(browser: Browser, site: Site) -> None:
+    planner = IMAGE_TAG
+    scenes = failing(site, planner)
+    assert scenes
+    facts = record_of(site, planner, "adv").run.scene_facts
+    manoeuvre = str(facts[min(scenes)].manoeuvre)
+    browser.open(f"#/scenes?split=adv&manoeuvre={manoeuvre}&fails={quote(planner, safe='')}")
+    expected = [scene for scene in scenes if facts[scene].manoeuvre == manoeuvre]
+    assert set(shown_scenes(browser)) == keys(site, expected)
+    assert browser.value("filter-split") == "adv"
+    assert browser.value("filter-manoeuvre") == manoeuvre
+    assert browser.value("filter-fails") == planner
+
+
+def test_a_card_leads_to_its_scene_and_back_leads_to_the_filters(browser: Browser, site: Site) -> None:
+    browser.open("#/scenes?split=adv")
+    card = browser.all("scene-card")[0]
+    key = str(card.get_attribute("data-key"))
+    browser.click(card.find_element(By.CSS_SELECTOR, "a.name"))
+    browser.one("player-scrub")
+    assert browser.route.startswith(f"#/scene/{key}")
+    browser.driver.back()
+    browser.one("scene-count")
+    assert browser.value("filter-split") == "adv"
+    assert set(shown_scenes(browser)) == keys(site, site.made.adversarial)
+
+
+def test_attempts_say_what_was_discarded_and_why(browser: Browser, site: Site) -> None:
+    attempts = [attempt for sheet in site.sheets.splits.values() for attempt in sheet.attempts]
+    reasons = Counter(attempt.discarded for attempt in attempts if attempt.discarded is not None)
+    assert HOSTILE_REASON in reasons
+    browser.open("#/attempts")
+    assert len(browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=table-attempts] tbody tr")) == len(attempts)
+    for reason, count in reasons.items():
+        browser.choose("filter-reason", reason)
+        rows = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=table-attempts] tbody tr")
+        assert len(rows) == count
+        assert all(reason in row.text for row in rows)
+        assert query_of(browser)["reason"] == [reason]
+    browser.open(f"#/attempts?reason={quote(HOSTILE_REASON, safe='')}")
+    assert browser.value("filter-reason") == HOSTILE_REASON
+    assert browser.js("return document.querySelectorAll('main svg[onload]').length;") == 0
+    assert browser.js("return window.noted;") == []
+
+
+def test_a_kept_attempt_leads_to_its_scene(browser: Browser, site: Site) -> None:
+    browser.open("#/attempts?reason=kept")
+    links = browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=table-attempts] tbody a")
+    assert len(links) == len(site.made.adversarial)
+    browser.click(links[0])
+    browser.one("player-scrub")
+    assert browser.route.startswith("#/scene/")

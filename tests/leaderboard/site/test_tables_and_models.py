@@ -1,0 +1,156 @@
+"""Tables, planners and addresses of the site in a real browser."""
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+
+from tests.leaderboard.site.big_workspace import IMAGE_TAG
+from tests.leaderboard.site.browser import Browser
+from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.reading import NUMBER, UNDEFINED, query_of
+
+
+def cells(browser: Browser, table: WebElement, column: int) -> list[str]:
+    """Texts of a column in the order on the page, hidden rows left out."""
+    return list(
+        browser.js(
+            """
+            const [table, column] = arguments;
+            return [...table.tBodies[0].rows].filter((row) => row.offsetParent !== null || !row.hidden)
+              .map((row) => row.cells[column].textContent);
+            """,
+            table,
+            column,
+        )
+    )
+
+
+def numbers(texts: list[str]) -> list[float]:
+    """Numbers in cells; a dash is none."""
+    found = [NUMBER.search(text.replace("−", "-")) for text in texts if text != UNDEFINED]
+    return [float(match.group()) for match in found if match]
+
+
+def sortable(browser: Browser) -> tuple[WebElement, int]:
+    """A table and the numeric column of it with most different numbers, some of them of other lengths than others."""
+    best: tuple[int, WebElement, int] | None = None
+    for table in browser.driver.find_elements(By.CSS_SELECTOR, '[data-testid^="table-"]'):
+        heads = browser.js("return [...arguments[0].tHead.rows].at(-1).cells.length;", table)
+        for column in range(1, heads):
+            texts = cells(browser, table, column)
+            found = [text for text in texts if NUMBER.fullmatch(text)]
+            different = len(set(found))
+            if len(found) >= len(texts) - 1 and different > 2 and sorted(found) != sorted(found, key=float):
+                best = max(best or (0, table, column), (different, table, column), key=lambda each: each[0])
+    assert best is not None, "no table has a column in which sorting by text and by number differ"
+    return best[1], best[2]
+
+
+def head(browser: Browser, table: WebElement, column: int) -> WebElement:
+    return browser.js("return [...arguments[0].tHead.rows].at(-1).cells[arguments[1]];", table, column)  # type: ignore[no-any-return]
+
+
+def test_a_column_sorts_by_number_up_and_down_and_back(browser: Browser) -> None:
+    browser.open("#/")
+    table, column = sortable(browser)
+    as_it_came = cells(browser, table, column)
+    button = head(browser, table, column).find_element(By.TAG_NAME, "button")
+    browser.click(button)
+    rising = cells(browser, table, column)
+    assert numbers(rising) == sorted(numbers(rising))
+    assert sorted(rising) == sorted(as_it_came)
+    assert head(browser, table, column).get_attribute("aria-sort") == "ascending"
+    browser.click(button)
+    falling = cells(browser, table, column)
+    assert numbers(falling) == sorted(numbers(rising), reverse=True)
+    assert head(browser, table, column).get_attribute("aria-sort") == "descending"
+    dashes = [place for place, text in enumerate(falling) if text == UNDEFINED]
+    assert dashes == list(range(len(falling) - len(dashes), len(falling)))
+    browser.click(button)
+    assert cells(browser, table, column) == as_it_came
+
+
+def test_order_and_filter_survive_a_fresh_load(browser: Browser) -> None:
+    browser.open("#/")
+    table, column = sortable(browser)
+    name = str(table.get_attribute("data-testid"))
+    browser.click(head(browser, table, column).find_element(By.TAG_NAME, "button"))
+    browser.choose("filter-text", "planner-0")
+    shown = cells(browser, table, column)
+    browser.open(browser.route)
+    again = browser.one(name)
+    assert browser.value("filter-text") == "planner-0"
+    assert head(browser, again, column).get_attribute("aria-sort") == "ascending"
+    assert cells(browser, again, column) == shown
+
+
+def test_filter_hides_rows_without_its_words(browser: Browser) -> None:
+    browser.open("#/")
+    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    every = cells(browser, table, 0)
+    browser.choose("filter-text", "PLANNER-01")
+    kept = cells(browser, table, 0)
+    assert kept
+    assert len(kept) < len(every)
+    assert all("planner-01" in browser.js("return arguments[0].textContent.toLowerCase();", row)
+               for row in table.find_elements(By.CSS_SELECTOR, "tbody tr") if row.is_displayed())  # fmt: skip
+    assert query_of(browser)["q"] == ["PLANNER-01"]
+    browser.choose("filter-text", "")
+    assert cells(browser, table, 0) == every
+
+
+def test_numbers_say_what_stands_behind_them(browser: Browser) -> None:
+    browser.open("#/")
+    cell = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"] td[data-facts]')
+    browser.js("arguments[0].focus();", cell)
+    note = browser.driver.find_element(By.CSS_SELECTOR, "[role=tooltip]")
+    assert note.is_displayed()
+    assert "N = " in note.text
+    assert "record " in note.text
+    assert "protocol " in note.text
+    assert cell.get_attribute("aria-describedby") == note.get_attribute("id")
+
+
+def test_every_planner_has_a_page(browser: Browser, site: Site) -> None:
+    browser.open("#/models")
+    links = {link.text: str(link.get_attribute("href")) for link in browser.all("model-link")}
+    assert {name for name in site.made.planners if any(name in shown for shown in links)} == set(site.made.planners)
+    for name in site.made.planners:
+        target = next(href for shown, href in links.items() if name in shown)
+        browser.open("#" + target.partition("#")[2])
+        assert name in browser.driver.find_element(By.TAG_NAME, "h1").text
+        assert browser.driver.find_elements(By.CSS_SELECTOR, "main table tbody tr")
+        assert name in browser.driver.title
+
+
+@pytest.mark.parametrize(
+    "route",
+    [
+        "#/nothing-of-that-name",
+        "#/scene/0000000000000000",
+        "#/scene/constructor",
+        "#/compare/__proto__?a=x&b=y",
+        "#/model/nobody",
+        "#/model/%E0%A4%A",
+        "#/%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E",
+        "#/constructor",
+    ],
+)
+def test_addresses_that_mean_nothing_say_so(browser: Browser, route: str) -> None:
+    browser.open(route)
+    error = browser.one("error")
+    assert error.is_displayed()
+    assert error.text.endswith(".")
+    assert browser.js("return window.noted;") == []
+    browser.go("#/models")
+    assert browser.all("error") == []
+    assert len(browser.all("model-link")) >= 1
+
+
+def test_a_planner_called_like_html_is_text(browser: Browser, site: Site) -> None:
+    assert IMAGE_TAG in site.made.planners
+    for route in ("#/", "#/models", "#/scenes", "#/model/%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E"):
+        browser.open(route)
+        assert IMAGE_TAG in browser.js("return document.body.textContent;")
+        assert browser.js("return document.querySelectorAll('img[src=x]').length;") == 0
+        assert browser.js("return window.noted;") == []
