@@ -823,8 +823,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     )
     typer.echo(f"ablation with {driver.factory.facts.name}", err=True)
     report = ablate(source, driver, settings_of_build)
-    facts = report.model_dump(mode="json", by_alias=True)
-    written = write_results(source.name, records, report.plain(), facts, made_from, to)
+    written = write_results(source.name, records, [report], made_from, to)
     if json_output:
         print_json({"files": [str(path) for path in written]})
     else:

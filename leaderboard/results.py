@@ -5,10 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from benchmark.ablation_records import AblationReport
 from benchmark.confusion import EXACT
 from benchmark.records import RunRecord
 from benchmark.storage import read_kept_json, write_bytes, write_json
 from benchmark.transfer import transfer
+from leaderboard.ablation_tables import ablation_tables
 from leaderboard.collision import collision_table, in_table_order, native_table
 from leaderboard.comparisons import Verdicts, split_table
 from leaderboard.diagnosis import diagnosis_tables
@@ -29,8 +31,7 @@ models. What each number is: `docs/metrics.md`.
 def write_results(
     data_name: str,
     records: Sequence[RunRecord],
-    ablation: str,
-    ablation_facts: Mapping[str, Any],
+    ablations: Sequence[AblationReport],
     made_from: Mapping[str, Any],
     folder: Path,
 ) -> list[Path]:
@@ -39,8 +40,7 @@ def write_results(
     Args:
         data_name: Name of the data set.
         records: Of all planners on ``val``, ``val-r`` and ``adv``.
-        ablation: The ablation study as text.
-        ablation_facts: The same as JSON.
+        ablations: Ablation studies on this data set.
         made_from: Everything that the numbers depend on, as JSON: versions and hashes.
         folder: Where to.
 
@@ -50,14 +50,12 @@ def write_results(
     Raises:
         InputError: If they cannot be written.
     """
-    tables = results_tables(data_name, records)
-    fenced = f"### Ablation\n\n```\n{ablation}\n```\n"
-    page = "\n".join([_HEAD, *(table.markdown() for table in tables), fenced]).encode()
+    tables = [*results_tables(data_name, records), *ablation_tables(ablations).get(data_name, ())]
+    page = "\n".join([_HEAD, *(table.markdown() for table in tables)]).encode()
     numbers = {
         "made_from": made_from,
         "page_sha256": hashlib.sha256(page).hexdigest(),
         "tables": [table.as_json() for table in tables],
-        "ablation": ablation_facts,
     }
     # The numbers come last: they vouch for the page.
     write_bytes(folder / PAGE, page)

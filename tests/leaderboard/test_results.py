@@ -11,6 +11,7 @@ from benchmark.storage import read_json
 from leaderboard.results import NUMBERS, PAGE, stale_results, write_results
 from tests.benchmark.hand_made_records import CLEAN, HIT, hand_made
 from tests.cli_runs import challenger_bench
+from tests.leaderboard.made_up import study
 
 MADE_FROM: dict[str, Any] = {"weights": {"uniad-mini": "a"}, "town": "mini-1", "protocols": {"exact": 1}}
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
@@ -29,7 +30,7 @@ def records() -> list[RunRecord]:
 
 
 def written(records: list[RunRecord], folder: Path) -> dict[str, bytes]:
-    files = write_results("d", records, "the study", {"rows": []}, MADE_FROM, folder)
+    files = write_results("d", records, [study()], MADE_FROM, folder)
     return {path.name: path.read_bytes() for path in files}
 
 
@@ -37,7 +38,7 @@ def test_the_page_has_all_that_is_measured_and_the_same_bytes_twice(records: lis
     first = written(records, tmp_path / "a")
     assert first == written(list(reversed(records)), tmp_path / "b") and set(first) == {PAGE, NUMBERS}
     page = first[PAGE].decode()
-    for said in ("Collision", "Transfer", "### Ablation", "the study", "ranks nothing".replace("ranks", "rank")):
+    for said in ("Collision", "Transfer", "ablation of the search with p", "ranks nothing".replace("ranks", "rank")):
         assert said.lower() in page.lower()
     names = [table["name"] for table in read_json(tmp_path / "a" / NUMBERS)["tables"]]
     assert len(set(names)) == len(names) >= 4
