@@ -14,6 +14,7 @@ from benchmark.records import RunRecord
 from benchmark.sheets.records import NO_SHEETS, Sheets
 from benchmark.storage import file_name, write_bytes, writing_to
 from leaderboard.contents import DataSetTables, data_set_tables, generation_tables
+from leaderboard.drawing import png_size
 from leaderboard.figures import NamedFigure, data_set_figures
 from leaderboard.heat_map import heat_map
 from leaderboard.published_tables import published_tables
@@ -145,12 +146,12 @@ def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[
     for table_name, matrix in data_set.matrices.items():
         picture = _picture(folder, table_name)
         made.files[picture] = heat_map(matrix, ".png")
-        made.figures.append(PlacedFigure(name, titles[table_name], picture))
+        made.figures.append(PlacedFigure(name, titles[table_name], picture, png_size(made.files[picture])))
     figures = (*data_set_figures(name, data_set.records), *refinement_figures(name, sheets))
     for figure in figures:
         vector = _picture(folder, figure.name, ".svg")
         made.files |= {_picture(folder, figure.name): figure.png, vector: figure.svg}
-        made.figures.append(PlacedFigure(name, figure.title, vector))
+        made.figures.append(PlacedFigure(name, figure.title, vector, png_size(figure.png)))
     return _section(data_set, figures, folder)
 
 

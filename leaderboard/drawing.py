@@ -1,6 +1,7 @@
 """What all pictures of the leaderboard share: the same numbers give the same bytes, and any name can be drawn."""
 
 import io
+import struct
 import warnings
 from collections.abc import Callable
 from typing import Final
@@ -38,6 +39,14 @@ def picture(draw: Callable[[], Figure], suffix: str) -> bytes:
         else:
             figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return stream.getvalue()
+
+
+def png_size(picture: bytes) -> tuple[int, int]:
+    """(width, height) of a PNG, pixels; zeros for what is none."""
+    if not picture.startswith(b"\x89PNG"):
+        return 0, 0
+    width, height = struct.unpack(">II", picture[16:24])
+    return width, height
 
 
 def new_figure(width_inches: float, height_inches: float) -> Figure:

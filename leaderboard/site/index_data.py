@@ -45,11 +45,13 @@ class PlacedFigure:
         data_name: Name of its data set.
         title: What it shows.
         path: Its file below the site's folder.
+        size_px: (width, height) of it as PNG, so that a page leaves room before it is loaded.
     """
 
     data_name: str
     title: str
     path: str
+    size_px: tuple[int, int]
 
 
 def index_data(
@@ -79,7 +81,7 @@ def index_data(
         "title": TITLE,
         "tables": [_table(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
         "figures": [
-            {"data": figure.data_name, "title": figure.title, "path": quote(figure.path)}
+            {"data": figure.data_name, "title": figure.title, "path": quote(figure.path), "size": figure.size_px}
             for figure in figures
             if figure.path in written
         ],

@@ -169,6 +169,8 @@ def test_workers_never_outlive_their_command(tmp_path: Path, number: int, code: 
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # Tests that run in the background of a shell ignore interrupts, and so would the command.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline_s = time.perf_counter() + 60.0
     while len(workers := list(tmp_path.iterdir())) < 2:

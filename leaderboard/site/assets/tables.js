@@ -294,8 +294,10 @@
   }
 
   /** @param {{title: string, path: string}} figure @returns {HTMLElement} */
-  const figureView = ({ title, path }) => element("figure", { class: "picture-on-white" },
-    element("a", { href: path }, element("img", { src: path, alt: title, loading: "lazy" })),
+  const figureView = ({ title, path, size }) => element("figure", { class: "picture-on-white" },
+    element("a", { href: path }, element("img", {
+      src: path, alt: title, loading: "lazy", width: size[0] || null, height: size[1] || null,
+    })),
     element("figcaption", {}, title));
 
   Object.assign(site, { hideNote, tableView });
