@@ -726,8 +726,6 @@ def demo_command(
     if full:
         _full_demo(out, to, workers, check=check, json_output=json_output)
         return
-    from adapters.registry import planner_factory
-    from benchmark.evaluate import EvalSettings, evaluate
     from benchmark.sheets.records import find_sheets
     from benchmark.sheets.writing import SheetSettings
     from benchmark.transfer import transfer
@@ -762,9 +760,7 @@ def demo_command(
     records = []
     for split in ("val", "adv"):
         dataset = _open_split(source, split, out, workers)
-        for name in _planners_of_demo():
-            factory = planner_factory(name)
-            records.append(evaluate(dataset, split, factory, space.run_root(), EvalSettings(workers=processes)))
+        records += _evaluate_demo(dataset, split, space, processes)
         sheet_settings = SheetSettings(workers=processes)
         _write_sheets(source, dataset, split, space.sheet_root(), sheet_settings, rounds=split == "adv")
     tell("4/4 writing the leaderboard")
@@ -779,18 +775,21 @@ def demo_command(
     tell(f"site: {out / 'leaderboard' / 'site' / 'index.html'}   tables: {out / 'leaderboard' / 'README.md'}")
 
 
-def _planners_of_demo() -> tuple[str, ...]:
-    """The baselines, and the miniatures whose weights are there."""
-    from adapters.miniatures import MINIATURES
-    from adapters.registry import BUILT_IN
+def _evaluate_demo(dataset: "DataSet", split: str, space: "Workspace", processes: int) -> "list[RunRecord]":
+    """Records of the baselines and of the miniatures."""
+    from adapters.registry import BUILT_IN, MINIATURES, planner_factory
+    from benchmark.evaluate import EvalSettings, evaluate
 
-    return (*BUILT_IN, *(name for name, small in MINIATURES.items() if small.packaged.is_file()))
+    records = []
+    for name in (*BUILT_IN, *MINIATURES):
+        typer.echo(f"{name} on {split}", err=True)
+        settings = EvalSettings(workers=processes)
+        records.append(evaluate(dataset, split, planner_factory(name), space.run_root(), settings))
+    return records
 
 
 def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: bool) -> None:
     """Measure what docs/results shows, or say why it is not current."""
-    from adapters.registry import planner_factory
-    from benchmark.evaluate import EvalSettings, evaluate
     from benchmark.workers import LocalProcesses
     from benchmark.workspace import EMBEDDED
     from generation.ablation import ablate
@@ -808,10 +807,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     for split in ("val", "val-r", "adv"):
         # Planners see key frames only; the others would take most of the time.
         dataset = _open_split(source, split, out, workers, frames="keyframes", per_scene=FULL_DEMO_PER_SCENE)
-        for name in _planners_of_demo():
-            typer.echo(f"{name} on {split}", err=True)
-            settings = EvalSettings(workers=processes)
-            records.append(evaluate(dataset, split, planner_factory(name), _workspace(out).run_root(), settings))
+        records += _evaluate_demo(dataset, split, _workspace(out), processes)
     driver = _planner_under_test("uniad-mini", None, EMBEDDED, 0, workers)
     assert driver is not None
     settings_of_build = BuildSettings(
@@ -841,7 +837,7 @@ def _results_from() -> dict[str, Any]:
     from generation.mini import TownSettings
 
     return {
-        "weights": {name: file_sha256(each.packaged) for name, each in MINIATURES.items() if each.packaged.is_file()},
+        "weights": {name: file_sha256(each.packaged) for name, each in MINIATURES.items()},
         "town": TownSettings().folder_name("mini"),
         "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,

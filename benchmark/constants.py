@@ -120,3 +120,21 @@ CATEGORIES: Final = (
     *sorted(VEHICLE_CATEGORIES),
 )
 """The 23 category names of nuScenes v1.0."""
+
+DETECTION_CLASS_OF_CATEGORY: Final = {
+    "vehicle.car": "car",
+    "vehicle.truck": "truck",
+    "vehicle.construction": "construction_vehicle",
+    "vehicle.bus.bendy": "bus",
+    "vehicle.bus.rigid": "bus",
+    "vehicle.trailer": "trailer",
+    "movable_object.barrier": "barrier",
+    "vehicle.motorcycle": "motorcycle",
+    "vehicle.bicycle": "bicycle",
+    "human.pedestrian.adult": "pedestrian",
+    "human.pedestrian.child": "pedestrian",
+    "human.pedestrian.construction_worker": "pedestrian",
+    "human.pedestrian.police_officer": "pedestrian",
+    "movable_object.trafficcone": "traffic_cone",
+}
+"""Class of the detection task of nuScenes by category; other categories are not detected."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from adapters.detection_classes import AGENT_CLASSES
 from adapters.sparse.anchors import Sightings
 from adapters.sparse.config import SparseConfig
-from benchmark.constants import PLAN_STEPS
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses
 from benchmark.errors import InputError
@@ -20,23 +20,6 @@ from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
-CLASS_OF_CATEGORY: Final = {
-    "vehicle.car": "car",
-    "vehicle.truck": "truck",
-    "vehicle.construction": "construction_vehicle",
-    "vehicle.bus.bendy": "bus",
-    "vehicle.bus.rigid": "bus",
-    "vehicle.trailer": "trailer",
-    "movable_object.barrier": "barrier",
-    "vehicle.motorcycle": "motorcycle",
-    "vehicle.bicycle": "bicycle",
-    "human.pedestrian.adult": "pedestrian",
-    "human.pedestrian.child": "pedestrian",
-    "human.pedestrian.construction_worker": "pedestrian",
-    "human.pedestrian.police_officer": "pedestrian",
-    "movable_object.trafficcone": "traffic_cone",
-}
-"""Classes of the detection task of nuScenes; other categories are not detected."""
 MAP_ASIDE_M: Final = 15.0
 MAP_AHEAD_M: Final = 30.0
 """Half the sides of the rectangle around the lidar in which map elements are looked for."""
@@ -172,7 +155,7 @@ def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
 
 def detected_classes(scene: Scene) -> list[int]:
     """Index into `AGENT_CLASSES` of each agent, -1 where it is not detected."""
-    known = (CLASS_OF_CATEGORY.get(category) for category in scene.agents.categories)
+    known = (DETECTION_CLASS_OF_CATEGORY.get(category) for category in scene.agents.categories)
     return [-1 if name is None else AGENT_CLASSES.index(name) for name in known]
 
 

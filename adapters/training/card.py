@@ -47,6 +47,7 @@ Of {vehicles:,} vehicles within 30 m (annotated, at least one lidar point) {reca
 diagnosis of collisions matches (`docs/diagnosis.md`); {precision:.0%} of the forecasts there are of something that is
 annotated. Mean error over 3 s of the matched ones: {least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most
 likely mode), {standing_error_m:.2f} m if everybody were expected to stay where it is."""
+_STARTS: Final = {"image_encoder": "image encoder", "start_from": "weights"}
 _TITLES: Final = {
     "own": "its own images",
     "blank": "blank images",
@@ -67,7 +68,7 @@ def card_of(small: Miniature, facts: Mapping[str, Any]) -> str:
     """
     source = facts["source"]
     commit = source["commit"] or "unknown"
-    started = ", ".join(f"{name.replace('_', ' ')} `{sha256[:16]}`" for name, sha256 in facts["started_from"].items())
+    started = ", ".join(f"{_STARTS[option]} `{key[:16]}`" for option, key in facts["started_from"].items())
     measured = facts["figures"]
     rows = [
         f"| {title} | {row['samples']:.0f} | {row['l2_1s_m']:.2f} | {row['l2_2s_m']:.2f} | {row['l2_3s_m']:.2f} | "

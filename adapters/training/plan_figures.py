@@ -56,7 +56,7 @@ class PlanFigures:
 def plan_figures(
     planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
 ) -> PlanFigures:
-    """The first of `figures`."""
+    """The figures of plans alone; see `figures`, which has the same arguments."""
     return figures(planner, data, scenes, images=images, every=every)[0]
 
 

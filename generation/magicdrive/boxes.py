@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY
 from benchmark.geometry import Bools, Floats, rotation_matrix
 from benchmark.scene import Scene
 from generation.magicdrive.annotations_12hz import BoxTracks, box_tracks
@@ -25,23 +26,6 @@ BOX_CLASSES: Final = (
     "traffic_cone",
 )
 """Kinds of objects that the model draws, in its order."""
-_CLASS_OF_CATEGORY: Final = {
-    "vehicle.car": "car",
-    "vehicle.truck": "truck",
-    "vehicle.construction": "construction_vehicle",
-    "vehicle.bus.bendy": "bus",
-    "vehicle.bus.rigid": "bus",
-    "vehicle.trailer": "trailer",
-    "movable_object.barrier": "barrier",
-    "vehicle.motorcycle": "motorcycle",
-    "vehicle.bicycle": "bicycle",
-    "human.pedestrian.adult": "pedestrian",
-    "human.pedestrian.child": "pedestrian",
-    "human.pedestrian.construction_worker": "pedestrian",
-    "human.pedestrian.police_officer": "pedestrian",
-    "movable_object.trafficcone": "traffic_cone",
-}
-"""The detection task of nuScenes; other categories are not drawn."""
 _CLASS_OF_ADVERSARY: Final = {"vehicle.emergency.police": "car", "vehicle.emergency.ambulance": "truck"}
 """An adversary that nobody sees would make its scene worthless."""
 # Front, left, up of each corner as signs; faces right and left, each from the front bottom edge over the top.
@@ -164,7 +148,7 @@ def in_front(corners: Floats, camera_from_lidar: Floats) -> Bools:
 
 def _class_index(scene: Scene, agent: int) -> int | None:
     category = scene.agents.categories[agent]
-    name = _CLASS_OF_CATEGORY.get(category)
+    name = DETECTION_CLASS_OF_CATEGORY.get(category)
     if name is None and scene.agents.ids[agent] in scene.adversaries:
         name = _CLASS_OF_ADVERSARY.get(category)
     return None if name is None else BOX_CLASSES.index(name)

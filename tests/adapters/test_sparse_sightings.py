@@ -16,13 +16,12 @@ from adapters.sparse.config import SparseConfig
 from adapters.sparse.model import SparseDrive
 from adapters.sparse.planner_adapter import VARIANTS
 from adapters.sparse.sightings import (
-    CLASS_OF_CATEGORY,
     agent_futures,
     box_centres,
     line_centres,
     sightings_of,
 )
-from benchmark.constants import CATEGORIES
+from benchmark.constants import CATEGORIES, DETECTION_CLASS_OF_CATEGORY
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, rotation_matrix
@@ -54,13 +53,14 @@ def scene(data: NuScenesData) -> Scene:
 
 def classes_of(scene: Scene) -> list[int]:
     return [
-        AGENT_CLASSES.index(CLASS_OF_CATEGORY[kind]) if kind != "animal" else -1 for kind in scene.agents.categories
+        AGENT_CLASSES.index(DETECTION_CLASS_OF_CATEGORY[kind]) if kind != "animal" else -1
+        for kind in scene.agents.categories
     ]
 
 
 def test_every_detection_class_has_a_category_of_nuscenes() -> None:
-    assert set(CLASS_OF_CATEGORY.values()) == set(AGENT_CLASSES)
-    assert set(CLASS_OF_CATEGORY) <= set(CATEGORIES)
+    assert set(DETECTION_CLASS_OF_CATEGORY.values()) == set(AGENT_CLASSES)
+    assert set(DETECTION_CLASS_OF_CATEGORY) <= set(CATEGORIES)
 
 
 def test_box_centres_are_in_the_lidar_frame_of_their_key_frame(scene: Scene) -> None:

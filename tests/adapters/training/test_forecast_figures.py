@@ -23,7 +23,7 @@ def truths(tmp_path_factory: pytest.TempPathFactory) -> list[SampleTruth]:
     return [truth for truth in NuScenesData.open(root).truth("scene-9901") if truth.complete]
 
 
-def expecting(truth: SampleTruth, boxes: Floats, paths: Floats) -> Plan:
+def expecting(boxes: Floats, paths: Floats) -> Plan:
     """A plan with one wrong mode beside each path, the wrong one the less likely."""
     modes = np.stack([paths, paths + 20.0], axis=1)
     scores = np.tile([0.8, 0.2], (len(boxes), 1))
@@ -35,7 +35,7 @@ def seen(truth: SampleTruth) -> list[int]:
 
 
 def perfect(truth: SampleTruth) -> Plan:
-    return expecting(truth, truth.boxes[seen(truth), 0], truth.boxes[seen(truth), 1:, :2])
+    return expecting(truth.boxes[seen(truth), 0], truth.boxes[seen(truth), 1:, :2])
 
 
 def measured(truths: list[SampleTruth], plans: list[Plan]) -> ForecastFigures:
@@ -66,12 +66,11 @@ def test_ghosts_cost_precision_and_the_blind_lose_recall(truths: list[SampleTrut
         boxes = truth.boxes[seen(truth), 0]
         ghosts = boxes + np.array([0.0, -9.0, 0.0, 0.0, 0.0])
         both = np.concatenate([boxes, ghosts])
-        plans.append(expecting(truth, both, np.repeat(both[:, None, :2], 6, axis=1)))
+        plans.append(expecting(both, np.repeat(both[:, None, :2], 6, axis=1)))
     found = measured(truths, plans)
     assert found.recall == 1.0 and found.precision < 1.0
-    standing = measured(truths, plans)
-    assert standing.likeliest_error_m == pytest.approx(standing.standing_error_m)
+    assert found.likeliest_error_m == pytest.approx(found.standing_error_m)
     blind = [replace(plan, forecasts=None) for plan in plans]
     assert forecast_figures(truths, blind) is None
-    half = measured(truths, [*plans[:1], *(expecting(t, np.zeros((0, 5)), np.zeros((0, 6, 2))) for t in truths[1:])])
+    half = measured(truths, [*plans[:1], *(expecting(np.zeros((0, 5)), np.zeros((0, 6, 2))) for _ in truths[1:])])
     assert half.recall < 1.0
