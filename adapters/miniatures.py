@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from adapters.checkpoints.cache import cached_weights, weights_folder
-from benchmark.devices import Precision
 from benchmark.errors import InputError
+from benchmark.machine.devices import Precision
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-    from adapters.native_planner import NativePlanner, Weights
+    from adapters.planner import NativePlanner, Weights
     from adapters.training.frames import TrainingFrame
     from adapters.training.phases import Phase
 
@@ -100,7 +100,7 @@ def planner_of(
     Args:
         name: Of the miniature.
         checkpoint: Weights that ``train planner`` has written; those of this package where none are named.
-        device: See `adapters.native_planner.NativePlanner`.
+        device: See `adapters.planner.NativePlanner`.
         precision: See there.
 
     Returns:
@@ -109,7 +109,7 @@ def planner_of(
     Raises:
         InputError: If the weights are absent, broken, or of another model.
     """
-    from adapters.native_planner import Weights
+    from adapters.planner import Weights
 
     small = miniature(name)
     if checkpoint is None and not small.packaged.is_file():
@@ -131,7 +131,7 @@ def planner_with(
         small: Which miniature.
         network: Made by its ``build``.
         weights: Where the weights came from.
-        device: See `adapters.native_planner.NativePlanner`.
+        device: See `adapters.planner.NativePlanner`.
         precision: See there.
 
     Returns:
@@ -169,14 +169,14 @@ def diffusiondrive_mini(
 
 
 def _build_vad() -> "nn.Module":
-    from adapters.vad.config import VADConfig
-    from adapters.vad.model import VAD
+    from adapters.networks.vad.config import VADConfig
+    from adapters.networks.vad.model import VAD
 
     return VAD(VADConfig.miniature())
 
 
 def _untrained_vad(frames: "Sequence[TrainingFrame]", seed: int) -> "nn.Module":
-    from adapters.vad.first_values import untrained
+    from adapters.training.vad.start import untrained
 
     return untrained(frames, seed)
 
@@ -184,34 +184,34 @@ def _untrained_vad(frames: "Sequence[TrainingFrame]", seed: int) -> "nn.Module":
 def _phases_vad() -> "tuple[Phase, ...]":
     from adapters.training.phases import Phase
     from adapters.training.trainer import Recipe
-    from adapters.vad.training import VADLesson
+    from adapters.training.vad.objective import VADLesson
 
     return (Phase("all", VADLesson, Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)),)
 
 
 def _planner_vad(network: Any, **known: Any) -> "NativePlanner[Any]":
-    from adapters.vad.planner import VADPlanner
+    from adapters.networks.vad.planner import VADPlanner
 
     return VADPlanner(network, **known)
 
 
 def _build_sparse(name: str) -> "nn.Module":
-    from adapters.sparse.config import SparseConfig
-    from adapters.sparse.model import DiffusionDrive, SparseDrive
+    from adapters.networks.sparse.config import SparseConfig
+    from adapters.networks.sparse.model import DiffusionDrive, SparseDrive
 
     config = replace(SparseConfig.miniature(), memory_crosses_scenes=False)
     return DiffusionDrive(config) if name == "diffusiondrive-mini" else SparseDrive(config)
 
 
 def _untrained_sparse(name: str, frames: "Sequence[TrainingFrame]", seed: int) -> "nn.Module":
-    from adapters.sparse.training_start import untrained
+    from adapters.training.sparse.start import untrained
 
     return untrained(name, frames, seed)
 
 
 def _phases_sparse(name: str) -> "tuple[Phase, ...]":
-    from adapters.sparse.training import SparseLesson
     from adapters.training.phases import Phase
+    from adapters.training.sparse.objective import SparseLesson
     from adapters.training.trainer import Recipe
 
     recipe = Recipe(
@@ -225,27 +225,27 @@ def _phases_sparse(name: str) -> "tuple[Phase, ...]":
 
 
 def _planner_sparse(network: Any, **known: Any) -> "NativePlanner[Any]":
-    from adapters.sparse.planner_adapter import SparsePlanner
+    from adapters.networks.sparse.planner import SparsePlanner
 
     return SparsePlanner(network, **known)
 
 
 def _renamed_diffusion(trunk: "Mapping[str, Tensor]") -> "dict[str, Tensor]":
-    from adapters.sparse.training_start import planned_from
+    from adapters.training.sparse.start import planned_from
 
     return planned_from(trunk)
 
 
 def _build_uniad() -> "nn.Module":
-    from adapters.uniad.config import UniADConfig
-    from adapters.uniad.model import UniAD
+    from adapters.networks.uniad.config import UniADConfig
+    from adapters.networks.uniad.model import UniAD
 
     return UniAD(UniADConfig.miniature(), stores_anchors=True)
 
 
 def _untrained_uniad(frames: "Sequence[TrainingFrame]", seed: int) -> "nn.Module":
-    from adapters.uniad.config import UniADConfig
-    from adapters.uniad.training_start import untrained
+    from adapters.networks.uniad.config import UniADConfig
+    from adapters.training.uniad.start import untrained
 
     return untrained(UniADConfig.miniature(), frames, seed)
 
@@ -253,7 +253,7 @@ def _untrained_uniad(frames: "Sequence[TrainingFrame]", seed: int) -> "nn.Module
 def _phases_uniad() -> "tuple[Phase, ...]":
     from adapters.training.phases import Phase
     from adapters.training.trainer import Recipe
-    from adapters.uniad.training import UniADLesson
+    from adapters.training.uniad.objective import UniADLesson
 
     # A frame alone costs half as much as a clip; what the past adds is learned after what can be seen at all.
     alone = Recipe(steps=6000, learning_rate=8e-4, encoder_rate=0.3, warmup=100, average=0.995)
@@ -265,7 +265,7 @@ def _phases_uniad() -> "tuple[Phase, ...]":
 
 
 def _planner_uniad(network: Any, **known: Any) -> "NativePlanner[Any]":
-    from adapters.uniad.planner import UniADPlanner
+    from adapters.networks.uniad.planner import UniADPlanner
 
     return UniADPlanner(network, **known)
 

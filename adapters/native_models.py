@@ -74,14 +74,14 @@ def native_model(name: str) -> NativeModel:
 
 
 def _vad(variant: str) -> nn.Module:
-    from adapters.vad.model import VAD
-    from adapters.vad.planner import VARIANTS
+    from adapters.networks.vad.model import VAD
+    from adapters.networks.vad.planner import VARIANTS
 
     return VAD(VARIANTS[variant]())
 
 
 def _vad_frame(variant: str) -> Any:
-    from adapters.vad.planner import VARIANTS, example_frame
+    from adapters.networks.vad.planner import VARIANTS, example_frame
 
     return example_frame(VARIANTS[variant]())
 
@@ -89,12 +89,12 @@ def _vad_frame(variant: str) -> Any:
 def _sparse(name: str) -> nn.Module:
     # Constants are computed where the modules are first read, and need memory whatever the network is built on.
     with torch.device("cpu"):
-        from adapters.sparse.planner_adapter import sparse_network
+        from adapters.networks.sparse.planner import sparse_network
     return sparse_network(name)
 
 
 def _sparse_frame(name: str) -> Any:
-    from adapters.sparse.planner_adapter import VARIANTS, example_frame
+    from adapters.networks.sparse.planner import VARIANTS, example_frame
 
     return example_frame(VARIANTS[name]())
 
@@ -102,14 +102,14 @@ def _sparse_frame(name: str) -> Any:
 def _uniad(shapes: Mapping[str, Sequence[int]]) -> nn.Module:
     # Constants are computed where the modules are first read, and need memory whatever the network is built on.
     with torch.device("cpu"):
-        from adapters.uniad.config import UniADConfig
-        from adapters.uniad.model import UniAD
+        from adapters.networks.uniad.config import UniADConfig
+        from adapters.networks.uniad.model import UniAD
     return UniAD(UniADConfig.base_of(shapes), stores_anchors=True)
 
 
 def _uniad_frame() -> Any:
-    from adapters.uniad.config import UniADConfig
-    from adapters.uniad.planner import example_frame
+    from adapters.networks.uniad.config import UniADConfig
+    from adapters.networks.uniad.planner import example_frame
 
     return example_frame(UniADConfig.base())
 

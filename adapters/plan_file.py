@@ -21,13 +21,13 @@ import numpy as np
 
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
-from benchmark.evaluate import EvalSettings
+from benchmark.evaluation import EvalSettings
 from benchmark.geometry import Floats
-from benchmark.labels import PLANS_SHA256
-from benchmark.plan_rows import code_sha256, known_native
+from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records import PlannerFacts
-from benchmark.storage import file_sha256
+from benchmark.records.planner_versions import PLANS_SHA256
+from benchmark.records.run import PlannerFacts
+from benchmark.runs.plan_rows import code_sha256, known_native
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def plan_file_factory(
         native: Protocol of the repository that the planner comes from, if it is known here.
 
     Returns:
-        A factory for `benchmark.evaluate.evaluate`.
+        A factory for `benchmark.evaluation.evaluate`.
 
     Raises:
         InputError: If the file is malformed, its rows do not match the samples, or the native protocol is unknown.

@@ -10,26 +10,26 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from benchmark.errors import InputError
-from benchmark.plan_rows import facts_of
+from benchmark.machine.storage import file_sha256
 from benchmark.planning import Planner
-from benchmark.records import PlannerFacts
-from benchmark.storage import file_sha256
+from benchmark.records.run import PlannerFacts
+from benchmark.runs.plan_rows import facts_of
 
 BUILT_IN = {
-    "constant-velocity": "adapters.constant_velocity:ConstantVelocity",
-    "log-replay": "adapters.log_replay:LogReplay",
-    "idm": "adapters.idm:IntelligentDriver",
-    "ego-status": "adapters.ego_status:EgoStatus",
+    "constant-velocity": "adapters.baselines.constant_velocity:ConstantVelocity",
+    "log-replay": "adapters.baselines.log_replay:LogReplay",
+    "idm": "adapters.baselines.idm:IntelligentDriver",
+    "ego-status": "adapters.baselines.ego_status:EgoStatus",
 }
 WITH_WEIGHTS = {
-    "vad": "adapters.vad.planner:vad_base",
-    "vad-tiny": "adapters.vad.planner:vad_tiny",
-    "vad-base": "adapters.vad.planner:vad_base",
-    "sparsedrive": "adapters.sparse.planner_adapter:sparsedrive",
-    "diffusiondrive": "adapters.sparse.planner_adapter:diffusiondrive",
-    "uniad": "adapters.uniad.planner:uniad",
-    "uniad-unoptimised": "adapters.uniad.planner:uniad_unoptimised",
-    "uniad-ipopt": "adapters.uniad.planner:uniad_ipopt",
+    "vad": "adapters.networks.vad.planner:vad_base",
+    "vad-tiny": "adapters.networks.vad.planner:vad_tiny",
+    "vad-base": "adapters.networks.vad.planner:vad_base",
+    "sparsedrive": "adapters.networks.sparse.planner:sparsedrive",
+    "diffusiondrive": "adapters.networks.sparse.planner:diffusiondrive",
+    "uniad": "adapters.networks.uniad.planner:uniad",
+    "uniad-unoptimised": "adapters.networks.uniad.planner:uniad_unoptimised",
+    "uniad-ipopt": "adapters.networks.uniad.planner:uniad_ipopt",
 }
 """Built-in planners that need weights from elsewhere (docs/models.md); ``vad`` is short for ``vad-base``."""
 MINIATURES = {
@@ -50,7 +50,7 @@ _STRANGERS_ERRORS = (Exception, SystemExit)
 
 @dataclass(frozen=True, slots=True)
 class NamedPlanner:
-    """Builds a planner by name in any process (`benchmark.plan_rows.PlannerFactory`).
+    """Builds a planner by name in any process (`benchmark.runs.plan_rows.PlannerFactory`).
 
     Attributes:
         name: What `planner` takes.

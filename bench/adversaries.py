@@ -6,13 +6,13 @@ The paper's seconds are for one scene of about 240 frames.
 import argparse
 import time
 
+from benchmark.machine.workers import single_threaded
 from benchmark.published import RUNTIME_S
-from benchmark.workers import single_threaded
-from generation.adversary import Attempt, attempt
-from generation.candidates import choose
 from generation.diffusion.prior import TrajectoryPrior
-from generation.hyperparameters import HyperParameters
-from generation.town import town_scene
+from generation.search.adversary import Attempt, attempt
+from generation.search.candidates import choose
+from generation.search.hyperparameters import HyperParameters
+from generation.sources.town import town_scene
 
 STAGES = ("sampling", "physics", "scoring", "other")
 

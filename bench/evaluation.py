@@ -18,17 +18,17 @@ import shapely
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmark.dynamics.bicycle import DriverLimits, MotionModel, SimulatedMotion, VehicleState, simulate
 from benchmark.geometry import Floats, box_corners
+from benchmark.machine.workers import single_threaded
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from benchmark.workers import single_threaded
-from generation.candidates import choose, initial_state, launch_frame
 from generation.diffusion.prior import TrajectoryPrior, diversify
-from generation.hyperparameters import HyperParameters
-from generation.physics import DriverLimits, MotionModel, SimulatedMotion, VehicleState, simulate
-from generation.scoring import Surroundings, score_terms, surroundings
-from generation.town import town_scene
-from tests.generation.slow_physics import slow_path, slow_simulate
+from generation.search.candidates import choose, initial_state, launch_frame
+from generation.search.hyperparameters import HyperParameters
+from generation.search.scoring import Surroundings, score_terms, surroundings
+from generation.sources.town import town_scene
+from tests.benchmark.dynamics.slow_physics import slow_path, slow_simulate
 
 CANDIDATES, SLOW_CANDIDATES, REPEATS = 256, 16, 30
 USUAL = HyperParameters()

@@ -16,20 +16,32 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from adapters.registry import planner_factory
-from benchmark.case_pictures import draw_case
-from benchmark.clearest_cases import Case, case_of, clearest_cases, plan_in_lidar
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.evaluate import evaluate
+from benchmark.evaluation import evaluate
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.protocol_views import EGO, GHOST, HIT, IGNORED, INK, OBJECT, draw_path, fill, frame_view, outline, png
+from benchmark.machine.storage import content_seed, write_bytes
+from benchmark.machine.workspace import EMBEDDED, Workspace, cache_root
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols.exact import ego_boxes
-from benchmark.records import RunRecord
-from benchmark.storage import content_seed, write_bytes
+from benchmark.protocols.explain.clearest_cases import Case, case_of, clearest_cases, plan_in_lidar
+from benchmark.protocols.explain.pictures import draw_case
+from benchmark.protocols.explain.views import (
+    EGO,
+    GHOST,
+    HIT,
+    IGNORED,
+    INK,
+    OBJECT,
+    draw_path,
+    fill,
+    frame_view,
+    outline,
+    png,
+)
+from benchmark.records.run import RunRecord
 from benchmark.truth import SampleTruth
-from benchmark.workspace import EMBEDDED, Workspace, cache_root
-from generation.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town
 
 PLANNERS = ("constant-velocity", "ego-status", "idm", "log-replay")
 COLOURS = 48

@@ -5,7 +5,8 @@ on a processor a network of reduced size in single precision; ``--mode``, ``--si
 ``--words`` and ``--evaluations`` choose. Every line is measured in a process of its own, so that peak memory is that
 line's. Times are of whole evaluations after warming up, synchronised; on a processor they are processor time. A scene
 is 30 steps with two evaluations each and, once, the encoders of both branches; the video decoder has a line of its own,
-the text encoder (0.01 % of the operations) none. Operations are counted by formula (``generation/magicdrive/cost.py``).
+the text encoder (0.01 % of the operations) none. Operations are counted by formula
+(``generation/render/magicdrive/cost.py``).
 """
 
 import argparse
@@ -24,12 +25,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import torch
 from torch import Tensor, nn
 
-from generation.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
-from generation.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
-from generation.magicdrive.config import MagicDriveConfig
-from generation.magicdrive.cost import Clip, Operations, operations
-from generation.magicdrive.guidance import GuidedModel
-from generation.magicdrive.model import LatentSize, MagicDriveDiT
+from generation.render.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
+from generation.render.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
+from generation.render.magicdrive.config import MagicDriveConfig
+from generation.render.magicdrive.cost import Clip, Operations, operations
+from generation.render.magicdrive.guidance import GuidedModel
+from generation.render.magicdrive.model import LatentSize, MagicDriveDiT
 
 STEPS = 30
 PUBLISHED_SECONDS = 395.0

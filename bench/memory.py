@@ -30,7 +30,7 @@ def report(phase: str, started_s: float) -> None:
 def densest_scene(town_scenes: int) -> Scene:
     """The scene with most objects: of the recordings beside the repository, or else of the town."""
     from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
-    from generation.town import town_scene
+    from generation.sources.town import town_scene
 
     if RECORDED.is_dir():
         scenes = (read_scenarionet(path) for path in find_scenarionet(RECORDED))
@@ -46,11 +46,11 @@ def main() -> None:
     parser.add_argument("--town-scenes", type=int, default=8, help="to choose from where there are no recordings")
     arguments = parser.parse_args()
     started_s = time.process_time()
-    from benchmark.workers import single_threaded
-    from generation.adversary import attempt
-    from generation.candidates import choose
+    from benchmark.machine.workers import single_threaded
     from generation.diffusion.prior import TrajectoryPrior
-    from generation.hyperparameters import HyperParameters
+    from generation.search.adversary import attempt
+    from generation.search.candidates import choose
+    from generation.search.hyperparameters import HyperParameters
 
     single_threaded()
     report("imports", started_s)

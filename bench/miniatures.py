@@ -18,9 +18,9 @@ import torch
 
 from adapters.miniatures import MINIATURES, planner_of
 from benchmark.datasets.roots import open_data
+from benchmark.machine.workspace import cache_root
 from benchmark.planning import SceneInfo
-from benchmark.workspace import cache_root
-from generation.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town
 
 AIM_MS = 150.0
 WARM_UP = 2

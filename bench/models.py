@@ -27,7 +27,7 @@ import torch
 from torch import nn
 
 from adapters.native_models import NATIVE_MODELS, native_model
-from benchmark.devices import single_precision
+from benchmark.machine.devices import single_precision
 
 PUBLISHED_FPS = {"vad-tiny": 16.8, "vad-base": 4.5, "sparsedrive": 9.0, "diffusiondrive": 8.2, "uniad": 1.8}
 """As the authors give them (VAD's for UniAD); they name no hardware."""

@@ -1,8 +1,8 @@
 """Speed of each protocol on nuScenes-sized samples (30 objects, 6 steps), beside slow versions and the official code.
 
-The slow versions (`tests/benchmark/slow_protocols.py`) draw every raster and build every polygon, as the official code
-does; they run on fewer samples and must come to the same verdicts. What the official code itself needs was measured on
-a machine of this kind and is quoted.
+The slow versions (`tests/benchmark/protocols/slow_protocols.py`) draw every raster and build every polygon, as the
+official code does; they run on fewer samples and must come to the same verdicts. What the official code itself needs
+was measured on a machine of this kind and is quoted.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from benchmark.geometry import Floats
 from benchmark.planning import Command
 from benchmark.protocols import PROTOCOLS
 from benchmark.truth import SampleTruth
-from tests.benchmark import slow_protocols as slow
+from tests.benchmark.protocols import slow_protocols as slow
 
 LIMIT_S = 10.0
 """What all of them together may take for 6,019 samples."""

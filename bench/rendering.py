@@ -12,10 +12,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark.datasets.scenarionet import read_scenarionet
+from benchmark.machine.workers import map_ordered
 from benchmark.scene import Scene
-from benchmark.workers import map_ordered
-from generation.schematic import SchematicRenderer
-from generation.town import town_scene
+from generation.render.schematic import SchematicRenderer
+from generation.sources.town import town_scene
 
 
 def load(source: str) -> Scene:

@@ -19,9 +19,9 @@ from typing import Any, TypeVar
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmark.records import find_records
-from benchmark.sheets.records import find_sheets
-from benchmark.workers import single_threaded
+from benchmark.machine.workers import single_threaded
+from benchmark.records.run import find_records
+from benchmark.records.scenes import find_sheets
 from leaderboard.build import write_leaderboard
 from tests.leaderboard.site.big_workspace import DATA_NAME, make_workspace
 from tests.leaderboard.site.browser import Browser, find_chromium, started

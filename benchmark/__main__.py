@@ -1,5 +1,5 @@
 """``python -m benchmark`` is ``challenger-bench``."""
 
-from benchmark.cli import main
+from benchmark.cli.app import main
 
 main()

@@ -7,23 +7,23 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.ablation_records import AblationReport
+from benchmark.drawing.figures import png_size
 from benchmark.errors import InputError
-from benchmark.quality.records import QualityRecord
-from benchmark.records import RunRecord
-from benchmark.sheets.records import NO_SHEETS, Sheets
-from benchmark.storage import file_name, write_bytes, writing_to
-from leaderboard.contents import DataSetTables, data_set_tables, generation_tables
-from leaderboard.drawing import png_size
-from leaderboard.figures import NamedFigure, data_set_figures
-from leaderboard.heat_map import heat_map
-from leaderboard.published_tables import published_tables
-from leaderboard.quality_table import quality_tables
-from leaderboard.refinement_figure import refinement_figures
+from benchmark.machine.storage import file_name, write_bytes, writing_to
+from benchmark.records.ablation import AblationReport
+from benchmark.records.quality import QualityRecord
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import NO_SHEETS, Sheets
+from benchmark.report.table import Table, escape_markdown
+from leaderboard.figures.charts import NamedFigure, data_set_figures
+from leaderboard.figures.heat_map import heat_map
+from leaderboard.figures.refinement import refinement_figures
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
-from leaderboard.tables import Table, escape_markdown
+from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
+from leaderboard.tables.paper import published_tables
+from leaderboard.tables.quality import quality_tables
 
 Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""

@@ -5,17 +5,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.ablation_records import AblationReport
-from benchmark.confusion import EXACT
-from benchmark.records import RunRecord
-from benchmark.storage import read_kept_json, write_bytes, write_json
-from benchmark.transfer import transfer
-from leaderboard.ablation_tables import ablation_tables
-from leaderboard.collision import collision_table, in_table_order, native_table
-from leaderboard.comparisons import Verdicts, split_table
-from leaderboard.diagnosis import diagnosis_tables
-from leaderboard.tables import Table
-from leaderboard.transfer import agreement_table, transfer_table
+from benchmark.machine.storage import read_kept_json, write_bytes, write_json
+from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.transfer import transfer
+from benchmark.records.ablation import AblationReport
+from benchmark.records.run import RunRecord
+from benchmark.report.table import Table
+from leaderboard.tables.ablation import ablation_tables
+from leaderboard.tables.collision import collision_table, in_table_order, native_table
+from leaderboard.tables.comparisons import Verdicts, split_table
+from leaderboard.tables.diagnosis import diagnosis_tables
+from leaderboard.tables.transfer import agreement_table, transfer_table
 
 PAGE: Final = "README.md"
 NUMBERS: Final = "results.json"

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 from benchmark.errors import InputError
-from benchmark.labels import labelled
-from benchmark.records import RunRecord
+from benchmark.records.planner_versions import labelled
+from benchmark.records.run import RunRecord
 
 
 def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
     """The record that stands for each version of a planner on each split of each data set.
 
-    Versions are told apart by `benchmark.labels`. A run of the whole split goes before runs of some of its scenes; of
-    those the one with most scenes is taken.
+    Versions are told apart by `benchmark.records.planner_versions`. A run of the whole split goes
+    before runs of some of its scenes; of those the one with most scenes is taken.
 
     Args:
         records: Any records.

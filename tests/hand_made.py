@@ -7,10 +7,10 @@ import shapely
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.geometry import Floats, quaternion_from_yaw
+from benchmark.machine.storage import token
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
 from benchmark.scene import Agents, Annotations, EgoTrack, Scene
-from benchmark.storage import token
-from generation.rig import default_cameras, default_lidar
+from generation.sources.rig import default_cameras, default_lidar
 
 LANE_WIDTH_M = 3.5
 ROAD_X_M = (0.0, 400.0)

@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from benchmark.errors import InputError
-from benchmark.storage import canonical_json, write_bytes
-from benchmark.workspace import cache_root
+from benchmark.machine.storage import canonical_json, write_bytes
+from benchmark.machine.workspace import cache_root
 
 _METADATA_KEY: Final = "challenger-bench"
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from adapters.checkpoints.importing import ImportedWeights, import_checkpoint
 from adapters.checkpoints.official import OfficialFile, how_to_import
-from benchmark.downloads import download
-from benchmark.storage import only_writer
+from benchmark.machine.storage import only_writer
+from benchmark.weights.downloads import download
 
 
 def fetch_official(file: OfficialFile, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:

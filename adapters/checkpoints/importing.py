@@ -22,9 +22,9 @@ from adapters.checkpoints.motion_anchors import anchors_beside, published_beside
 from adapters.checkpoints.official import OFFICIAL_FILES, how_to_import
 from adapters.native_models import NativeModel, native_model
 from benchmark import __version__
-from benchmark.checkpoint_files import read_checkpoint
 from benchmark.errors import InputError
-from benchmark.storage import file_sha256
+from benchmark.machine.storage import file_sha256
+from benchmark.weights.foreign import read_checkpoint
 
 _NORM: Final = re.compile(
     r"img_norm_cfg\s*=\s*dict\(\s*mean\s*=\s*\[([^\]]*)\]\s*,\s*std\s*=\s*\[([^\]]*)\]\s*,\s*to_rgb\s*=\s*(True|False)"
@@ -141,8 +141,8 @@ def _with_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path | Non
     if anchors.suffix != ".safetensors":
         return with_motion_anchors(path, tensors, anchors)
     # Here, because these modules import this one.
-    from adapters.sparse.anchor_files import read_anchors
-    from adapters.sparse.anchors import with_anchors
+    from adapters.checkpoints.anchor_files import read_anchors
+    from adapters.networks.sparse.anchors import with_anchors
 
     return with_anchors(tensors, read_anchors(anchors))
 

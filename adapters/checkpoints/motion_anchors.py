@@ -10,8 +10,8 @@ from torch import Tensor
 
 from adapters.native_models import MOTION_ANCHORS
 from benchmark.constants import FARTHEST_WAYPOINT_M
-from benchmark.datasets.safe_pickle import read_pickle
 from benchmark.errors import InputError
+from benchmark.weights.safe_pickle import read_pickle
 
 FILE: Final = "motion_anchor_infos_mode6.pkl"
 """Its published name."""

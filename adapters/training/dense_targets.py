@@ -11,9 +11,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.detection_classes import AGENT_CLASSES
-from adapters.layers.bev_geometry import BEVGrid
+from adapters.networks.layers.bev_geometry import BEVGrid
+from adapters.networks.vad.selection import MAP_CLASSES
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
-from adapters.vad.selection import MAP_CLASSES
 
 VEHICLES: Final = tuple(
     AGENT_CLASSES.index(name) for name in ("car", "truck", "construction_vehicle", "bus", "trailer")

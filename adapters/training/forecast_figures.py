@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import VEHICLE_CATEGORIES
-from benchmark.diagnosis import forecasts_in_lidar, matched_forecasts
+from benchmark.metrics.diagnosis import forecasts_in_lidar, matched_forecasts
 from benchmark.planning import Plan
 from benchmark.truth import SampleTruth
 
@@ -17,7 +17,7 @@ NEAR_M: Final = 30.0
 
 @dataclass(frozen=True, slots=True)
 class ForecastFigures:
-    """Figures over vehicles within `NEAR_M` of the ego, matched as `benchmark.diagnosis` matches.
+    """Figures over vehicles within `NEAR_M` of the ego, matched as `benchmark.metrics.diagnosis` matches.
 
     Attributes:
         vehicles: Annotated ones, with at least one lidar point, over all samples.

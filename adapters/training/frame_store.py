@@ -14,8 +14,8 @@ from adapters.training.frames import TrainingFrame
 from adapters.training.scene_frames import ENDLESS, scene_arrays
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.storage import content_key, file_name, only_writer, read_json, write_bytes, write_json
-from benchmark.workers import map_ordered
+from benchmark.machine.storage import content_key, file_name, only_writer, read_json, write_bytes, write_json
+from benchmark.machine.workers import map_ordered
 
 INDEX: Final = "frames.json"
 FORMAT: Final = 1

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.detection_classes import AGENT_CLASSES
-from adapters.layers.feature_pyramid import FeaturePyramid
-from adapters.layers.resnet import ResNet
+from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.resnet import ResNet
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_targets import BOX_NUMBERS, GROUND_KINDS, ImageTargets, image_targets
 

@@ -10,11 +10,11 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from adapters.baselines.constant_velocity import ConstantVelocity
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.checkpoints.cache import Provenance, write_weights
-from adapters.constant_velocity import ConstantVelocity
 from adapters.miniatures import MINIATURES, Miniature, miniature, planner_with
-from adapters.native_planner import Weights
+from adapters.planner import Weights
 from adapters.training.card import card_of
 from adapters.training.frame_store import FrameStore, build_frames, frames_key
 from adapters.training.frames import TrainingFrame
@@ -25,16 +25,16 @@ from adapters.training.run_files import tensors_key
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
 from benchmark import __version__
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.environment import source_state
 from benchmark.errors import InputError
-from benchmark.storage import (
+from benchmark.machine.environment import source_state
+from benchmark.machine.storage import (
     content_seed,
     file_sha256,
     read_json,
     write_bytes,
     write_json,
 )
-from benchmark.workspace import cache_root
+from benchmark.machine.workspace import cache_root
 
 ENCODER_NAME: Final = "image-encoder"
 """What ``--model`` calls the network that all miniatures start from."""

@@ -13,7 +13,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from benchmark.errors import InputError
-from benchmark.storage import canonical_json, write_bytes
+from benchmark.machine.storage import canonical_json, write_bytes
 
 
 @dataclass(slots=True)

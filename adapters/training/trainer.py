@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from adapters.training.frame_store import FrameStore
 from adapters.training.frames import Lesson, LessonOfClips, TrainingFrame
 from adapters.training.run_files import TrainingRun, read_run, tensors_key, write_run
-from benchmark.devices import device_of
 from benchmark.errors import InputError
-from benchmark.storage import content_key, content_seed, write_json_lines
-from benchmark.workers import progress, single_threaded
+from benchmark.machine.devices import device_of
+from benchmark.machine.storage import content_key, content_seed, write_json_lines
+from benchmark.machine.workers import progress, single_threaded
 
 LOG_EVERY: Final = 50
 """Steps whose mean losses are one row of the log; a run is only ever interrupted between two such rows."""

@@ -3,17 +3,17 @@
 from pathlib import Path
 from typing import Final
 
-from adapters.vad.config import VADConfig
-from adapters.vad.model import VAD
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.model import VAD
 from adapters.verification.conditions import set_folders
 from adapters.verification.parity_set import ParitySet
 from adapters.verification.sparse import NETWORKS, verify_sparse
 from adapters.verification.uniad import verify_uniad
 from adapters.verification.vad import compare_vad
-from benchmark.devices import single_precision
 from benchmark.errors import InputError
-from benchmark.filled_networks import fill, same_names_and_shapes
-from benchmark.verification import Check, Comparison
+from benchmark.machine.devices import single_precision
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
 
 _VAD: Final = {"vad-tiny": VADConfig.tiny, "vad-base": VADConfig.base}
 VERIFIED_MODELS: Final = (*_VAD, "uniad", *NETWORKS)

@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.storage import read_json
-from benchmark.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
+from benchmark.machine.storage import read_json
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
 
 COARSE = 32
 """Pixels along a side of the squares that synthetic images have in common with the published code."""

@@ -11,8 +11,8 @@ from torch import Tensor
 from adapters.verification.parity_set import ParitySet
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.golden import GoldenArrays
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
 SAMPLED: Final = "__sub"
 STATISTICS: Final = "__stats"

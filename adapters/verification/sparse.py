@@ -9,19 +9,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from adapters.sparse.config import SparseConfig
-from adapters.sparse.ego_passage import Passage
-from adapters.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork, moment_of
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork, moment_of
 from adapters.verification.conditions import set_folders
 from adapters.verification.sparse_order import Order, follow
 from adapters.verification.sparse_quantities import Quantity, Rule, frame_quantities, map_quantities
 from adapters.verification.sparse_set import SparseSet, Statistic
 from adapters.verification.sparse_trace import Trace, traced
-from benchmark.devices import single_precision
 from benchmark.errors import InputError
-from benchmark.filled_networks import fill, same_names_and_shapes
-from benchmark.golden import GoldenArrays
-from benchmark.verification import Check, Comparison
+from benchmark.machine.devices import single_precision
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
+from benchmark.verification.golden import GoldenArrays
 
 METRES: Final = 1e-3
 SPREAD: Final = 1e-3

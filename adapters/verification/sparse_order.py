@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from adapters.sparse.decoder import Decoded, Remembered, SparseDecoder
-from adapters.sparse.model import Memory, SparseNetwork
-from adapters.sparse.selection import Predictions, select_boxes, select_lines
-from adapters.sparse.tracks import Tracks
+from adapters.networks.sparse.decoder import Decoded, Remembered, SparseDecoder
+from adapters.networks.sparse.model import Memory, SparseNetwork
+from adapters.networks.sparse.selection import Predictions, select_boxes, select_lines
+from adapters.networks.sparse.tracks import Tracks
 from benchmark.geometry import Floats
-from benchmark.golden import GoldenArrays
+from benchmark.verification.golden import GoldenArrays
 
 Rows = NDArray[np.int64]
 TIED: Final = 1e-4

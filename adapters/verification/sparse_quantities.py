@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from adapters.sparse.boxes import decode_boxes
-from adapters.sparse.model import Memory, SparseNetwork
-from adapters.sparse.noise_schedule import TIMESTEPS
-from adapters.sparse.selection import Predictions, forecast_centres, select_boxes, select_lines, select_plan
+from adapters.networks.sparse.boxes import decode_boxes
+from adapters.networks.sparse.model import Memory, SparseNetwork
+from adapters.networks.sparse.noise_schedule import TIMESTEPS
+from adapters.networks.sparse.selection import Predictions, forecast_centres, select_boxes, select_lines, select_plan
 from adapters.verification.sparse_order import Order, Rows
 
 

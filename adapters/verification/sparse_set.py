@@ -10,12 +10,12 @@ import torch
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
-from adapters.sparse.config import SparseConfig, image_length_fits
-from adapters.sparse.model import SparseInputs
+from adapters.networks.sparse.config import SparseConfig, image_length_fits
+from adapters.networks.sparse.model import SparseInputs
 from benchmark.errors import InputError
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.storage import read_json
-from benchmark.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
+from benchmark.machine.storage import read_json
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
 
 COARSE = 16
 """Pixels along a side of the squares of synthetic images."""

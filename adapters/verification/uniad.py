@@ -11,20 +11,20 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor, nn
 
-from adapters.uniad.config import UniADConfig
-from adapters.uniad.model import UniAD, UniADInputs
+from adapters.networks.uniad.config import UniADConfig
+from adapters.networks.uniad.model import UniAD, UniADInputs
 from adapters.verification.conditions import set_folders
 from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor
 from adapters.verification.quantities import SAMPLED, STATISTICS, Quantity, compare_frame
 from adapters.verification.uniad_optimiser import compare_optimiser
 from adapters.verification.uniad_quantities import frame_quantities
-from benchmark.devices import single_precision
 from benchmark.errors import InputError
-from benchmark.filled_networks import fill, same_names_and_shapes
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.storage import read_json
-from benchmark.synthetic_weights import read_shapes
-from benchmark.verification import Check, Comparison
+from benchmark.machine.devices import single_precision
+from benchmark.machine.storage import read_json
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import read_shapes
 
 FRAMES: Final = 1000
 """More of them are a damaged set."""

@@ -5,13 +5,13 @@ from typing import Final
 
 import numpy as np
 
-from adapters.uniad.collision_optimiser import Solver, move_plan, nearby_cells
-from adapters.uniad.collision_solvers import cost
-from adapters.uniad.frames import Predictions
+from adapters.networks.uniad.collision_optimiser import Solver, move_plan, nearby_cells
+from adapters.networks.uniad.collision_solvers import cost
+from adapters.networks.uniad.frames import Predictions
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.golden import GoldenArrays
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
 SAME_M: Final = 1e-2
 """What the specification allows the moved plan."""

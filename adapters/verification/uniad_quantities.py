@@ -9,15 +9,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.layers.coders import extent_corners
-from adapters.uniad.frames import Predictions
-from adapters.uniad.map_masks import INSIDE, paste_masks, ranked
-from adapters.uniad.model import UniAD
-from adapters.uniad.occupancy import SEEN
-from adapters.uniad.tracking import Boxes, decoded, strongest_boxes
+from adapters.networks.layers.coders import extent_corners
+from adapters.networks.uniad.frames import Predictions
+from adapters.networks.uniad.map_masks import INSIDE, paste_masks, ranked
+from adapters.networks.uniad.model import UniAD
+from adapters.networks.uniad.occupancy import SEEN
+from adapters.networks.uniad.tracking import Boxes, decoded, strongest_boxes
 from adapters.verification.quantities import Quantity, Tolerance
 from benchmark.geometry import Bools
-from benchmark.golden import GoldenArrays
+from benchmark.verification.golden import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
 """Every value within a thousandth of its spread."""

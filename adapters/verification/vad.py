@@ -10,16 +10,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from adapters.vad.config import VADConfig
-from adapters.vad.model import VAD, VADInputs
-from adapters.vad.predictions import Predictions
-from adapters.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.model import VAD, VADInputs
+from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
 from adapters.verification.parity_set import ParitySet
 from adapters.verification.quantities import Quantity, Tolerance, compare_frame, golden_list
 from benchmark.errors import InputError
 from benchmark.geometry import Bools
-from benchmark.golden import GoldenArrays
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
 """Every value within a thousandth of its spread: what comes before the decoders, and what comes after all others."""

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from benchmark.constants import FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.storage import read_json
 from benchmark.planning import EgoState
 from benchmark.scene import EgoTrack
-from benchmark.storage import read_json
 
 _STALE_AFTER_US: Final = 500_000
 """A message that is older than this says nothing about now."""

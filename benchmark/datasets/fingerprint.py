@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.storage import content_key, file_sha256
+from benchmark.machine.storage import content_key, file_sha256
 
 
 def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:

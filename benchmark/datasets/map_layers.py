@@ -12,8 +12,8 @@ from shapely.geometry import LineString, MultiPolygon, Polygon
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.storage import read_json
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
-from benchmark.storage import read_json
 
 CENTERLINE_STEP_M: Final = 1.0
 _OLDEST_VERSION: Final = (1, 3)

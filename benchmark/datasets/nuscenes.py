@@ -24,11 +24,11 @@ from benchmark.datasets.timeline import read_timeline, samples_of_scene
 from benchmark.datasets.videos import videos_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.storage import read_json
 from benchmark.planning import CameraView, Observation
-from benchmark.record_schema import SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
-from benchmark.storage import read_json
 from benchmark.truth import SampleTruth
 
 MAP_MARGIN_M: Final = 120.0

@@ -14,10 +14,10 @@ from typing import Any, Protocol, Self
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.tables import version_folders
 from benchmark.errors import InputError
+from benchmark.machine.storage import content_key
 from benchmark.planning import CameraView, Observation
-from benchmark.record_schema import SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Scene
-from benchmark.storage import content_key
 from benchmark.truth import SampleTruth
 
 

@@ -19,15 +19,15 @@ from benchmark.constants import (
     FRAMES_PER_KEYFRAME,
     OFFICIAL_LOCATIONS,
 )
-from benchmark.datasets.safe_pickle import read_pickle
 from benchmark.datasets.scenarionet_map import map_of_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
 from benchmark.datasets.sensors import standard_lidar
 from benchmark.datasets.tables import scene_number
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
+from benchmark.machine.storage import content_seed, token
 from benchmark.scene import EgoTrack, Scene
-from benchmark.storage import content_seed, token
+from benchmark.weights.safe_pickle import read_pickle
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from benchmark.record_schema import SceneFacts
+from benchmark.records.run_schema import SceneFacts
 
 _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")
 """Names of the published Adv-nuSc, which has no provenance file: the recorded scene and a suffix."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.errors import InputError
-from benchmark.storage import read_json
+from benchmark.machine.storage import read_json
 
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
 

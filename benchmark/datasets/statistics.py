@@ -18,8 +18,8 @@ from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.table_rows import TableCounts, count_rows, table_rows
 from benchmark.datasets.tables import find_version
 from benchmark.errors import InputError
+from benchmark.machine.storage import read_json
 from benchmark.published import ADV_NUSC
-from benchmark.storage import read_json
 
 _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 
@@ -107,7 +107,7 @@ class _Kind(BaseModel):
 
 
 class _StoredLabels(BaseModel):
-    """What statistics need of ``generation.labels.Labels`` as written to ``challenger.json``."""
+    """What statistics need of ``generation.labels.labelling.Labels`` as written to ``challenger.json``."""
 
     model_config = ConfigDict(frozen=True)
     manoeuvre: str

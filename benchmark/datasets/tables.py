@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
-from benchmark.storage import read_json
+from benchmark.machine.storage import read_json
 
 Row = dict[str, Any]
 Tables = Mapping[str, list[Row]]

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.quality.pictures import Mask
+from benchmark.quality.cut_masks import Mask
 from benchmark.quality.pretrained import load_pretrained
 
 _MEAN: Final = (0.485, 0.456, 0.406)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools
+from benchmark.quality.cut_masks import Mask, overlap
 from benchmark.quality.definition import Definition
 from benchmark.quality.detection import Detector
-from benchmark.quality.pictures import Mask, overlap
 from benchmark.quality.projection import ProjectedBox, visible_parts
 from benchmark.quality.segmentation import Box, Segmenter
 

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING
 import torch
 from pydantic import ValidationError
 
-from benchmark.devices import device_of, device_of_worker
-from benchmark.environment import facts as environment_facts
 from benchmark.errors import InputError
-from benchmark.evaluate import EvalSettings
-from benchmark.hub_weights import content_hash, folder_of
+from benchmark.evaluation import EvalSettings
+from benchmark.machine.devices import device_of, device_of_worker
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
+from benchmark.machine.workers import default_workers, map_ordered, worker_number
 from benchmark.quality.definition import Definition
 from benchmark.quality.pretrained import transformers_version
-from benchmark.quality.records import QualityRecord, write_quality
-from benchmark.quality.schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.quality.scoring import Networks, image_file, load_networks, score_scene
 from benchmark.quality.weights import needed_for
-from benchmark.scene_work import reopen_root
-from benchmark.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
-from benchmark.workers import default_workers, map_ordered, worker_number
+from benchmark.records.quality import QualityRecord, write_quality
+from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
+from benchmark.runs.scene_work import reopen_root
+from benchmark.weights.hub import content_hash, folder_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -35,8 +35,8 @@ class QualitySettings:
     Attributes:
         definition: What is measured.
         weights: Folder of weights that the user has, or ``None`` for the cache.
-        device: Where networks run (`benchmark.devices.device_of_worker`): ``cuda`` stands for all GPUs, one after the
-            other; ``auto`` for GPUs where there are any.
+        device: Where networks run (`benchmark.machine.devices.device_of_worker`): ``cuda`` stands for all GPUs, one
+            after the other; ``auto`` for GPUs where there are any.
         scenes: Only these scenes of the split.
         limit: Only the first so many scenes.
         workers: Number of processes; 0 is one for each GPU where networks run on GPUs, else one for each processor. The

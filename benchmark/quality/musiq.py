@@ -19,8 +19,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from benchmark.checkpoint_files import read_checkpoint
 from benchmark.errors import InputError
+from benchmark.weights.foreign import read_checkpoint
 
 PATCH_PX: Final = 32
 LONGER_SIDES_PX: Final = (224, 384)

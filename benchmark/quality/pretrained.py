@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import torch
 
-from benchmark.pretrained import Library
+from benchmark.weights.pretrained import Library
 
 _TRANSFORMERS: Final = Library("transformers", extra="quality", needed_by="video quality")
 

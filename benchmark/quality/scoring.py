@@ -12,16 +12,16 @@ import torch
 from numpy.typing import NDArray
 
 from benchmark.datasets.sensors import load_image
-from benchmark.devices import single_precision
 from benchmark.errors import InputError
+from benchmark.machine.devices import single_precision
 from benchmark.quality.consistency import SubjectFeatures, similarities
+from benchmark.quality.cut_masks import Mask
 from benchmark.quality.definition import Definition
 from benchmark.quality.imaging import ImagingQuality
 from benchmark.quality.masks import BoxMasks, CameraVideo, FrameMasks, MaskMaker, TrackedMasks
-from benchmark.quality.pictures import Mask
 from benchmark.quality.projection import boxes_in_view, reduced
-from benchmark.quality.schema import SceneRows, SubjectRow, Sum, VideoRow
 from benchmark.quality.weights import DINO, GROUNDING_DINO, MUSIQ, SAM2
+from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

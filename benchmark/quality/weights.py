@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from benchmark.hub_weights import HubFile, HubWeights
 from benchmark.quality.definition import MaskSource
+from benchmark.weights.hub import HubFile, HubWeights
 
 DINO: Final = HubWeights(
     name="dino-vitb16",

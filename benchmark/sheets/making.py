@@ -11,7 +11,18 @@ from pydantic import ValidationError
 
 from benchmark.datasets.scene_facts import labels_in
 from benchmark.errors import InputError
-from benchmark.record_schema import DataFacts
+from benchmark.machine.storage import content_key, file_sha256, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import (
+    ROUNDS_FILE,
+    SCHEMA,
+    SHEET_FILE,
+    RefinementTrace,
+    Sheet,
+    picture_name,
+    read_sheet,
+    scene_folder,
+)
 from benchmark.scene import Scene
 from benchmark.sheets.motion import agents_of, ego_of, origin_of
 from benchmark.sheets.pictures import (
@@ -23,18 +34,7 @@ from benchmark.sheets.pictures import (
     pictured_frames,
     with_files,
 )
-from benchmark.sheets.records import (
-    ROUNDS_FILE,
-    SCHEMA,
-    SHEET_FILE,
-    RefinementTrace,
-    Sheet,
-    picture_name,
-    read_sheet,
-    scene_folder,
-)
 from benchmark.sheets.road import road_around
-from benchmark.storage import content_key, file_sha256, read_kept_json, write_bytes, write_json, writing_to
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

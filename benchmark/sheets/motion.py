@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
 from benchmark.geometry import Bools, Floats
+from benchmark.records.scenes import Point, SheetAgent, SheetEgo
 from benchmark.scene import Scene
-from benchmark.sheets.records import Point, SheetAgent, SheetEgo
 
 NEAR_M: Final = 80.0
 """Agents are shown while they are so near to the ego."""

@@ -12,8 +12,8 @@ from benchmark.box_projection import BOX_EDGES, agents_at, at_near_plane, corner
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.planning import CameraView
+from benchmark.records.scenes import CAMERA_GRID, Segment, SheetCamera
 from benchmark.scene import Camera, Scene
-from benchmark.sheets.records import CAMERA_GRID, Segment, SheetCamera
 
 Videos = Mapping[str, Sequence[CameraView]]
 WEBP_QUALITY: Final = 80

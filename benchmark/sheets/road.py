@@ -8,9 +8,9 @@ import shapely
 from shapely.geometry import LineString, MultiPoint, Polygon
 
 from benchmark.geometry import Floats
+from benchmark.records.scenes import Point, Ring, SheetLine, SheetMap
+from benchmark.records.scenes import Polygon as SheetPolygon
 from benchmark.road_map import RoadMap, as_multipolygon
-from benchmark.sheets.records import Point, Ring, SheetLine, SheetMap
-from benchmark.sheets.records import Polygon as SheetPolygon
 
 AROUND_M: Final = 70.0
 """The road reaches this far around the ego's way."""

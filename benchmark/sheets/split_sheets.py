@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from benchmark.datasets.scene_facts import labels_in
 from benchmark.datasets.statistics import statistics
 from benchmark.errors import InputError
-from benchmark.record_schema import DataFacts
+from benchmark.machine.storage import content_key, read_json_lines, read_kept_json, write_json
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import SCHEMA, SPLIT_FILE, AttemptFacts, SplitSheet
 from benchmark.sheets.making import KEY_FILE, MAKING_VERSION
-from benchmark.sheets.records import SCHEMA, SPLIT_FILE, AttemptFacts, SplitSheet
-from benchmark.storage import content_key, read_json_lines, read_kept_json, write_json
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benchmark.errors import InputError
-from benchmark.evaluate import EvalSettings
-from benchmark.record_schema import DataFacts
-from benchmark.scene_work import reopen_root
+from benchmark.evaluation import EvalSettings
+from benchmark.machine.storage import file_name, only_writer, read_kept_json, writing_to
+from benchmark.machine.workers import default_workers, map_ordered
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, split_folder
+from benchmark.runs.scene_work import reopen_root
 from benchmark.sheets.making import Job, WrittenSheet, planned_sheet, written_sheet
-from benchmark.sheets.records import SCENES_FOLDER, SHEET_FILE, split_folder
 from benchmark.sheets.split_sheets import write_split_sheet
-from benchmark.storage import file_name, only_writer, read_kept_json, writing_to
-from benchmark.workers import default_workers, map_ordered
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

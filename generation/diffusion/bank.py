@@ -8,8 +8,8 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.storage import content_seed, file_sha256
-from benchmark.workers import progress
+from benchmark.machine.storage import content_seed, file_sha256
+from benchmark.machine.workers import progress
 from generation.diffusion.checkpoint import load_denoiser, read_tensors, write_tensors
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.schedule import STEPS, reverse, strided_timesteps

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.storage import canonical_json, write_bytes
+from benchmark.machine.storage import canonical_json, write_bytes
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 
 PACKAGED_WEIGHTS: Final = Path(__file__).parent / "weights" / "denoiser.safetensors"

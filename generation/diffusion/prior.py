@@ -13,14 +13,14 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.storage import content_key, file_sha256
+from benchmark.machine.storage import content_key, file_sha256
 from generation.diffusion.bank import bank_beside, read_bank
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.schedule import STEPS, add_noise, reverse, strided_timesteps
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
-from generation.proposals import Mutation, Request, Sampling
+from generation.search.proposals import Mutation, Request, Sampling
 
 EXACT_ROUNDS: Final = 8
 """Batches that exact sampling draws at most in search of drivable trajectories."""
@@ -62,7 +62,7 @@ class TrajectoryPrior:
 
     Waypoints are (B, 16, 3): x, y, heading at 2 Hz over 8 s, metres and radians, in the rear-axle frame of the vehicle
     now, x forward. Results depend on the arguments and the state of the generator only; numerical libraries are
-    expected to use one thread (`benchmark.workers.single_threaded`).
+    expected to use one thread (`benchmark.machine.workers.single_threaded`).
 
     Attributes:
         fingerprint: SHA-256 of weights, bank and sampler settings.

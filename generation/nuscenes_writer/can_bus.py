@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.geometry import Floats, rotation_matrix
+from benchmark.machine.storage import canonical_json
 from benchmark.scene import Scene
-from benchmark.storage import canonical_json
 from generation.nuscenes_writer.plan import SourceInfo
 
 MESSAGES: Final = ("ms_imu", "pose", "steeranglefeedback", "vehicle_monitor", "zoe_veh_info", "zoesensors")

@@ -9,8 +9,8 @@ from shapely.geometry import LineString, Polygon
 
 from benchmark.constants import MAP_LAYERS
 from benchmark.geometry import Floats
+from benchmark.machine.storage import token
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
-from benchmark.storage import token
 from generation.nuscenes_writer.arclines import arcline_path
 
 Row = dict[str, Any]

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
-from benchmark.storage import canonical_json, write_bytes, write_json, writing_to
+from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
 from generation.nuscenes_writer.scenes import read_state, release_claim
@@ -21,7 +21,7 @@ STATE_FOLDERS: Final = (
 )  # fmt: skip
 """Where unfinished files may lie below the writer's own folder."""
 _LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")
-"""Temporary files of a process that was killed while writing (`benchmark.storage.write_bytes`)."""
+"""Temporary files of a process that was killed while writing (`benchmark.machine.storage.write_bytes`)."""
 
 Fragment = dict[str, Any]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, read_json, read_kept_json, token, write_bytes, write_json
 from benchmark.road_map import RoadMap
-from benchmark.storage import content_key, read_json, read_kept_json, token, write_bytes, write_json
 from generation.nuscenes_writer.expansion import map_expansion
 from generation.nuscenes_writer.masks import basemap, drivable_mask
 from generation.nuscenes_writer.plan import DataSetPlan

@@ -12,9 +12,9 @@ import shapely
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, token
 from benchmark.scene import Camera, Scene
-from benchmark.storage import content_key, token
-from generation.rendering import Renderer
+from generation.render.contract import Renderer
 
 WRITER_VERSION: Final = 1
 """Part of every content key; raised when the same scene would be written differently."""
@@ -178,7 +178,7 @@ def digest(value: Any) -> Any:
         value: Dataclasses, arrays, geometries, containers and plain values, nested at will.
 
     Returns:
-        Something `benchmark.storage.content_key` accepts.
+        Something `benchmark.machine.storage.content_key` accepts.
     """
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "UO":

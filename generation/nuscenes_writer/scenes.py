@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json, writing_to
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
-from benchmark.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json, writing_to
 from generation.nuscenes_writer.can_bus import can_bus_files
 from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, require_own_root, scene_key
 from generation.nuscenes_writer.road_maps import pack_road_map
 from generation.nuscenes_writer.rows import Channel, channels_of, scene_tables, used_labels
 from generation.nuscenes_writer.vocabulary import Vocabulary
-from generation.rendering import Images, SweepRenderer
+from generation.render.contract import Images, SweepRenderer
 
 FRAGMENT_SCHEMA = 1
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 from benchmark.constants import CAMERA_NAMES, CATEGORIES, LIDAR_NAME
 from benchmark.datasets.tables import version_folders
 from benchmark.errors import InputError
+from benchmark.machine.storage import read_json, token
 from benchmark.scene import Scene
-from benchmark.storage import read_json, token
 from generation.nuscenes_writer.plan import SourceInfo
 
 Row = dict[str, Any]

@@ -4,12 +4,12 @@ from typing import Final
 
 import numpy as np
 
+from benchmark.dynamics.bicycle import MotionModel, VehicleState, rear_axle, simulate
+from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.geometry import Floats
-from benchmark.golden import GoldenArrays
-from benchmark.storage import content_seed
-from benchmark.verification import Comparison
-from generation.physics import MotionModel, VehicleState, rear_axle, simulate
-from generation.reference_path import WAYPOINTS
+from benchmark.machine.storage import content_seed
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 
 STEPS: Final = 80
 """Frames that golden sets simulate."""

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 from benchmark.errors import InputError
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
-from benchmark.verification import Check, Comparison
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
 from generation.diffusion.denoiser import HISTORY_CHANNELS, TrajectoryDenoiser
 from generation.diffusion.schedule import ALPHA_BARS, BETAS, STEPS, reverse_step, strided_timesteps
 from generation.verification.built_in import BUILT_IN

@@ -11,15 +11,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from benchmark.devices import single_precision
 from benchmark.errors import InputError
-from benchmark.filled_networks import NAMES, fill, same_names_and_shapes
 from benchmark.geometry import Floats
-from benchmark.golden import GoldenArrays
-from benchmark.verification import Check, Comparison
-from generation.magicdrive.config import MagicDriveConfig
-from generation.magicdrive.model import MagicDriveDiT
-from generation.magicdrive.sampling import timesteps
+from benchmark.machine.devices import single_precision
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes
+from benchmark.verification.golden import GoldenArrays
+from generation.render.magicdrive.config import MagicDriveConfig
+from generation.render.magicdrive.model import MagicDriveDiT
+from generation.render.magicdrive.sampling import timesteps
 from generation.verification.magicdrive_quantities import (
     ENCODERS,
     EVALUATIONS,

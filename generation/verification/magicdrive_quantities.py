@@ -7,12 +7,12 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from generation.magicdrive.conditions import Conditions, TextStates
-from generation.magicdrive.encoders import HIDDEN_BOX
-from generation.magicdrive.guidance import GuidanceMode, GuidedModel, null_conditions
-from generation.magicdrive.layers import rounded_to_bfloat16
-from generation.magicdrive.model import Encoded, MagicDriveDiT
-from generation.magicdrive.sampling import GivenFrames, SamplingOptions, SamplingState, sample, timesteps
+from generation.render.magicdrive.conditions import Conditions, TextStates
+from generation.render.magicdrive.encoders import HIDDEN_BOX
+from generation.render.magicdrive.guidance import GuidanceMode, GuidedModel, null_conditions
+from generation.render.magicdrive.layers import rounded_to_bfloat16
+from generation.render.magicdrive.model import Encoded, MagicDriveDiT
+from generation.render.magicdrive.sampling import GivenFrames, SamplingOptions, SamplingState, sample, timesteps
 from generation.verification.magicdrive_set import Case, MagicDriveSet
 
 STEPS: Final = 4

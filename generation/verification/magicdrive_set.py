@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.storage import read_json
-from benchmark.synthetic_weights import WeightsRecipe, read_shapes
-from generation.magicdrive.conditions import Conditions, TextStates
-from generation.magicdrive.config import MagicDriveConfig
-from generation.magicdrive.model import LatentSize
+from benchmark.machine.storage import read_json
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes
+from generation.render.magicdrive.conditions import Conditions, TextStates
+from generation.render.magicdrive.config import MagicDriveConfig
+from generation.render.magicdrive.model import LatentSize
 
 Length = Annotated[int, Field(gt=0, le=4096)]
 

@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, simulate
+from benchmark.dynamics.reference_path import WAYPOINTS, reference_path
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_global
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.verification import Check, Comparison
-from generation.physics import MotionModel, SimulatedMotion, VehicleState, simulate
-from generation.reference_path import WAYPOINTS, reference_path
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.golden import GoldenArrays, golden_directory
 from generation.verification.built_in import BUILT_IN
 from generation.verification.degenerate import STEPS, compare_degenerate
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.golden import GoldenArrays
 from benchmark.road_map import DrivableRaster
-from generation.scoring import Surroundings
+from benchmark.verification.golden import GoldenArrays
+from generation.search.scoring import Surroundings
 
 SCORED: Final = slice(1, 13)
 """Frames after the planning frame that the paper scores."""

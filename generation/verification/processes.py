@@ -9,8 +9,8 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.golden import GoldenArrays
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
+from benchmark.verification.golden import GoldenArrays
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.schedule import (
     CLAMP,

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.golden import GoldenArrays, golden_directory
-from benchmark.storage import read_json
-from benchmark.verification import Check, Comparison
-from generation.hyperparameters import CollisionReading, HyperParameters
-from generation.scoring import Terms, final_scores, normalised, score_terms
+from benchmark.machine.storage import read_json
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.golden import GoldenArrays, golden_directory
+from generation.search.hyperparameters import CollisionReading, HyperParameters
+from generation.search.scoring import Terms, final_scores, normalised, score_terms
 from generation.verification.built_in import BUILT_IN
 from generation.verification.planning_frame import PlanningFrame, read_planning_frame
 from generation.verification.ties import RANK_TIE, on_raster_tie, out_of_order, touching_tie

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats, boxes_overlap
-from generation.hyperparameters import CollisionReading
+from generation.search.hyperparameters import CollisionReading
 
 TIE: Final = 1e-9
 """Cells from a half-integer raster coordinate, or metres from touching."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
 from generation.diffusion.prior import diversify
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
 from generation.verification.processes import Parity

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import Any, Final
 from urllib.parse import quote
 
-from benchmark.confusion import EXACT
-from benchmark.quality.records import QualityRecord
-from benchmark.records import RunRecord
-from benchmark.sheets.records import Sheets
-from benchmark.storage import file_name
-from leaderboard.cells import Cell, number
+from benchmark.machine.storage import file_name
+from benchmark.metrics.confusion import EXACT
+from benchmark.records.quality import QualityRecord
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import Sheets
+from benchmark.report.cells import Cell, number
+from benchmark.report.table import Table
 from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import scene_index, scene_key
-from leaderboard.tables import Table
 
 TITLE: Final = "challenger-bench"
 _FORMATS: Final = (".csv", ".tex", ".json")

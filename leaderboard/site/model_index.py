@@ -4,8 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from benchmark.records import ProtocolSummary, RateRow, RunRecord
-from leaderboard.collision import in_table_order, recordings
+from benchmark.records.run import ProtocolSummary, RateRow, RunRecord
+from leaderboard.tables.collision import in_table_order, recordings
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")
 _DIGITS: Final = 6

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from urllib.parse import quote
 
-from benchmark.confusion import EXACT
 from benchmark.errors import InputError
-from benchmark.quality.records import QualityRecord
-from benchmark.records import RunRecord, SampleRow, scene_failures
-from benchmark.scores import registered_version, source_of_scenes
-from benchmark.sheets.records import Sheet, Sheets
-from benchmark.storage import content_key, file_name
-from leaderboard.collision import SPLIT_ORDER
+from benchmark.machine.storage import content_key, file_name
+from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.quality import QualityRecord
+from benchmark.records.run import RunRecord, SampleRow, scene_failures
+from benchmark.records.scenes import Sheet, Sheets
+from leaderboard.tables.collision import SPLIT_ORDER
 
 SceneName = tuple[str, str, str]
 """Data set, split and scene."""

@@ -5,11 +5,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.confusion import EXACT
 from benchmark.constants import PLAN_STEP_S
+from benchmark.drawing.placing import INSTANTS_PER_STEP, PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
-from benchmark.records import OutcomeRow, PlanRow, RunRecord, SampleRow
-from leaderboard.drawing_scenes.placing import INSTANTS_PER_STEP, PlacedForecasts, placed_plan
+from benchmark.metrics.confusion import EXACT
+from benchmark.records.run import OutcomeRow, PlanRow, RunRecord, SampleRow
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
 
 MODES_SHOWN: Final = 12

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from benchmark.storage import canonical_json
+from benchmark.machine.storage import canonical_json
 
 
 def data_script(target: str, value: Any) -> bytes:

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from benchmark.quality.records import QualityRecord
-from benchmark.records import RunRecord
-from benchmark.sheets.records import Sheets
+from benchmark.records.quality import QualityRecord
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import Sheets
 from leaderboard.site.index_data import PlacedFigure, PlacedTable, index_data
 from leaderboard.site.scene_data import scene_files
 from leaderboard.site.scripts import data_script

@@ -5,11 +5,11 @@ from typing import Final
 import cv2
 import numpy as np
 
+from benchmark.drawing.birdseye import draw_birdseye
+from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
-from benchmark.sheets.records import Sheet
-from leaderboard.drawing_scenes.birdseye import draw_birdseye
-from leaderboard.drawing_scenes.placing import agent_box, ego_box
+from benchmark.records.scenes import Sheet
 
 THUMBNAIL_PX: Final = 320
 THUMBNAIL_EXTENT_M: Final = 20.0

@@ -23,17 +23,17 @@ from adapters.camera_inputs import (
     lidar_pose,
     lidar_to_image,
 )
-from adapters.example_inputs import example_images, example_projections
+from adapters.verification.example_inputs import example_images, example_projections
 from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.planning import CameraView, EgoState, Observation
-from generation.rig import default_cameras
+from generation.sources.rig import default_cameras
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
+from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.benchmark.fake_data import observation
-from tests.benchmark.nuscenes_tables import TinyRoot
-from tests.generation.written_roots import short_scene, write_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 from tests.hand_made import scene_on_straight_road
 
 TINY, BASE, FULL = ImageFormat.scaled(0.4), ImageFormat.scaled(0.8), ImageFormat.scaled(1.0)

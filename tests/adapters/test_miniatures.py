@@ -14,13 +14,13 @@ from adapters.miniatures import EMBEDDED_DATA, MINIATURES, PACKAGED, miniature, 
 from adapters.registry import MINIATURES as REGISTERED
 from adapters.registry import planner, planner_factory
 from adapters.training.plan_figures import Images, shown
-from benchmark.cli import _model_on
+from benchmark.cli.app import _model_on
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.storage import file_sha256
 from benchmark.planning import SceneInfo
-from benchmark.storage import file_sha256
-from generation.mini import TownSettings, build_town
+from generation.sources.mini import TownSettings, build_town
 
 MOST_BYTES = 25_000_000
 SAMPLES = 10

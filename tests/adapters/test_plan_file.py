@@ -13,7 +13,7 @@ import pytest
 
 from adapters.plan_file import WAYPOINT_COLUMNS, plan_file_factory, read_plan_file
 from benchmark.errors import InputError
-from benchmark.evaluate import EvalSettings, evaluate
+from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import PlanFrame
 from tests.benchmark.fake_data import FakeData, town_of_two
 

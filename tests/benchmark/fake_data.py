@@ -10,10 +10,10 @@ import numpy as np
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.can_bus import CanBus, ego_state
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.machine.storage import content_key, token
 from benchmark.planning import CameraView, Command, Observation
-from benchmark.record_schema import SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Scene
-from benchmark.storage import content_key, token
 from benchmark.truth import SampleTruth
 from tests.hand_made import Car, scene_on_straight_road
 

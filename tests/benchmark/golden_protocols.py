@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.sample_truth import command_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.machine.storage import content_seed, file_sha256, write_json
 from benchmark.protocols.verification import BUILT_IN
 from benchmark.protocols.verification.golden_set import ProtocolArrays, truths_of
-from benchmark.storage import content_seed, file_sha256, write_json
 from benchmark.truth import SampleTruth
-from tests.benchmark import slow_protocols as slow
+from tests.benchmark.protocols import slow_protocols as slow
 
 Arrays = dict[str, NDArray[Any]]
 KEYFRAMES = 11

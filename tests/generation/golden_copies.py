@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.verification import Check
+from benchmark.verification.checks import Check
 from generation.verification.built_in import BUILT_IN
 from generation.verification.denoiser import verify_denoiser
 from generation.verification.physics import verify_physics

@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
-from benchmark.storage import content_seed
+from benchmark.machine.storage import content_seed
 from generation.verification.built_in import BUILT_IN
 
 Arrays = dict[str, NDArray[Any]]

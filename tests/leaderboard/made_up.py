@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from benchmark.ablation_records import VARIANTS, AblationReport, AblationRow
-from benchmark.record_schema import DataFacts, PlannerFacts, RateRow
-from benchmark.sheets.records import AttemptFacts, Sheets, SplitSheet
+from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
+from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
+from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
 
 STATISTICS: dict[str, Any] = {
     "split": "adv",

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.log_replay import LogReplay
+from adapters.baselines.log_replay import LogReplay
 from benchmark.errors import InputError
-from benchmark.evaluate import EvalSettings, evaluate
+from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame
-from benchmark.records import RunRecord, find_records
+from benchmark.records.run import RunRecord, find_records
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
-from leaderboard.published import TABLE_1
-from leaderboard.published_tables import published_table
 from leaderboard.selection import one_run_each
+from leaderboard.tables.paper import published_table
+from leaderboard.tables.published import TABLE_1
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
 from tests.leaderboard.csv_rows import csv_rows

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from benchmark.cli import _results_from
-from benchmark.records import RunRecord
-from benchmark.storage import read_json
+from benchmark.cli.app import _results_from
+from benchmark.machine.storage import read_json
+from benchmark.records.run import RunRecord
 from leaderboard.results import NUMBERS, PAGE, stale_results, write_results
-from tests.benchmark.hand_made_records import CLEAN, HIT, hand_made
-from tests.cli_runs import challenger_bench
+from tests.benchmark.cli.cli_runs import challenger_bench
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.made_up import study
 
 MADE_FROM: dict[str, Any] = {"weights": {"uniad-mini": "a"}, "town": "mini-1", "protocols": {"exact": 1}}

@@ -8,7 +8,7 @@ from benchmark.constants import MAP_LAYERS, OFFICIAL_LOCATIONS
 from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
 from benchmark.errors import InputError
-from benchmark.storage import read_json
+from benchmark.machine.storage import read_json
 
 _PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_END: Final = b"IEND\xaeB`\x82"

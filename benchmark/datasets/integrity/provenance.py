@@ -8,7 +8,7 @@ from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
 from benchmark.errors import InputError
-from benchmark.storage import read_json
+from benchmark.machine.storage import read_json
 
 SPLITS: Final = "splits.json"
 PROVENANCE: Final = "challenger.json"

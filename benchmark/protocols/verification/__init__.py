@@ -8,7 +8,7 @@ from benchmark.protocols.verification.aggregates import Aggregates
 from benchmark.protocols.verification.golden_set import golden_inputs, read_golden_scene, remarks
 from benchmark.protocols.verification.official import compare_official
 from benchmark.protocols.verification.polygons import compare_polygons
-from benchmark.verification import Check, Comparison
+from benchmark.verification.checks import Check, Comparison
 
 __all__ = ["BUILT_IN", "verify_protocols"]
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Floats
+from benchmark.metrics.rates import HORIZONS, rates
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols.verification.golden_set import GoldenScene
 from benchmark.protocols.verification.official import complete_samples
-from benchmark.rates import HORIZONS, rates
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
 
 COLLISION: Final = 1e-9
 """Allowed error of a collision rate."""

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-from benchmark.golden import GoldenArrays, golden_directory
+from benchmark.machine.storage import file_sha256, read_json
 from benchmark.planning import Command
 from benchmark.protocols.raster import CELLS
-from benchmark.storage import file_sha256, read_json
 from benchmark.truth import SampleTruth
+from benchmark.verification.golden import GoldenArrays, golden_directory
 
 _KEYFRAMES: Final = PLAN_STEPS + 1
 _OFFICIAL, _EXACT, _MANIFEST = "_official", "_exact", "manifest.json"

@@ -11,7 +11,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.protocols import PROTOCOLS, Outcomes, raster, uniad, vad
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.protocols.verification.golden_set import GoldenScene
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
 
 L2_M: Final = 1e-5
 """Allowed error of one displacement: the golden ones are single precision, up to about 100 m."""

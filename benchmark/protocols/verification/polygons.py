@@ -13,7 +13,7 @@ from benchmark.protocols.sparsedrive import waypoint_contacts
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.protocols.verification.golden_set import GoldenScene
 from benchmark.truth import SampleTruth
-from benchmark.verification import Comparison
+from benchmark.verification.checks import Comparison
 
 HEADING_RAD: Final = 1e-6
 """Allowed error of a heading: the golden ones are single precision."""

@@ -4,7 +4,7 @@
   const player = window.ChallengerPlayer;
   const TAU = 2 * Math.PI;
 
-  /** Colours of leaderboard/drawing_scenes/palette.py on paper, and their like on black. */
+  /** Colours of benchmark/drawing/palette.py on paper, and their like on black. */
   const THEMES = {
     light: {
       land: "#f3f2ed", road: "#cdcfd3", kerb: "#a4a6aa", walkways: "#e5dfd3", carparks: "#dadbe0", crossings: "#e9ebee",

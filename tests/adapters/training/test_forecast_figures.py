@@ -11,7 +11,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.geometry import Floats
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.truth import SampleTruth
-from tests.generation.written_roots import short_scene, write_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 AWAY_M = np.array([1.0, 0.0])
 

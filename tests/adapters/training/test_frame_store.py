@@ -16,7 +16,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.sample_truth import planar_lidar_poses
 from benchmark.errors import InputError
 from benchmark.geometry import to_global
-from tests.generation.written_roots import short_scene, write_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SCENES = ("scene-9901", "scene-9902")
 

@@ -12,7 +12,7 @@ from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderLesson, _mirrored, centre_loss
 from adapters.training.image_targets import CELL_PX, FARTHEST_M, GROUND_KINDS, GROUND_PX, ImageTargets, image_targets
 from benchmark.geometry import Floats
-from tests.generation.written_roots import short_scene, write_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.constant_velocity import ConstantVelocity
+from adapters.baselines.constant_velocity import ConstantVelocity
 from adapters.training.plan_figures import Images, plan_figures, shown
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from tests.generation.written_roots import short_scene, write_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SCENES = ("scene-9901", "scene-9902")
 

@@ -17,10 +17,10 @@ from adapters.miniatures import planner_of
 from adapters.training.planners import ENCODER_NAME, PlannerTraining, judge_again, train_planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
+from benchmark.machine.storage import write_json
 from benchmark.planning import SceneInfo
-from benchmark.storage import write_json
-from generation.mini import TownSettings, build_town
-from tests.cli_runs import challenger_bench
+from generation.sources.mini import TownSettings, build_town
+from tests.benchmark.cli.cli_runs import challenger_bench
 
 MODEL = "vad-mini"
 

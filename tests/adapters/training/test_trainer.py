@@ -15,7 +15,7 @@ from adapters.training.losses import plan_loss
 from adapters.training.run_files import tensors_key
 from adapters.training.trainer import LOG_EVERY, Recipe, clip_of, fit, learning_rate
 from benchmark.errors import InputError
-from tests.generation.written_roots import short_scene, write_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 STEPS = 2 * LOG_EVERY + 20
 

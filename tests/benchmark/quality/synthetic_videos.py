@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.machine.storage import content_seed
 from benchmark.quality.projection import boxes_in_view, visible_parts
 from benchmark.scene import Scene
-from benchmark.storage import content_seed
-from tests.benchmark.nuscenes_tables import TinyRoot
+from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.hand_made import Car, scene_on_straight_road
 
 SIZE = (320, 180)

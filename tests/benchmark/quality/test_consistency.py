@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.quality.consistency import SubjectFeatures, similarities, subject_square
-from benchmark.quality.pictures import Mask, overlap
+from benchmark.quality.cut_masks import Mask, overlap
 from benchmark.quality.weights import DINO
 from tests.benchmark.quality.synthetic_videos import texture
 

@@ -12,19 +12,20 @@ import torch
 from PIL import Image
 from typer.testing import CliRunner
 
-from benchmark.cli import app
+from benchmark.cli.app import app
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.quality import measure, musiq
 from benchmark.quality.definition import Definition, mask_source
 from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
 from benchmark.quality.musiq import Musiq
-from benchmark.quality.records import QualityRecord, find_quality, load_quality, summarise_quality
-from benchmark.quality.schema import SceneRows, SubjectRow
 from benchmark.quality.scoring import score_scene
 from benchmark.quality.weights import MUSIQ
-from benchmark.record_schema import SceneFacts
-from leaderboard.quality_table import quality_tables
+from benchmark.records.quality import QualityRecord, find_quality, load_quality, summarise_quality
+from benchmark.records.quality_schema import SceneRows, SubjectRow
+from benchmark.records.run_schema import SceneFacts
+from leaderboard.tables.quality import quality_tables
+from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.quality.small_networks import SMALL_MUSIQ, save_musiq
 from tests.benchmark.quality.synthetic_videos import (
     Picture,
@@ -34,9 +35,8 @@ from tests.benchmark.quality.synthetic_videos import (
     without_frames,
     write_root,
 )
-from tests.cli_runs import bytes_below
-from tests.generation.written_roots import short_scene, with_adversary
-from tests.generation.written_roots import write_root as write_split
+from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
+from tests.generation.nuscenes_writer.written_roots import write_root as write_split
 
 BOXES = Definition(masks="boxes", min_mask_px=60, crop_px=64, batch=4)
 TWO = ("scene-9901", "scene-9902")

@@ -15,14 +15,14 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.quality.projection import boxes_in_view
+from benchmark.records.scenes import CAMERA_GRID, SheetMap
 from benchmark.road_map import Divider, DividerKind, RoadMap, as_multipolygon
 from benchmark.scene import Scene
 from benchmark.sheets.motion import agents_of, ego_of, origin_of
 from benchmark.sheets.pictures import adversary_edges, cut_at_borders, layout, mosaic, pictured_frames
-from benchmark.sheets.records import CAMERA_GRID, SheetMap
 from benchmark.sheets.road import AROUND_M, road_around
 from tests.benchmark.quality.synthetic_videos import without_frames
-from tests.generation.written_roots import short_scene, with_adversary
+from tests.generation.nuscenes_writer.written_roots import short_scene, with_adversary
 from tests.hand_made import Car, straight_road
 
 WAY = np.column_stack([np.linspace(150.0, 190.0, 9), np.full(9, 198.25)])

@@ -12,17 +12,17 @@ import pytest
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import VariantRoots
 from benchmark.errors import InputError
-from benchmark.record_schema import DataFacts
+from benchmark.machine.storage import only_writer, write_json, write_json_lines
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import Sheets, StoredSheet, find_sheets, read_sheet, scene_folder
 from benchmark.sheets import making, split_sheets
-from benchmark.sheets.records import Sheets, StoredSheet, find_sheets, read_sheet, scene_folder
 from benchmark.sheets.writing import SheetSettings, plan_of, write_sheets
-from benchmark.storage import only_writer, write_json, write_json_lines
+from generation.build.profile import kept_runtime
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.profile import kept_runtime
-from tests.benchmark.nuscenes_tables import TinyRoot
-from tests.cli_runs import bytes_below, challenger_bench
-from tests.generation.written_roots import SIZE, short_scene, with_adversary
-from tests.generation.written_roots import write_root as write_split
+from tests.benchmark.cli.cli_runs import bytes_below, challenger_bench
+from tests.benchmark.datasets.nuscenes_tables import TinyRoot
+from tests.generation.nuscenes_writer.written_roots import SIZE, short_scene, with_adversary
+from tests.generation.nuscenes_writer.written_roots import write_root as write_split
 
 TWO = ("scene-9901", "scene-9902")
 HERE = SheetSettings(workers=1)

@@ -14,11 +14,12 @@ import numpy as np
 
 from benchmark.datasets.statistics import ManoeuvreRow, Statistics
 from benchmark.datasets.table_rows import TableCounts
+from benchmark.machine.storage import content_key, content_seed, file_sha256, token, write_json
+from benchmark.machine.workspace import Workspace
 from benchmark.planning import PlanFrame
-from benchmark.record_schema import DataFacts
-from benchmark.records import PlannerFacts
-from benchmark.run_directory import run_directory
-from benchmark.sheets.records import (
+from benchmark.records.run import PlannerFacts
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import (
     CAMERA_GRID,
     SCHEMA,
     SHEET_FILE,
@@ -29,8 +30,7 @@ from benchmark.sheets.records import (
     scene_folder,
     split_folder,
 )
-from benchmark.storage import content_key, content_seed, file_sha256, token, write_json
-from benchmark.workspace import Workspace
+from benchmark.runs.run_directory import run_directory
 from tests.leaderboard.site.made_runs import MadePlanner, run, truth_of
 from tests.leaderboard.site.made_scenes import (
     CELL_HEIGHT_PX,

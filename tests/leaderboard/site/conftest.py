@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from selenium.common.exceptions import WebDriverException
 
-from benchmark.records import RunRecord, find_records
-from benchmark.sheets.records import Sheets, find_sheets
+from benchmark.records.run import RunRecord, find_records
+from benchmark.records.scenes import Sheets, find_sheets
 from leaderboard.build import write_leaderboard
 from tests.leaderboard.site.big_workspace import BigWorkspace, make_workspace
 from tests.leaderboard.site.browser import HEIGHT_PX, WIDTH_PX, Browser, find_chromium, started

@@ -8,13 +8,21 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import FRAMES_PER_KEYFRAME, LIDAR_FROM_REAR_AXLE_M, PLAN_STEP_S, PLAN_STEPS
-from benchmark.disagreement import MISS
 from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.machine.storage import content_key, content_seed
+from benchmark.metrics.disagreement import MISS
 from benchmark.planning import Command, PlanFrame
 from benchmark.protocols import PROTOCOLS, Outcomes
-from benchmark.record_schema import DataFacts, DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow, SceneFacts
-from benchmark.records import write_record
-from benchmark.storage import content_key, content_seed
+from benchmark.records.run import write_record
+from benchmark.records.run_schema import (
+    DataFacts,
+    DiagnosisRow,
+    ForecastRow,
+    OutcomeRow,
+    PlanRow,
+    SampleRow,
+    SceneFacts,
+)
 from benchmark.truth import SampleTruth
 from tests.leaderboard.site.made_scenes import MadeScene
 

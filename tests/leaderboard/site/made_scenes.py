@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WIDTH_M, FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.geometry import Floats
-from benchmark.record_schema import DataFacts
-from benchmark.sheets.records import CAMERA_GRID, SCHEMA, Sheet, picture_name
-from benchmark.storage import content_seed, token
+from benchmark.machine.storage import content_seed, token
+from benchmark.records.run_schema import DataFacts
+from benchmark.records.scenes import CAMERA_GRID, SCHEMA, Sheet, picture_name
 
 LANE_M = 3.5
 MANOEUVRES = ("cut-in-left", "cut-in-right", "braking-ahead", "squeezing-left", "tailgating", "oncoming")

@@ -3,8 +3,8 @@
 import re
 from urllib.parse import parse_qs, quote
 
-from benchmark.records import RunRecord, scene_failures
-from benchmark.storage import content_key
+from benchmark.machine.storage import content_key
+from benchmark.records.run import RunRecord, scene_failures
 from tests.leaderboard.site.big_workspace import DATA_NAME
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.records import find_records, scene_failures
-from benchmark.sheets.records import find_sheets
+from benchmark.records.run import find_records, scene_failures
+from benchmark.records.scenes import find_sheets
 from tests.leaderboard.site.big_workspace import HOSTILE_NAMES, IMAGE_TAG, make_workspace
 
 

@@ -1,0 +1,1 @@
+"""Planners without images: constant velocity, ego status, IDM, and the recorded ego."""

@@ -1,0 +1,106 @@
+"""Anchors of a data set on disk: what ``challenger-bench weights anchors`` writes."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import safetensors
+import safetensors.torch
+from torch import Tensor
+
+from adapters.checkpoints.sightings import sightings_of
+from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, anchors_of
+from adapters.networks.sparse.planner import VARIANTS
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, file_sha256, write_bytes
+
+_METADATA_KEY: Final = "challenger-bench-anchors"
+_NAMES: Final = {BOXES, LINES, FORECASTS, PLANS}
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorFile:
+    """Anchors that were written.
+
+    Attributes:
+        path: The safetensors file.
+        sha256: Of it.
+        model: Which model they are for.
+        data: Name and fingerprint of the data set.
+        split: Of the data set.
+        sightings: How many boxes, map elements, futures and plans the anchors are the centres of.
+    """
+
+    path: Path
+    sha256: str
+    model: str
+    data: dict[str, str]
+    split: str | None
+    sightings: dict[str, int]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"path": str(self.path), "sha256": self.sha256, **_facts(self)}
+
+
+def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> AnchorFile:
+    """Cluster what a data set holds, and keep the centres.
+
+    Args:
+        model: ``sparsedrive`` or ``diffusiondrive``.
+        data: Any data set.
+        split: Of the data set; ``None`` is all of it.
+        path: A .safetensors file to write.
+
+    Returns:
+        What was written; the same data give the same bytes.
+
+    Raises:
+        InputError: If the model has no anchors, the data set is too small, or the file cannot be written.
+    """
+    if model not in VARIANTS:
+        raise InputError(f"{model!r} is no model with anchors; those are {', '.join(VARIANTS)}")
+    config = VARIANTS[model]()
+    found = sightings_of(data, split, config)
+    counts = {
+        "boxes": len(np.asarray(found.box_centres)),
+        "map elements": len(np.asarray(found.line_centres)),
+        "futures": sum(len(np.asarray(futures)) for futures in found.futures),
+        "plans": sum(len(np.asarray(plans)) for plans in found.plans),
+    }
+    anchors = anchors_of(found, config)
+    source = {"name": data.name, "fingerprint": data.fingerprint()}
+    made = AnchorFile(path, "", model, source, split, counts)
+    held = {name: tensor.contiguous() for name, tensor in anchors.items()}
+    write_bytes(path, safetensors.torch.save(held, {_METADATA_KEY: canonical_json(_facts(made))}))
+    return AnchorFile(path, file_sha256(path), model, source, split, counts)
+
+
+def read_anchors(path: Path) -> dict[str, Tensor]:
+    """Anchors from a file of `write_anchors`.
+
+    Args:
+        path: A .safetensors file.
+
+    Returns:
+        Tensors under the names of the network.
+
+    Raises:
+        InputError: If the file is absent, broken, or holds something else.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as stream:
+            facts = json.loads((stream.metadata() or {}).get(_METADATA_KEY, "null"))
+        anchors = safetensors.torch.load_file(path)
+    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        raise InputError(f"cannot read anchors from {path} ({error}); make them again") from error
+    if facts is None or set(anchors) != _NAMES:
+        raise InputError(f"{path} holds no anchors; make them with: challenger-bench weights anchors --out {path.name}")
+    return anchors
+
+
+def _facts(made: AnchorFile) -> dict[str, Any]:
+    return {"model": made.model, "data": made.data, "split": made.split, "sightings": made.sightings}

@@ -1,0 +1,258 @@
+"""The bird's-eye-view encoder of BEVFormer (Li et al., ECCV 2022): cells attend to the past and to camera images."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from adapters.networks.layers.attention import FeedForward
+from adapters.networks.layers.bev_geometry import BEVGrid, CameraHits, camera_hits
+from adapters.networks.layers.deformable_attention import SamplingPattern, ring_of_offsets
+from adapters.networks.layers.sampling import Shapes, deformable_sampling
+
+
+class TemporalSelfAttention(nn.Module):
+    """Cells attend to the previous view and to their own.
+
+    Args:
+        channels: Width of the cells.
+        heads: Divides `channels`.
+        points: Looks per head and view.
+    """
+
+    def __init__(self, channels: int, heads: int, points: int) -> None:
+        super().__init__()
+        self.heads, self.points = heads, points
+        self.sampling_offsets = nn.Linear(2 * channels, heads * 2 * points * 2)
+        self.attention_weights = nn.Linear(2 * channels, heads * 2 * points)
+        self.value_proj = nn.Linear(channels, channels)
+        self.output_proj = nn.Linear(channels, channels)
+        for layer in (self.sampling_offsets, self.attention_weights):
+            nn.init.zeros_(layer.weight)
+        nn.init.zeros_(self.attention_weights.bias)
+        with torch.no_grad():
+            self.sampling_offsets.bias.copy_(ring_of_offsets(heads, 2, points))
+
+    def forward(
+        self,
+        cells: Tensor,
+        positions: Tensor,
+        references: Tensor,
+        shape: tuple[int, int],
+        views: tuple[Tensor, Tensor] | None,
+    ) -> Tensor:
+        """Attend.
+
+        Args:
+            cells: (cells, C).
+            positions: (cells, C).
+            references: (cells, 2) x, y, 0 to 1 over both views.
+            shape: Rows and columns.
+            views: (cells, C) of the previous and of this view; the cells stand for both where there is no past.
+
+        Returns:
+            (cells, C).
+        """
+        past = cells if views is None else views[0]
+        query = torch.cat([past, cells + positions], -1)
+        offsets = self.sampling_offsets(query).view(-1, self.heads, 2, self.points, 2)
+        logits = self.attention_weights(query).view(-1, self.heads, 2, self.points)
+        # The mean of the two views, each of which has weights that sum to one.
+        weights = logits.float().softmax(-1) / 2
+        projected = [self.value_proj(view) for view in (views or (cells,))]
+        values = torch.cat([projected[0], projected[-1]]).view(2 * len(cells), self.heads, -1)
+        sampled = deformable_sampling(values[None], (shape, shape), references[:, None, None, None], offsets, weights)
+        attended: Tensor = self.output_proj(sampled)
+        return cells + attended
+
+
+class SpatialCrossAttention(nn.Module):
+    """Cells attend to the images that see them.
+
+    Args:
+        channels: Width of cells and image features.
+        heads: Divides `channels`.
+        levels: Feature maps of an image.
+        points: Looks per head and map; a multiple of the heights of a pillar.
+    """
+
+    def __init__(self, channels: int, heads: int, levels: int, points: int) -> None:
+        super().__init__()
+        self.deformable_attention = SamplingPattern(channels, channels, heads, levels, points)
+        self.output_proj = nn.Linear(channels, channels)
+        nn.init.xavier_uniform_(self.output_proj.weight)
+        nn.init.zeros_(self.output_proj.bias)
+
+    def forward(self, cells: Tensor, features: Tensor, shapes: Shapes, hits: CameraHits) -> Tensor:
+        """Attend.
+
+        Args:
+            cells: (cells, C).
+            features: (cameras, S, C) cells of all maps.
+            shapes: Rows and columns of the maps.
+            hits: Which cells which cameras see.
+
+        Returns:
+            (cells, C).
+        """
+        pattern = self.deformable_attention
+        # Point p belongs to height p modulo heights.
+        heights = hits.image_points.shape[1]
+        references = hits.image_points.repeat(1, pattern.points // heights, 1)[:, None, None]
+        sampled = deformable_sampling(
+            pattern.values(features),
+            shapes,
+            references,
+            pattern.offsets(cells)[hits.cell],
+            pattern.weights(cells)[hits.cell],
+            hits.camera,
+        )
+        # Summed in one order on every device; graphics cards add to an index in any order.
+        summed = F.embedding_bag(hits.cell_order, sampled, hits.cell_starts, mode="sum")
+        attended: Tensor = self.output_proj(summed / hits.cameras_per_cell.to(summed.dtype))
+        return cells + attended
+
+
+class BEVFormerLayer(nn.Module):
+    """Past, images, feed-forward; each is normalised after its addition.
+
+    Args:
+        channels: Width of the cells.
+        heads: Divides `channels`.
+        hidden: Width of the feed-forward block.
+        levels: Feature maps of an image.
+        bev_points: Looks per head and view.
+        image_points: Looks per head and map.
+    """
+
+    def __init__(self, channels: int, heads: int, hidden: int, levels: int, bev_points: int, image_points: int) -> None:
+        super().__init__()
+        self.attentions = nn.ModuleList(
+            [
+                TemporalSelfAttention(channels, heads, bev_points),
+                SpatialCrossAttention(channels, heads, levels, image_points),
+            ]
+        )
+        self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
+        self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
+
+    def forward(
+        self,
+        cells: Tensor,
+        positions: Tensor,
+        references: Tensor,
+        shape: tuple[int, int],
+        views: tuple[Tensor, Tensor] | None,
+        images: "ImageFeatures",
+        hits: CameraHits,
+    ) -> Tensor:
+        """Arguments as in `TemporalSelfAttention` and `SpatialCrossAttention`; (cells, C) to (cells, C)."""
+        cells = self.norms[0](self.attentions[0](cells, positions, references, shape, views))
+        cells = self.norms[1](self.attentions[1](cells, images.features, images.shapes, hits))
+        result: Tensor = self.norms[2](self.ffns[0](cells))
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFeatures:
+    """Features of all cameras.
+
+    Attributes:
+        features: (cameras, S, C), each map row by row, fine to coarse.
+        shapes: Rows and columns of the maps.
+        height: Of the images they are from, pixels.
+        width: Of those images.
+    """
+
+    features: Tensor
+    shapes: tuple[tuple[int, int], ...]
+    height: int
+    width: int
+
+    @classmethod
+    def of(cls, maps: Sequence[Tensor], images: Tensor, cameras: Tensor, levels: Tensor) -> "ImageFeatures":
+        """Put maps in one row and say of each cell which camera and level it is from.
+
+        Args:
+            maps: For each level, (cameras, C, h, w).
+            images: (cameras, 3, H, W) they are from.
+            cameras: (cameras, C) embeddings.
+            levels: (levels or more, C) embeddings.
+
+        Returns:
+            The features.
+        """
+        flat = [
+            features.flatten(2).transpose(1, 2) + cameras[:, None] + levels[level]
+            for level, features in enumerate(maps)
+        ]
+        shapes = tuple((features.shape[-2], features.shape[-1]) for features in maps)
+        return cls(torch.cat(flat, 1), shapes, images.shape[-2], images.shape[-1])
+
+
+class BEVFormerEncoder(nn.Module):
+    """A stack of `BEVFormerLayer` over a grid; arguments as there.
+
+    Args:
+        grid: The cells.
+        layers: How many layers.
+        heights: Points of a pillar that are looked for in images.
+    """
+
+    pillars: Tensor
+    centres: Tensor
+
+    def __init__(
+        self,
+        grid: BEVGrid,
+        layers: int,
+        channels: int,
+        heads: int,
+        hidden: int,
+        levels: int,
+        bev_points: int,
+        image_points: int,
+        heights: int,
+    ) -> None:
+        super().__init__()
+        if image_points % heights:
+            raise ValueError(f"{image_points} points per head cannot be shared evenly by {heights} heights")
+        self.grid = grid
+        self.register_buffer("pillars", grid.pillars(heights), persistent=False)
+        self.register_buffer("centres", grid.centres(), persistent=False)
+        self.layers = nn.ModuleList(
+            [BEVFormerLayer(channels, heads, hidden, levels, bev_points, image_points) for _ in range(layers)]
+        )
+
+    def forward(
+        self,
+        cells: Tensor,
+        positions: Tensor,
+        images: ImageFeatures,
+        projections: Tensor,
+        shift: Tensor,
+        previous: Tensor | None,
+    ) -> Tensor:
+        """Encode one moment.
+
+        Args:
+            cells: (cells, C) queries.
+            positions: (cells, C).
+            images: Of all cameras.
+            projections: (cameras, 4, 4) from metres to pixels of the images.
+            shift: (2,) x, y by which the ego moved, 1 for the length of the grid. Both views are sampled as if
+                shifted, the present one too: the published code adds in place, and its weights have learned it.
+            previous: (cells, C) the previous view, turned to the present heading.
+
+        Returns:
+            (cells, C).
+        """
+        hits = camera_hits(self.pillars, projections, images.height, images.width)
+        references = self.centres + shift
+        # With a past, all layers look at the queries of the first one as the present.
+        views = None if previous is None else (previous, cells)
+        for layer in self.layers:
+            cells = layer(cells, positions, references, self.grid.shape, views, images, hits)
+        return cells

@@ -1,0 +1,66 @@
+"""What the network is told about how the ego moved since the previous key frame."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from adapters.networks.layers.bev_geometry import BEVGrid, previous_cell_matrix
+
+CAN_BUS = 18
+"""Numbers of a CAN bus vector: position (0:3), orientation (3:7), acceleration, rotation rate, velocity (7:16), yaw in
+radians (16) and in degrees (17)."""
+
+
+@dataclass(frozen=True, slots=True)
+class EgoMotion:
+    """Motion since the previous key frame; zero in the first one.
+
+    Attributes:
+        can_bus: (18,) float64; position and yaw in degrees are differences, all else is absolute.
+        shift: (2,) float32 x, y in the lidar frame, 1 for the length of the bird's-eye view.
+        previous_cells: (2, 3) float32 from `adapters.networks.layers.bev_geometry.previous_cell_matrix`.
+    """
+
+    can_bus: Tensor
+    shift: Tensor
+    previous_cells: Tensor
+
+    @classmethod
+    def between(
+        cls, previous: Tensor | None, present: Tensor, grid: BEVGrid, rotation_centre: tuple[float, float]
+    ) -> "EgoMotion":
+        """Motion between two absolute CAN bus vectors.
+
+        Args:
+            previous: (18,) float64, ``None`` in the first frame of a scene.
+            present: (18,) float64.
+            grid: The bird's-eye view.
+            rotation_centre: Column and row around which the previous view is turned.
+
+        Returns:
+            The motion, on the processor.
+        """
+        motion = present.detach().to("cpu", torch.float64, copy=True)
+        # The turn may pass 360 degrees and is not brought back: the published weights know it so.
+        if previous is None:
+            motion[:3], motion[17] = 0.0, 0.0
+        else:
+            motion[:3] -= previous[:3]
+            motion[17] -= previous[17]
+        x, y, turn_deg = float(motion[0]), float(motion[1]), float(motion[17])
+        heading = math.radians(math.degrees(float(motion[16])) - math.degrees(math.atan2(y, x)))
+        length = math.hypot(x, y)
+        x_low, y_low, _, x_high, y_high, _ = grid.range_m
+        shift = [length * math.sin(heading) / (x_high - x_low), length * math.cos(heading) / (y_high - y_low)]
+        return cls(
+            motion,
+            torch.tensor(shift, dtype=torch.float32, device="cpu"),
+            previous_cell_matrix(grid, turn_deg, rotation_centre),
+        )
+
+    def to(self, device: torch.device) -> "EgoMotion":
+        """The same on a device, in single precision, with one transfer."""
+        packed = torch.cat([self.can_bus.float(), self.shift, self.previous_cells.flatten()]).to(device)
+        return EgoMotion(packed[:CAN_BUS], packed[CAN_BUS : CAN_BUS + 2], packed[CAN_BUS + 2 :].view(2, 3))

@@ -1,0 +1,180 @@
+"""Sampling of camera features at points in space: deformable aggregation (Sparse4D v2, Lin et al., 2023)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from adapters.networks.sparse.branches import encoder
+
+NEAREST_DEPTH_M = 1e-5
+"""What is nearer to a camera's plane, or behind it, is projected as if it were here; hardly ever into the image."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFeatures:
+    """What the cameras saw.
+
+    Attributes:
+        values: (cameras, S, C) features of all levels, each flattened row by row, level after level: S cells.
+        shapes: Rows and columns of the levels, fine to coarse.
+        projections: (cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
+        height_px: Of the input images.
+        width_px: Of the input images.
+    """
+
+    values: Tensor
+    shapes: tuple[tuple[int, int], ...]
+    projections: Tensor
+    height_px: int
+    width_px: int
+
+    @classmethod
+    def of(cls, maps: Sequence[Tensor], projections: Tensor, height_px: int, width_px: int) -> "CameraFeatures":
+        """From feature maps.
+
+        Args:
+            maps: (cameras, C, h, w) for each level, fine to coarse.
+            projections: (cameras, 4, 4).
+            height_px: Of the images.
+            width_px: Of the images.
+
+        Returns:
+            The same, ready to be sampled.
+        """
+        values = torch.cat([features.flatten(2) for features in maps], -1).transpose(1, 2).contiguous()
+        shapes = tuple((int(features.shape[-2]), int(features.shape[-1])) for features in maps)
+        return cls(values, shapes, projections, height_px, width_px)
+
+    def locate(self, points: Tensor) -> Tensor:
+        """Where points are in the images.
+
+        Args:
+            points: (N, P, 3) metres, lidar frame.
+
+        Returns:
+            (N, cameras, P, 2) x, y where 0 to 1 spans the image; also what lies outside.
+        """
+        # Written out, because matrix products may run in reduced precision: a pixel off is another feature.
+        x, y, z = points[:, None].float().unbind(-1)
+        rows = self.projections[:, :3, :, None].unbind(1)
+        u, v, depth = (row[:, 0] * x + row[:, 1] * y + row[:, 2] * z + row[:, 3] for row in rows)
+        depth = depth.clamp(min=NEAREST_DEPTH_M)
+        return torch.stack([u / depth / self.width_px, v / depth / self.height_px], -1)
+
+
+def deformable_aggregation(
+    values: Tensor,
+    shapes: Sequence[tuple[int, int]],
+    locations: Tensor,
+    weights: Tensor,
+    first_camera: Tensor | None = None,
+) -> Tensor:
+    """Sum of weighted bilinear samples over points, cameras and levels.
+
+    Samples outside the image count nothing on any level, also where a bilinear sample would still reach its border.
+
+    Args:
+        values: (cameras, S, C) as in `CameraFeatures`.
+        shapes: Rows and columns of the L levels.
+        locations: (N, cameras, P, 2) x, y where 0 to 1 spans the image, both ends excluded.
+        weights: (N, cameras, L, P, G) for G groups of neighbouring channels.
+        first_camera: (N,) which of `values` is a query's first camera, where they are of several key frames.
+
+    Returns:
+        (N, C), in the type of `values`.
+    """
+    queries, groups = len(locations), weights.shape[-1]
+    sources, cells, channels = values.shape
+    inside = ((locations > 0) & (locations < 1)).all(-1)
+    query, camera, point = inside.nonzero().unbind(-1)
+    if len(query) == 0:
+        return values.new_zeros(queries, channels)
+    x, y = locations[query, camera, point].unbind(-1)
+    rows, shares = _neighbours(shapes, x, y)
+    source = camera if first_camera is None else camera + first_camera[query]
+    rows = rows + (source * cells).to(rows.dtype)[:, None, None]
+    hit_weights = weights[query, camera, :, point].float().transpose(1, 2)
+    group = torch.arange(groups, device=rows.device, dtype=rows.dtype)
+    table_rows = rows[:, None] * groups + group[:, None, None]
+    sampled = F.embedding_bag(
+        table_rows.flatten(0, 1).flatten(1),
+        values.reshape(sources * cells * groups, channels // groups),
+        per_sample_weights=(shares[:, None] * hit_weights[..., None]).flatten(0, 1).flatten(1).to(values.dtype),
+        mode="sum",
+    )
+    # Samples of a query lie together, so that they are summed in one order on every device.
+    counts = inside.flatten(1).sum(1)
+    order = torch.arange(len(query), device=query.device)
+    return F.embedding_bag(order, sampled.view(len(query), channels), counts.cumsum(0) - counts, mode="sum")
+
+
+def _neighbours(shapes: Sequence[tuple[int, int]], x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Cells of one camera around V places inside it and the shares that they have, both (V, L, 4)."""
+    cells, shares, start = [], [], 0
+    for rows, columns in shapes:
+        across, down = x * columns - 0.5, y * rows - 0.5
+        left, top = across.floor(), down.floor()
+        right_share, lower_share = across - left, down - top
+        column, row = left.to(torch.int32), top.to(torch.int32)
+        left_share = (1 - right_share) * (column >= 0)
+        right_share = right_share * (column < columns - 1)
+        upper_share = (1 - lower_share) * (row >= 0)
+        lower_share = lower_share * (row < rows - 1)
+        # Neighbours outside have no share, so that any cell may stand for them.
+        first, second = column.clamp(min=0), (column + 1).clamp(max=columns - 1)
+        above, below = row.clamp(min=0) * columns + start, (row + 1).clamp(max=rows - 1) * columns + start
+        cells.append(torch.stack([above + first, above + second, below + first, below + second], -1))
+        products = [upper_share * left_share, upper_share * right_share]
+        products += [lower_share * left_share, lower_share * right_share]
+        shares.append(torch.stack(products, -1))
+        start += rows * columns
+    return torch.stack(cells, 1), torch.stack(shares, 1)
+
+
+class CameraSampling(nn.Module):
+    """How much of which camera, level and point a query takes; the base of modules that sample images.
+
+    Subclasses make the three modules, because the order of their names is that of the published checkpoints.
+
+    Attributes:
+        camera_encoder: From the first three rows of a projection to channels.
+        weights_fc: From a query and a camera to weights of levels, points and groups.
+        output_proj: On the sum of samples.
+    """
+
+    camera_encoder: nn.Sequential
+    weights_fc: nn.Linear
+    output_proj: nn.Linear
+
+    def __init__(self, groups: int) -> None:
+        super().__init__()
+        self.groups = groups
+
+    def sample(self, queries: Tensor, points: Tensor, cameras: CameraFeatures) -> Tensor:
+        """Sample images.
+
+        Args:
+            queries: (N, C).
+            points: (N, P, 3) metres, lidar frame.
+            cameras: What there is to sample.
+
+        Returns:
+            (N, C).
+        """
+        count, levels = points.shape[1], len(cameras.shapes)
+        views = self.camera_encoder(cameras.projections[:, :3].flatten(1))
+        # The layer is linear: a query and a camera can go through it apart, once each.
+        logits = self.weights_fc(queries)[:, None] + F.linear(views, self.weights_fc.weight)
+        logits = logits.view(len(queries), -1, self.groups).float()
+        weights = logits.softmax(1).view(len(queries), len(views), levels, count, self.groups)
+        sampled = deformable_aggregation(cameras.values, cameras.shapes, cameras.locate(points), weights)
+        result: Tensor = self.output_proj(sampled)
+        return result
+
+
+def camera_encoder(channels: int) -> nn.Sequential:
+    """From the twelve numbers of a camera's projection to channels."""
+    return encoder(12, channels, 2)

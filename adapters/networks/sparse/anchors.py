@@ -1,0 +1,192 @@
+"""Where queries start: cluster centres of a data set, as the published checkpoints hold them."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from adapters.networks.sparse.boxes import BOX_CODE
+from adapters.networks.sparse.config import SparseConfig
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_seed
+
+BOXES: Final = "head.det_head.instance_bank.anchor"
+LINES: Final = "head.map_head.instance_bank.anchor"
+FORECASTS: Final = "head.motion_plan_head.motion_anchor"
+PLANS: Final = "head.motion_plan_head.plan_anchor"
+FROZEN: Final = (FORECASTS, PLANS)
+"""These stay as they are in training; the others move."""
+ALIKE_M: Final = 1e-4
+FARTHEST_M: Final = 55.0
+"""Boxes that are farther away make no anchors."""
+LINE_END_M: Final = 4.0
+"""Lines start straight along y, from minus this to this around their centres."""
+ROUNDS: Final = 100
+CHUNK: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """What a data set holds of the things that queries are for; lidar frame, metres.
+
+    Attributes:
+        box_centres: (N, 3) of boxes.
+        line_centres: (N, 2) means of the points of map elements.
+        futures: For each class of agents, (N, agent steps, 2) cumulative positions in the agent's frame, x forward.
+        plans: For each command, (N, steps, 2) cumulative positions of the ego.
+    """
+
+    box_centres: ArrayLike
+    line_centres: ArrayLike
+    futures: list[ArrayLike]
+    plans: list[ArrayLike]
+
+
+def anchors_of(sightings: Sightings, config: SparseConfig) -> dict[str, Tensor]:
+    """Cluster what a data set holds.
+
+    Args:
+        sightings: Of the data set.
+        config: Of the network that gets the anchors.
+
+    Returns:
+        float32 tensors under the names of the network. An agent class that is seen too rarely repeats the futures it
+        has, and one that is never seen stands still.
+
+    Raises:
+        InputError: If the data set has too few boxes, lines or plans, or other steps.
+    """
+    centres = _numbers(sightings.box_centres, "boxes", 3)
+    boxes = np.zeros((config.anchors, BOX_CODE))
+    near = centres[np.hypot(centres[:, 0], centres[:, 1]) <= FARTHEST_M]
+    boxes[:, :3] = clustered(near, config.anchors, f"boxes within {FARTHEST_M:g} m")
+    boxes[:, 3:7] = 1.0
+    middles = clustered(_numbers(sightings.line_centres, "map elements", 2), config.lines, "map elements")
+    along = np.linspace(-LINE_END_M, LINE_END_M, config.points_per_line)
+    lines = middles[:, None] + np.stack([np.zeros_like(along), along], -1)
+    if len(sightings.futures) != config.agent_classes or len(sightings.plans) != config.commands:
+        raise InputError(
+            f"anchors need futures of {config.agent_classes} agent classes and plans of {config.commands} commands, "
+            f"not of {len(sightings.futures)} and {len(sightings.plans)}"
+        )
+    futures = [
+        _modes(_numbers(found, f"futures of agent class {kind}", config.agent_steps, 2), config.modes, kind)
+        for kind, found in enumerate(sightings.futures)
+    ]
+    plans = [
+        clustered(_numbers(found, name, config.steps, 2), config.modes, name)
+        for name, found in ((f"plans of command {command}", plans) for command, plans in enumerate(sightings.plans))
+    ]
+    made = {BOXES: boxes, LINES: lines.reshape(config.lines, -1), FORECASTS: np.stack(futures), PLANS: np.stack(plans)}
+    return {name: torch.from_numpy(values).float() for name, values in made.items()}
+
+
+def with_anchors(checkpoint: Mapping[str, Tensor], anchors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors of a checkpoint, with anchors where it has none of its own.
+
+    Args:
+        checkpoint: By name.
+        anchors: By name, as `anchors_of` gives them.
+
+    Returns:
+        Tensors by name; what the checkpoint has, stays.
+
+    Raises:
+        InputError: If the checkpoint has anchors that these are not: of another shape, or other ones where training
+            leaves them as they are.
+    """
+    for name, made in anchors.items():
+        own = checkpoint.get(name)
+        if own is None:
+            continue
+        if own.shape != made.shape:
+            raise InputError(
+                f"the checkpoint has {name} of shape {tuple(own.shape)} and the anchors are of shape "
+                f"{tuple(made.shape)}; load it without anchors, it has its own"
+            )
+        apart = float((own.double() - made.double()).abs().amax())
+        if name in FROZEN and not apart <= ALIKE_M:
+            raise InputError(
+                f"the checkpoint was trained with other anchors: {name} differs by up to {apart:.3g} m; load it "
+                "without anchors, it has its own"
+            )
+    return {**anchors, **checkpoint}
+
+
+def clustered(points: Floats, clusters: int, what: str) -> Floats:
+    """Centres of clusters (k-means, Lloyd 1982, from spread starts, Arthur and Vassilvitskii 2007).
+
+    Args:
+        points: (N, ...) metres.
+        clusters: How many.
+        what: They are, for the seed and for messages.
+
+    Returns:
+        (clusters, ...), the same for the same points.
+
+    Raises:
+        InputError: If there are fewer different points than clusters.
+    """
+    flat = points.reshape(len(points), math.prod(points.shape[1:]))
+    different = len(np.unique(flat, axis=0)) if len(flat) else 0
+    if different < clusters:
+        raise InputError(
+            f"the data set has {different} different {what} and anchors need {clusters}; take a larger data set"
+        )
+    centres = _starts(flat, clusters, np.random.default_rng(content_seed("anchors", what, clusters)))
+    for _ in range(ROUNDS):
+        nearest = np.concatenate([_apart(part, centres).argmin(1) for part in _parts(flat)])
+        counts = np.bincount(nearest, minlength=clusters)
+        sums = np.stack([np.bincount(nearest, axis, clusters) for axis in flat.T], 1)
+        # A cluster that lost its points keeps its place.
+        moved = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centres)
+        settled = np.allclose(moved, centres, rtol=0, atol=1e-9)
+        centres = moved
+        if settled:
+            break
+    return centres.reshape(clusters, *points.shape[1:])
+
+
+def _modes(futures: Floats, modes: int, kind: int) -> Floats:
+    """(modes, steps, 2) futures of an agent class, however rare it is."""
+    if len(futures) == 0:
+        return np.zeros((modes, *futures.shape[1:]))
+    different = np.unique(futures, axis=0)
+    if len(different) >= modes:
+        return clustered(futures, modes, f"futures of agent class {kind}")
+    repeated: Floats = different[np.arange(modes) % len(different)]
+    return repeated
+
+
+def _starts(points: Floats, clusters: int, generator: np.random.Generator) -> Floats:
+    """Points of which each is likely far from those before it."""
+    found = [points[generator.integers(len(points))]]
+    apart = np.square(points - found[0]).sum(1)
+    while len(found) < clusters:
+        found.append(points[generator.choice(len(points), p=apart / apart.sum())])
+        apart = np.minimum(apart, np.square(points - found[-1]).sum(1))
+    return np.array(found)
+
+
+def _apart(points: Floats, centres: Floats) -> Floats:
+    """Squared distances, but for what is the same for all centres."""
+    squares: Floats = np.square(centres).sum(1) - 2 * points @ centres.T
+    return squares
+
+
+def _parts(points: Floats) -> list[Floats]:
+    return [points[start : start + CHUNK] for start in range(0, len(points), CHUNK)]
+
+
+def _numbers(values: ArrayLike, what: str, *axes: int) -> Floats:
+    array: NDArray[Any] = np.asarray(values, np.float64)
+    array = array.reshape(0, *axes) if array.size == 0 else array
+    if array.shape[1:] != axes or not np.isfinite(array).all():
+        raise InputError(f"anchors need {what} of shape N x {' x '.join(map(str, axes))} without NaN or infinity")
+    return array

@@ -1,0 +1,268 @@
+"""The decoder of boxes and that of lines: one implementation, of which each fills in what a place in space is."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.boxes import BOX_CODE, BoxEncoder, BoxRefinement, BoxSampling, carry_boxes
+from adapters.networks.sparse.branches import FeedForward, ResidualAttention, decoupled_attention
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S, Passage
+from adapters.networks.sparse.lines import LineEncoder, LineRefinement, LineSampling, carry_lines
+
+PAST: Final = "attention to the past"
+PRESENT: Final = "attention to each other"
+NORM: Final = "norm"
+SAMPLE: Final = "sample images"
+FEED: Final = "feed forward"
+REFINE: Final = "refine"
+STAGE: Final = (PAST, PRESENT, NORM, SAMPLE, FEED, NORM, REFINE)
+DECAY: Final = 0.6
+"""What is left of the confidence in an instance that is not seen, from frame to frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a stage of the decoder says about N instances.
+
+    Attributes:
+        anchors: (N, D) refined places.
+        logits: (N, classes).
+        qualities: (N, 2) logits, of boxes only.
+    """
+
+    anchors: Tensor
+    logits: Tensor
+    qualities: Tensor | None
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """N instances after the last stage.
+
+    Attributes:
+        stages: One after the other. Where the past is used, the instances behind the first stage are others: those
+            that were remembered, and then the most certain ones of the first stage.
+        features: (N, C).
+        embeddings: (N, C) of the places.
+    """
+
+    stages: tuple[Stage, ...]
+    features: Tensor
+    embeddings: Tensor
+
+    @property
+    def anchors(self) -> Tensor:
+        """(N, D) places."""
+        return self.stages[-1].anchors
+
+    @property
+    def logits(self) -> Tensor:
+        """(N, classes)."""
+        return self.stages[-1].logits
+
+    @property
+    def scores(self) -> Tensor:
+        """(N,) 0 to 1, of the most likely class."""
+        return self.logits.amax(-1).sigmoid()
+
+
+@dataclass(frozen=True, slots=True)
+class Remembered:
+    """The K most certain instances of a frame, the most certain one first.
+
+    Attributes:
+        features: (K, C).
+        anchors: (K, D) in the lidar frame of their time.
+        confidence: (K,) 0 to 1.
+        rows: (K,) which instances of their frame they are.
+    """
+
+    features: Tensor
+    anchors: Tensor
+    confidence: Tensor
+    rows: Tensor
+
+
+def most_certain(scores: Tensor, count: int) -> Tensor:
+    """(N,) to the rows of the `count` greatest, falling; of equals the first comes first, on every device."""
+    return scores.sort(descending=True, stable=True).indices[:count]
+
+
+class HandleScale(nn.Module):
+    """A constant that nothing reads here, but published checkpoints hold it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fix_scale = nn.Parameter(torch.zeros(1, 3), requires_grad=False)
+
+
+class InstanceBank(nn.Module):
+    """Where instances start, and what their features are then."""
+
+    def __init__(self, instances: int, numbers: int, channels: int, handled: bool) -> None:
+        super().__init__()
+        self.anchor = nn.Parameter(torch.empty(instances, numbers))
+        self.instance_feature = nn.Parameter(torch.empty(instances, channels))
+        nn.init.normal_(self.anchor)
+        nn.init.xavier_uniform_(self.instance_feature)
+        if handled:
+            self.anchor_handler = HandleScale()
+
+
+class SparseDecoder(nn.Module, ABC):
+    """Instances look at the past, at each other and at images, and are refined, stage after stage.
+
+    Attributes:
+        remembered: How many instances the next frame gets.
+        operations: What each of `layers` does.
+        layers: Under the names of the published checkpoints.
+    """
+
+    instance_bank: InstanceBank
+    anchor_encoder: nn.Module
+    layers: nn.ModuleList
+
+    def __init__(self, remembered: int, operations: tuple[str, ...]) -> None:
+        super().__init__()
+        self.remembered, self.operations = remembered, operations
+
+    @abstractmethod
+    def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
+        """Places of a remembered frame, seen from the present one."""
+
+    @abstractmethod
+    def attend(
+        self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None
+    ) -> Tensor:
+        """Attention to `key`, features and embeddings, or without it, as on the first frame, to each other."""
+
+    def forward(
+        self, cameras: CameraFeatures, past: Remembered | None, passage: Passage | None
+    ) -> tuple[Decoded, Remembered]:
+        """Decode one key frame.
+
+        Args:
+            cameras: What they saw.
+            past: What is remembered.
+            passage: From the remembered frame to this one; absent where nothing is remembered.
+
+        Returns:
+            The instances, and what to remember of them.
+        """
+        anchors: Tensor = self.instance_bank.anchor
+        features: Tensor = self.instance_bank.instance_feature
+        embeddings: Tensor = self.anchor_encoder(anchors)
+        interval_s = passage.interval_s if passage else USUAL_INTERVAL_S
+        carried = replace(past, anchors=self.carry(past.anchors, passage)) if past and passage else None
+        fresh = carried if passage and passage.fresh else None
+        key = (carried.features, self.anchor_encoder(carried.anchors)) if carried else None
+        stages: list[Stage] = []
+        for operation, layer in zip(self.operations, self.layers, strict=True):
+            if operation == PAST:
+                features = self.attend(layer, features, embeddings, key)
+            elif operation == PRESENT:
+                features = self.attend(layer, features, embeddings, (features, embeddings))
+            elif operation == SAMPLE:
+                features = layer(features, anchors, embeddings, cameras)
+            elif operation == REFINE:
+                anchors, logits, qualities = layer(features, anchors, embeddings, interval_s)
+                stages.append(Stage(anchors, logits, qualities))
+                if len(stages) == 1 and fresh:
+                    rows = most_certain(logits.amax(-1), len(anchors) - self.remembered)
+                    features = torch.cat([fresh.features, features[rows]])
+                    anchors = torch.cat([fresh.anchors, anchors[rows]])
+                embeddings = self.anchor_encoder(anchors)
+                if len(stages) > 1 and key:
+                    # Also where the first rows are not what is remembered: the published models do so.
+                    key = (key[0], embeddings[: self.remembered])
+            else:
+                features = layer(features)
+        decoded = Decoded(tuple(stages), features, embeddings)
+        return decoded, self.remember(decoded, fresh)
+
+    def remember(self, decoded: Decoded, past: Remembered | None, rows: Tensor | None = None) -> Remembered:
+        """What to leave for the next frame.
+
+        Args:
+            decoded: The instances of this frame.
+            past: What the first of them were remembered with; absent where no instance is from an earlier frame.
+            rows: (K,) which instances; the most certain ones by default.
+
+        Returns:
+            These, with a confidence that falls slowly where an instance is not seen.
+        """
+        confidence = decoded.scores
+        if past:
+            kept = torch.maximum(past.confidence * DECAY, confidence[: self.remembered])
+            confidence = torch.cat([kept, confidence[self.remembered :]])
+        if rows is None:
+            rows = most_certain(confidence, self.remembered)
+        return Remembered(decoded.features[rows], decoded.anchors[rows], confidence[rows], rows)
+
+
+class BoxDecoder(SparseDecoder):
+    """The decoder of boxes; arguments as `SparseConfig`, and how many levels of image features there are."""
+
+    def __init__(self, config: SparseConfig, levels: int) -> None:
+        super().__init__(config.remembered_anchors, STAGE[3:] + STAGE * (config.stages - 1))
+        channels = config.channels
+        self.instance_bank = InstanceBank(config.anchors, BOX_CODE, channels, handled=True)
+        self.anchor_encoder = BoxEncoder(channels)
+        make: dict[str, Callable[[], nn.Module]] = {
+            PAST: lambda: ResidualAttention(2 * channels, config.heads),
+            PRESENT: lambda: ResidualAttention(2 * channels, config.heads),
+            NORM: lambda: nn.LayerNorm(channels),
+            SAMPLE: lambda: BoxSampling(config, levels),
+            FEED: lambda: FeedForward(2 * channels, channels, config.hidden_channels),
+            REFINE: lambda: BoxRefinement(config),
+        }
+        self.layers = nn.ModuleList([make[operation]() for operation in self.operations])
+        self.fc_before = nn.Linear(channels, 2 * channels, bias=False)
+        self.fc_after = nn.Linear(2 * channels, channels, bias=False)
+
+    def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
+        """(..., 11) boxes, moved on with their velocities."""
+        return carry_boxes(anchors, passage, passage.seconds)
+
+    def attend(
+        self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None
+    ) -> Tensor:
+        """As the base class says; features and embeddings stand side by side."""
+        return decoupled_attention(layer, self.fc_before, self.fc_after, (features, embeddings), key)
+
+
+class LineDecoder(SparseDecoder):
+    """The decoder of map elements; arguments as in `BoxDecoder`."""
+
+    def __init__(self, config: SparseConfig, levels: int) -> None:
+        super().__init__(config.remembered_lines, STAGE[1:] + STAGE * (config.stages - 1))
+        channels = config.channels
+        self.instance_bank = InstanceBank(config.lines, 2 * config.points_per_line, channels, handled=False)
+        self.anchor_encoder = LineEncoder(channels, config.points_per_line)
+        make: dict[str, Callable[[], nn.Module]] = {
+            PAST: lambda: ResidualAttention(channels, config.heads),
+            PRESENT: lambda: ResidualAttention(channels, config.heads),
+            NORM: lambda: nn.LayerNorm(channels),
+            SAMPLE: lambda: LineSampling(config, levels),
+            FEED: lambda: FeedForward(2 * channels, channels, config.hidden_channels),
+            REFINE: lambda: LineRefinement(config),
+        }
+        self.layers = nn.ModuleList([make[operation]() for operation in self.operations])
+
+    def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
+        """(..., 2 P) lines."""
+        return carry_lines(anchors, passage)
+
+    def attend(
+        self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None
+    ) -> Tensor:
+        """As the base class says; embeddings are added to queries and keys."""
+        others, places = key or (features, embeddings)
+        result: Tensor = layer(features, features + embeddings, others + places, others)
+        return result

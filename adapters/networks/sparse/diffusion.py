@@ -1,0 +1,225 @@
+"""The planner of DiffusionDrive (Liao et al., CVPR 2025): anchored plans get a little noise and are cleaned again."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
+from adapters.networks.sparse.branches import (
+    FeedForward,
+    ResidualAttention,
+    class_branch,
+    plain_branch,
+    point_encoder,
+    sine_of_points,
+)
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.lines import HEIGHTS_M, at_heights
+from adapters.networks.sparse.motion_planner import Planner, PlannerPredictions, Scene, interaction_layers
+from adapters.networks.sparse.noise_schedule import TIMESTEPS, metres, noised, normalised, previous_sample
+
+BLOCKS: Final = 2
+LAYERS_OF_A_BLOCK: Final = 11
+TIME_EXPANSION: Final = 4
+
+
+class PathSampling(CameraSampling):
+    """Features of images along plans, added to the tokens of the plans."""
+
+    def __init__(self, config: SparseConfig, levels: int) -> None:
+        super().__init__(config.heads)
+        channels = config.channels
+        self.camera_encoder = camera_encoder(channels)
+        self.weights_fc = nn.Linear(channels, levels * config.steps * len(HEIGHTS_M) * config.heads)
+        self.output_proj = nn.Linear(channels, channels)
+
+    def forward(self, tokens: Tensor, offsets: Tensor, cameras: CameraFeatures) -> Tensor:
+        """(M, C) tokens and (M, steps, 2) metres from step to step to (M, C)."""
+        ground = offsets.cumsum(1)[:, :, None, None].expand(-1, -1, len(HEIGHTS_M), -1, -1)
+        return tokens + self.sample(tokens, at_heights(ground).flatten(1, 3), cameras)
+
+
+class Modulation(nn.Module):
+    """Tokens scaled and shifted by what the time says."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.scale_shift_mlp = nn.Sequential(nn.Mish(), nn.Linear(channels, 2 * channels))
+
+    def forward(self, tokens: Tensor, time: Tensor) -> Tensor:
+        """(M, C) tokens and (C,) embedding of the time to (M, C)."""
+        scale, shift = self.scale_shift_mlp(time).chunk(2, -1)
+        result: Tensor = tokens * (1 + scale) + shift
+        return result
+
+
+class PlanRefinement(nn.Module):
+    """Plans and how likely they are."""
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__()
+        self.plan_cls_branch = class_branch(config.channels, 1)
+        self.plan_reg_branch = plain_branch(config.channels, config.steps * 2)
+
+    def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
+        """(M, C) to (M,) logits and (M, steps, 2) metres from step to step."""
+        offsets = self.plan_reg_branch(tokens).float().unflatten(-1, (-1, 2))
+        return self.plan_cls_branch(tokens)[..., 0].float(), offsets
+
+
+class TimeEmbedding(nn.Module):
+    """Sines, then cosines, of the time at falling frequencies."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.channels = channels
+
+    def forward(self, time: Tensor) -> Tensor:
+        """(...) to (..., C)."""
+        half = self.channels // 2
+        steps = torch.arange(half, device=time.device, dtype=torch.float32)
+        angles = time[..., None].float() * torch.exp(steps * (-math.log(10000.0) / (half - 1)))
+        return torch.cat([angles.sin(), angles.cos()], -1)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanContext:
+    """What plans look at.
+
+    Attributes:
+        cameras: What they saw.
+        ego: (1, C) embedding of the box of the ego.
+        watched: Features and embeddings of agents, and of the ego in the last row.
+        anchors: (M, C) tokens of the anchors that the plans started from.
+    """
+
+    cameras: CameraFeatures
+    ego: Tensor
+    watched: tuple[Tensor, Tensor]
+    anchors: Tensor
+
+
+def denoising_layers(config: SparseConfig, levels: int) -> nn.ModuleList:
+    """Layers of the blocks of `DiffusionPlanner.clean`."""
+    channels, heads = config.channels, config.heads
+    layers: list[nn.Module] = []
+    for _ in range(BLOCKS):
+        layers += [
+            PathSampling(config, levels),
+            ResidualAttention(channels, heads),
+            nn.LayerNorm(channels),
+            ResidualAttention(2 * channels, heads),
+            nn.LayerNorm(channels),
+            ResidualAttention(channels, heads),
+            nn.LayerNorm(channels),
+            FeedForward(channels, channels, config.planner_hidden_channels),
+            nn.LayerNorm(channels),
+            Modulation(channels),
+            PlanRefinement(config),
+        ]
+    return nn.ModuleList(layers)
+
+
+class DiffusionPlanner(Planner):
+    """Plans for the given driving command only; they stand for all commands in what is returned."""
+
+    def __init__(self, config: SparseConfig, levels: int) -> None:
+        layers = {"interact_layers": interaction_layers(config, plans=False)}
+        super().__init__(config, layers | {"diff_layers": denoising_layers(config, levels)})
+        channels = config.channels
+        self.plan_pos_encoder = point_encoder(config.steps * (channels // 2), channels)
+        self.time_mlp = nn.Sequential(
+            TimeEmbedding(channels),
+            nn.Linear(channels, TIME_EXPANSION * channels),
+            nn.Mish(),
+            nn.Linear(TIME_EXPANSION * channels, channels),
+        )
+        self.diff_layers: nn.ModuleList
+
+    def forward(self, scene: Scene, noise: Tensor) -> PlannerPredictions:
+        """Plan a key frame.
+
+        Args:
+            scene: The frame.
+            noise: (modes, steps, 2) standard normal numbers.
+
+        Returns:
+            Forecasts and plans.
+        """
+        queue = self.instance_queue(scene.past, scene.passage, scene.agents, scene.ids, scene.front)
+        found = self.interact(scene, queue)
+        ego = found.tokens[-1:]
+        context = PlanContext(
+            scene.cameras, found.embeddings[-1:], found.watched, self.plan_queries(ego)[scene.command]
+        )
+        logits, offsets, steps = self.denoise(context, self.plan_anchor[scene.command], noise)
+        motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
+        status = self.refinement.plan_status_branch(ego)[0].float()
+        commands = self.config.commands
+        return PlannerPredictions(
+            motion_logits,
+            motion_offsets,
+            logits.expand(commands, -1),
+            offsets.expand(commands, -1, -1, -1),
+            status,
+            queue,
+            self.remember(scene, queue, found.features[-1:], status),
+            steps,
+        )
+
+    def denoise(self, context: PlanContext, anchors: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Put noise on anchors and clean them again.
+
+        Args:
+            context: What plans look at.
+            anchors: (M, steps, 2) positions, metres.
+            noise: (M, steps, 2) standard normal numbers.
+
+        Returns:
+            (M,) logits; (M, steps, 2) metres from step to step; and what came on the way, by name.
+        """
+        clean = normalised(anchors.diff(dim=1, prepend=torch.zeros_like(anchors[:, :1])))
+        sample = noised(clean, noise)
+        logits, offsets = sample.new_zeros(len(sample)), anchors
+        on_the_way = {"anchors": clean, "noise": noise, "start": sample}
+        for step, timestep in enumerate(TIMESTEPS):
+            offsets = metres(sample.clamp(-1, 1))
+            tokens = self.plan_pos_encoder(sine_of_points(offsets, self.config.channels // 2).flatten(1))
+            time = self.time_mlp(torch.tensor(float(timestep), device=tokens.device))
+            for block in range(BLOCKS):
+                tokens, logits, offsets = self.clean(block, tokens, offsets, time, context)
+                on_the_way |= {f"logits {block} {step}": logits, f"offsets {block} {step}": offsets}
+            sample = previous_sample(sample, normalised(offsets), timestep)
+            on_the_way[f"sample {step}"] = sample
+        return logits, offsets, on_the_way
+
+    def clean(
+        self, block: int, tokens: Tensor, offsets: Tensor, time: Tensor, context: PlanContext
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """One block of layers.
+
+        Args:
+            block: Which.
+            tokens: (M, C) of the plans.
+            offsets: (M, steps, 2) metres from step to step.
+            time: (C,) embedding.
+            context: What the plans look at.
+
+        Returns:
+            Tokens, logits and offsets.
+        """
+        first = block * LAYERS_OF_A_BLOCK
+        path, each_other, norm, agents, agents_norm, anchors, anchors_norm, feed, feed_norm, modulate, refine = list(
+            self.diff_layers
+        )[first : first + LAYERS_OF_A_BLOCK]
+        tokens = path(tokens, offsets, context.cameras)
+        tokens = norm(each_other(tokens, tokens, tokens, tokens))
+        ego = context.ego.expand(len(tokens), -1)
+        tokens = agents_norm(self.decoupled(agents, (tokens, ego), context.watched))
+        tokens = anchors_norm(anchors(tokens, tokens, context.anchors, context.anchors))
+        tokens = modulate(feed_norm(feed(tokens)), time)
+        logits, offsets = refine(tokens)
+        return tokens, logits, offsets

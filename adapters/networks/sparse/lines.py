@@ -1,0 +1,115 @@
+"""Map elements as the sparse networks keep them, and the parts of the map decoder that depend on it.
+
+A line has its points one after the other: x, y of the first, x, y of the second, ... Metres, lidar frame.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
+from adapters.networks.sparse.branches import class_branch, correction_branch, encoder
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.keyframe_pose import Passage
+
+GROUND_Z_M = -1.84023
+"""In the lidar frame."""
+HEIGHTS_M = (0.0, 0.5, -0.5, 1.0, -1.0)
+"""Above the ground, at which images are sampled over points on it."""
+
+
+def carry_lines(lines: Tensor, passage: Passage) -> Tensor:
+    """(..., 2 P) lines of a remembered frame, seen from the present one."""
+    return passage.move(lines.reshape(*lines.shape[:-1], -1, 2)).flatten(-2)
+
+
+def at_heights(ground: Tensor) -> Tensor:
+    """Give heights to points on the ground.
+
+    Args:
+        ground: (..., H, S, 2) x, y in metres, S points for each of `HEIGHTS_M`.
+
+    Returns:
+        (..., H, S, 3) metres.
+    """
+    heights = GROUND_Z_M + ground.new_tensor(HEIGHTS_M)[:, None, None]
+    return torch.cat([ground, heights.expand(*ground.shape[:-1], 1)], -1)
+
+
+class LineEncoder(nn.Module):
+    """Embedding of lines."""
+
+    def __init__(self, channels: int, points: int) -> None:
+        super().__init__()
+        self.pos_fc = encoder(2 * points, channels, 2)
+
+    def forward(self, lines: Tensor) -> Tensor:
+        """(..., 2 P) to (..., C)."""
+        result: Tensor = self.pos_fc(lines)
+        return result
+
+
+class LinePoints(nn.Module):
+    """Points around those of a line at which images are sampled."""
+
+    def __init__(self, channels: int, points: int, samples: int) -> None:
+        super().__init__()
+        self.shape = (points, len(HEIGHTS_M), samples, 2)
+        self.learnable_fc = nn.Linear(channels, points * len(HEIGHTS_M) * samples * 2)
+
+    def forward(self, features: Tensor, lines: Tensor) -> Tensor:
+        """Place the points.
+
+        Args:
+            features: (N, C).
+            lines: (N, 2 P).
+
+        Returns:
+            (N, P * heights * samples, 3) metres.
+        """
+        offsets = self.learnable_fc(features).float().view(-1, *self.shape)
+        ground = lines.view(-1, self.shape[0], 1, 1, 2) + offsets
+        return at_heights(ground).flatten(1, 3)
+
+
+class LineSampling(CameraSampling):
+    """Features of images around the points of lines."""
+
+    def __init__(self, config: SparseConfig, levels: int) -> None:
+        super().__init__(config.heads)
+        channels, points = config.channels, config.points_per_line
+        self.kps_generator = LinePoints(channels, points, config.samples_per_height)
+        self.output_proj = nn.Linear(channels, channels)
+        self.camera_encoder = camera_encoder(channels)
+        samples = points * len(HEIGHTS_M) * config.samples_per_height
+        self.weights_fc = nn.Linear(channels, levels * samples * config.heads)
+
+    def forward(self, features: Tensor, lines: Tensor, embeddings: Tensor, cameras: CameraFeatures) -> Tensor:
+        """(N, C) features, (N, 2 P) lines and (N, C) embeddings to (N, 2 C): what was sampled, and the features."""
+        sampled = self.sample(features + embeddings, self.kps_generator(features, lines), cameras)
+        return torch.cat([sampled, features], -1)
+
+
+class LineRefinement(nn.Module):
+    """Corrected lines and their classes."""
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__()
+        self.layers = correction_branch(config.channels, 2 * config.points_per_line)
+        self.cls_layers = class_branch(config.channels, config.map_classes)
+
+    def forward(
+        self, features: Tensor, lines: Tensor, embeddings: Tensor, interval_s: float
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Refine; time does not matter to lines.
+
+        Args:
+            features: (N, C).
+            lines: (N, 2 P).
+            embeddings: (N, C) of the lines.
+            interval_s: Not used.
+
+        Returns:
+            (N, 2 P) lines, (N, classes) logits, and nothing about their quality.
+        """
+        refined = self.layers(features + embeddings).float() + lines
+        return refined, self.cls_layers(features).float(), None

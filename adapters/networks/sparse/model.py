@@ -1,0 +1,220 @@
+"""SparseDrive and DiffusionDrive: six images and camera matrices in; a plan, boxes, forecasts and a vector map out."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.resnet import EXPANSION, ResNet
+from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.config import STAGES, SparseConfig
+from adapters.networks.sparse.decoder import BoxDecoder, LineDecoder, Remembered
+from adapters.networks.sparse.diffusion import DiffusionPlanner
+from adapters.networks.sparse.keyframe_pose import Moment, Passage
+from adapters.networks.sparse.motion_planner import Scene
+from adapters.networks.sparse.queue import QueueMemory
+from adapters.networks.sparse.regression import RegressionPlanner
+from adapters.networks.sparse.selection import Predictions, SparseOutputs, select
+from adapters.networks.sparse.tracks import Tracks, number_instances
+from benchmark.machine.storage import content_seed
+
+DEPTH_LEVELS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class SparseInputs:
+    """One key frame. The status of the ego is no input: the published models predict it and look at no other.
+
+    Attributes:
+        images: (6, 3, H, W), normalised; front, front right, front left, back, back left, back right.
+        projections: (6, 4, 4), lidar frame in metres to pixels of the images.
+        timestamp_s: When, seconds.
+        global_T_lidar: (4, 4) float64, lidar frame to world.
+        command: 0 right, 1 left, 2 straight.
+        scene_token: Of the scene; whether a change of it forgets the past, the configuration says.
+    """
+
+    images: Tensor
+    projections: Tensor
+    timestamp_s: float
+    global_T_lidar: Tensor
+    command: int
+    scene_token: str
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What a frame leaves for the next one.
+
+    Attributes:
+        moment: When and where that was.
+        agents: The most certain ones.
+        lines: The most certain ones.
+        tracks: Numbers of these agents.
+        queue: What the planner remembers.
+    """
+
+    moment: Moment
+    agents: Remembered
+    lines: Remembered
+    tracks: Tracks
+    queue: QueueMemory
+
+
+def moment_of(inputs: SparseInputs) -> Moment:
+    """When and where a key frame was taken."""
+    pose = inputs.global_T_lidar.detach().to("cpu", torch.float64, copy=True)
+    return Moment(inputs.timestamp_s, pose, inputs.scene_token)
+
+
+class DepthBranch(nn.Module):
+    """Layers of a training loss; nothing reads them here, but published checkpoints hold them."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.depth_layers = nn.ModuleList([nn.Conv2d(channels, 1, 1) for _ in range(DEPTH_LEVELS)])
+
+
+class SparseHead(nn.Module):
+    """Everything after the image features, under the published names."""
+
+    def __init__(self, config: SparseConfig, planner: RegressionPlanner | DiffusionPlanner) -> None:
+        super().__init__()
+        self.det_head = BoxDecoder(config, config.levels)
+        self.map_head = LineDecoder(config, config.levels)
+        self.motion_plan_head = planner
+
+    def forward(
+        self, cameras: CameraFeatures, front: Tensor, moment: Moment, command: int, noise: Tensor, past: Memory | None
+    ) -> tuple[Predictions, Memory]:
+        """Predict one key frame.
+
+        Args:
+            cameras: What they saw.
+            front: (1, C, h, w) coarsest feature map of the front camera.
+            moment: When and where.
+            command: 0 right, 1 left, 2 straight.
+            noise: (modes, steps, 2) for the diffusion planner.
+            past: What the frame before left.
+
+        Returns:
+            Everything that was computed, and what to leave for the next frame.
+        """
+        passage = Passage.between(past.moment, moment, front.device) if past else None
+        agents, kept_agents = self.det_head(cameras, past.agents if past else None, passage)
+        lines, kept_lines = self.map_head(cameras, past.lines if past else None, passage)
+        ids, tracks = number_instances(
+            past.tracks if past else None, bool(passage and passage.fresh), kept_agents.rows, len(agents.anchors)
+        )
+        scene = Scene(
+            agents=agents,
+            lines=lines,
+            ids=ids,
+            cameras=cameras,
+            front=front,
+            command=command,
+            box_encoder=self.det_head.anchor_encoder,
+            past=past.queue if past else None,
+            passage=passage,
+        )
+        planned = self.motion_plan_head(scene, noise)
+        memory = Memory(moment, kept_agents, kept_lines, tracks, planned.memory)
+        return Predictions(agents, lines, ids, planned), memory
+
+
+class SparseNetwork(nn.Module):
+    """The base of both networks and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
+
+    Args:
+        config: Its sizes.
+        planner: Of the network.
+        seed: Of the noise, for frames that come without.
+
+    Attributes:
+        memory: What the last frame left.
+    """
+
+    def __init__(self, config: SparseConfig, planner: RegressionPlanner | DiffusionPlanner, seed: int) -> None:
+        super().__init__()
+        self.config, self.seed = config, seed
+        read = range(config.finest_stage, STAGES)
+        self.img_backbone = ResNet(config.backbone_blocks, width=config.backbone_width, outputs=read)
+        widths = [config.backbone_width * EXPANSION * 2**stage for stage in read]
+        self.img_neck = FeaturePyramid(widths, config.channels, config.levels)
+        self.head = SparseHead(config, planner)
+        self.depth_branch = DepthBranch(config.channels)
+        self.memory: Memory | None = None
+        self.eval()
+
+    def reset(self) -> None:
+        """Forget the past; the next frame is a first one, and numbers of tracks start again."""
+        self.memory = None
+
+    def forward(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparseOutputs:
+        """Plan one key frame.
+
+        Args:
+            inputs: Frames come in the order of time.
+            noise: As in `predict`.
+
+        Returns:
+            What is reported for it.
+        """
+        return select(self.config, self.predict(inputs, noise), inputs.command)
+
+    def predict(self, inputs: SparseInputs, noise: Tensor | None = None) -> Predictions:
+        """The same before selection, and remember it.
+
+        Args:
+            inputs: One key frame.
+            noise: (modes, steps, 2) standard normal numbers of the diffusion planner; `frame_noise` by default.
+
+        Returns:
+            Everything that the network computed.
+        """
+        config, images = self.config, inputs.images
+        wanted = (config.cameras, 3, config.image_height_px, config.image_width_px)
+        if tuple(images.shape) != wanted:
+            raise ValueError(f"images of shape {tuple(images.shape)}, not {wanted}")
+        past = self.memory
+        if past and not config.memory_crosses_scenes and past.moment.scene_token != inputs.scene_token:
+            past = None
+        maps = self.img_neck(self.img_backbone(images))
+        projections = inputs.projections.to(images.device, torch.float32)
+        cameras = CameraFeatures.of(maps, projections, config.image_height_px, config.image_width_px)
+        drawn = self.frame_noise(inputs) if noise is None else noise
+        predictions: Predictions
+        predictions, self.memory = self.head(
+            cameras, maps[-1][:1], moment_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
+        )
+        return predictions
+
+    def frame_noise(self, inputs: SparseInputs) -> Tensor:
+        """(modes, steps, 2) float32 standard normal numbers that depend on the seed, the scene and the time alone."""
+        seed = content_seed("plan noise", self.seed, inputs.scene_token, inputs.timestamp_s)
+        generator = torch.Generator().manual_seed(seed)
+        return torch.randn((self.config.modes, self.config.steps, 2), generator=generator)
+
+
+class SparseDrive(SparseNetwork):
+    """SparseDrive (Sun et al., 2024), stage 2.
+
+    Args:
+        config: Its sizes.
+    """
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__(config, RegressionPlanner(config), 0)
+
+
+class DiffusionDrive(SparseNetwork):
+    """DiffusionDrive for nuScenes (Liao et al., CVPR 2025), stage 2.
+
+    Args:
+        config: Its sizes.
+        seed: Of the noise, for frames that come without.
+    """
+
+    def __init__(self, config: SparseConfig, seed: int = 0) -> None:
+        super().__init__(config, DiffusionPlanner(config, config.levels), seed)

@@ -1,0 +1,258 @@
+"""What both planners share: agents, the ego and the map look at each other, and agents are forecast."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.boxes import heading_of
+from adapters.networks.sparse.branches import (
+    FeedForward,
+    ResidualAttention,
+    class_branch,
+    decoupled_attention,
+    plain_branch,
+    point_encoder,
+    sine_of_points,
+)
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.decoder import Decoded, most_certain
+from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.queue import STATUS, InstanceQueue, Queue, QueueMemory
+
+LAYERS_OF_A_BLOCK = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a planner is given of a key frame.
+
+    Attributes:
+        agents: From the decoder of boxes.
+        lines: From the decoder of map elements.
+        ids: (N,) numbers of the agents.
+        cameras: What they saw.
+        front: (1, C, h, w) coarsest feature map of the front camera.
+        command: 0 right, 1 left, 2 straight.
+        box_encoder: Embeds boxes.
+        past: What the planner left in the frame before.
+        passage: From that frame to this one.
+    """
+
+    agents: Decoded
+    lines: Decoded
+    ids: Tensor
+    cameras: CameraFeatures
+    front: Tensor
+    command: int
+    box_encoder: nn.Module
+    past: QueueMemory | None
+    passage: Passage | None
+
+
+@dataclass(frozen=True, slots=True)
+class Interaction:
+    """Tokens after everybody has looked at everybody.
+
+    Attributes:
+        features: (N + 1, C) of the agents and, in the last row, of the ego.
+        embeddings: (N + 1, C) of their boxes.
+        watched: Features and embeddings, (W + 1, C) each, of the most certain agents and of the ego as they were
+            before.
+    """
+
+    features: Tensor
+    embeddings: Tensor
+    watched: tuple[Tensor, Tensor]
+
+    @property
+    def tokens(self) -> Tensor:
+        """(N + 1, C) features and embeddings added."""
+        return self.features + self.embeddings
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerPredictions:
+    """What a planner says; M modes, T agent steps, S planned steps; lidar frame, metres from step to step.
+
+    Attributes:
+        motion_logits: (N, M) of agents.
+        motion_offsets: (N, M, T, 2).
+        plan_logits: (commands, M).
+        plan_offsets: (commands, M, S, 2).
+        status: (10,) of the ego.
+        queue: Agents and the ego over the last frames.
+        memory: What to leave for the next frame.
+        denoising: What the diffusion planner did; empty for the other one.
+    """
+
+    motion_logits: Tensor
+    motion_offsets: Tensor
+    plan_logits: Tensor
+    plan_offsets: Tensor
+    status: Tensor
+    queue: Queue
+    memory: QueueMemory
+    denoising: Mapping[str, Tensor]
+
+
+class MotionRefinement(nn.Module):
+    """Forecasts, and the status of the ego; the regression planner adds its plans."""
+
+    def __init__(self, config: SparseConfig, plans: bool) -> None:
+        super().__init__()
+        channels = config.channels
+        self.motion_cls_branch = class_branch(channels, 1)
+        self.motion_reg_branch = plain_branch(channels, config.agent_steps * 2)
+        if plans:
+            self.plan_cls_branch = class_branch(channels, 1)
+            self.plan_reg_branch = plain_branch(channels, config.steps * 2)
+        self.plan_status_branch = plain_branch(channels, STATUS)
+
+
+def interaction_layers(config: SparseConfig, plans: bool) -> nn.ModuleList:
+    """Layers of the blocks of `Planner.interact`, and a `MotionRefinement`."""
+    channels, heads = config.channels, config.heads
+    layers: list[nn.Module] = []
+    for _ in range(config.interaction_blocks):
+        layers += [
+            ResidualAttention(2 * channels, heads),
+            ResidualAttention(2 * channels, heads),
+            nn.LayerNorm(channels),
+            ResidualAttention(channels, heads),
+            nn.LayerNorm(channels),
+            FeedForward(channels, channels, config.planner_hidden_channels),
+            nn.LayerNorm(channels),
+        ]
+    return nn.ModuleList([*layers, MotionRefinement(config, plans)])
+
+
+class Planner(nn.Module):
+    """The base of both planners.
+
+    Args:
+        config: Of the network.
+        layers: Lists of layers under their published names, which differ between the planners; the first one is from
+            `interaction_layers`.
+    """
+
+    def __init__(self, config: SparseConfig, layers: Mapping[str, nn.ModuleList]) -> None:
+        super().__init__()
+        self.config = config
+        channels = config.channels
+        forecasts = (config.agent_classes, config.modes, config.agent_steps, 2)
+        plans = (config.commands, config.modes, config.steps, 2)
+        self.motion_anchor = nn.Parameter(torch.randn(forecasts), requires_grad=False)
+        self.plan_anchor = nn.Parameter(torch.randn(plans), requires_grad=False)
+        self.instance_queue = InstanceQueue(config)
+        self._interaction = next(iter(layers))
+        for name, modules in layers.items():
+            self.add_module(name, modules)
+        self.fc_before = nn.Linear(channels, 2 * channels, bias=False)
+        self.fc_after = nn.Linear(2 * channels, channels, bias=False)
+        self.motion_anchor_encoder = point_encoder(channels, channels)
+        self.plan_anchor_encoder = point_encoder(channels, channels)
+
+    @property
+    def interaction(self) -> nn.ModuleList:
+        """Blocks of layers, and a `MotionRefinement`."""
+        layers = self.get_submodule(self._interaction)
+        assert isinstance(layers, nn.ModuleList)
+        return layers
+
+    @property
+    def refinement(self) -> MotionRefinement:
+        """The last of them."""
+        last = self.interaction[-1]
+        assert isinstance(last, MotionRefinement)
+        return last
+
+    def interact(self, scene: Scene, queue: Queue) -> Interaction:
+        """Agents and the ego look at their past, at the most certain agents and at the map.
+
+        Args:
+            scene: A key frame.
+            queue: Agents and the ego over the last frames, this one included.
+
+        Returns:
+            Their tokens.
+        """
+        agents, lines = scene.agents, scene.lines
+        features = torch.cat([agents.features, queue.ego_features[-1]])
+        embeddings = torch.cat([agents.embeddings, scene.box_encoder(queue.ego_boxes[-1])])
+        past_features = torch.cat([queue.features, queue.ego_features], 1).transpose(0, 1)
+        past_boxes = torch.cat([queue.boxes, queue.ego_boxes], 1).transpose(0, 1)
+        past = past_features, scene.box_encoder(past_boxes)
+        allowed = queue.allowed()[:, None]
+        ego = features.new_full((1,), len(features) - 1, dtype=torch.int64)
+        rows = torch.cat([most_certain(agents.scores, self.config.watched_agents), ego])
+        watched = features[rows], embeddings[rows]
+        seen = most_certain(lines.scores, self.config.watched_lines)
+        lanes, places = lines.features[seen], lines.embeddings[seen]
+
+        layers = list(self.interaction)[:-1]
+        for first in range(0, len(layers), LAYERS_OF_A_BLOCK):
+            look_back, look_around, norm, look_at_map, second_norm, feed, third_norm = layers[
+                first : first + LAYERS_OF_A_BLOCK
+            ]
+            each = features[:, None], embeddings[:, None]
+            features = self.decoupled(look_back, each, past, allowed)[:, 0]
+            features = norm(self.decoupled(look_around, (features, embeddings), watched))
+            features = look_at_map(features, features + embeddings, lanes + places, lanes)
+            features = third_norm(feed(second_norm(features)))
+        return Interaction(features, embeddings, watched)
+
+    def decoupled(
+        self,
+        layer: nn.Module,
+        query: tuple[Tensor, Tensor],
+        key: tuple[Tensor, Tensor],
+        allowed: Tensor | None = None,
+    ) -> Tensor:
+        """`adapters.networks.sparse.branches.decoupled_attention` with the planner's own projections."""
+        return decoupled_attention(layer, self.fc_before, self.fc_after, query, key, allowed)
+
+    def forecast(self, agents: Decoded, tokens: Tensor) -> tuple[Tensor, Tensor]:
+        """Forecast agents.
+
+        Args:
+            agents: N of them.
+            tokens: (N, C) features and embeddings added.
+
+        Returns:
+            (N, modes) logits and (N, modes, steps, 2) metres from step to step, lidar frame.
+        """
+        ends = self.turned_anchors(agents)[:, :, -1]
+        queries = self.motion_anchor_encoder(sine_of_points(ends, self.config.channels)) + tokens[:, None]
+        logits = self.refinement.motion_cls_branch(queries)[..., 0].float()
+        return logits, self.refinement.motion_reg_branch(queries).float().unflatten(-1, (-1, 2))
+
+    def turned_anchors(self, agents: Decoded) -> Tensor:
+        """(N, modes, steps, 2) typical forecasts of the classes of N agents, turned as they head, from their places."""
+        anchors = self.motion_anchor[agents.logits.argmax(-1)]
+        heading = heading_of(agents.anchors)[:, None, None]
+        sine, cosine = heading.sin(), heading.cos()
+        x, y = anchors.unbind(-1)
+        return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+
+    def plan_queries(self, ego: Tensor) -> Tensor:
+        """(commands, modes, C) tokens, one for each plan that is thought of, from that of the ego, (1, C)."""
+        points = sine_of_points(self.plan_anchor[:, :, -1], self.config.channels)
+        queries: Tensor = self.plan_anchor_encoder(points) + ego
+        return queries
+
+    def remember(self, scene: Scene, queue: Queue, ego_feature: Tensor, status: Tensor) -> QueueMemory:
+        """What to leave for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
+        return QueueMemory(
+            queue.features,
+            queue.boxes,
+            queue.periods,
+            scene.ids,
+            scene.agents.scores,
+            torch.cat([queue.ego_features[:-1], ego_feature[None]]),
+            queue.ego_boxes,
+            queue.ego_period,
+            status,
+        )

@@ -1,0 +1,152 @@
+"""What the planner remembers of agents and of the ego over the last frames."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.sparse.boxes import BOX_CODE, carry_boxes
+from adapters.networks.sparse.config import STRIDE, SparseConfig
+from adapters.networks.sparse.decoder import Decoded
+from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.lines import GROUND_Z_M
+
+EGO_SIZE_M = (4.08, 1.73, 1.56)
+"""Along, across, upwards."""
+SURE = 0.2
+"""Agents that were less certain than this are not followed."""
+STATUS = 10
+"""Acceleration, rotation rate and velocity, three numbers each with x forward, and the steering angle."""
+FORWARD_SPEED = 6
+"""Where in the status."""
+VELOCITY = slice(8, 10)
+VELOCITY_Y = 9
+"""Where in a box."""
+
+
+@dataclass(frozen=True, slots=True)
+class QueueMemory:
+    """What a frame leaves for the next one; L frames, the oldest first, in the lidar frame of the newest.
+
+    Attributes:
+        features: (L, N, C) of agents.
+        boxes: (L, N, 11).
+        periods: (N,) int64, how many of the newest frames an agent has been seen in.
+        ids: (N,) int64 numbers of the agents.
+        confidence: (N,) 0 to 1, in the newest frame.
+        ego_features: (L, 1, C); the newest is that after the planner has looked around.
+        ego_boxes: (L, 1, 11).
+        ego_period: As `periods`.
+        status: (10,) of the ego, as predicted.
+    """
+
+    features: Tensor
+    boxes: Tensor
+    periods: Tensor
+    ids: Tensor
+    confidence: Tensor
+    ego_features: Tensor
+    ego_boxes: Tensor
+    ego_period: int
+    status: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class Queue:
+    """Agents and the ego over L frames, the present one last; what is of no agent is zero and not allowed.
+
+    Attributes:
+        features: (L, N, C).
+        boxes: (L, N, 11) in the present lidar frame.
+        periods: (N,) int64.
+        ego_features: (L, 1, C).
+        ego_boxes: (L, 1, 11).
+        ego_period: How many of the frames count.
+    """
+
+    features: Tensor
+    boxes: Tensor
+    periods: Tensor
+    ego_features: Tensor
+    ego_boxes: Tensor
+    ego_period: int
+
+    def allowed(self) -> Tensor:
+        """(N + 1, L) which frames agents, and in the last row the ego, may look at."""
+        periods = torch.cat([self.periods, self.periods.new_full((1,), self.ego_period)])
+        frames = len(self.features)
+        age = torch.arange(frames, 0, -1, device=periods.device)
+        return age <= periods[:, None]
+
+
+class InstanceQueue(nn.Module):
+    """Follows agents and the ego from frame to frame."""
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__()
+        self.frames = config.queue_frames
+        self.speed_from_poses = config.speed_from_poses
+        channels = config.channels
+        box = [0.0, 0.5, GROUND_Z_M + EGO_SIZE_M[2] / 2, *map(math.log, EGO_SIZE_M), 1.0, 0.0, 0.0, 0.0, 0.0]
+        assert len(box) == BOX_CODE
+        self.ego_anchor = nn.Parameter(torch.tensor([box]), requires_grad=False)
+        cells = config.image_height_px // STRIDE, config.image_width_px // STRIDE
+        self.ego_feature_encoder = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, 1, padding=1, bias=False),
+            nn.BatchNorm2d(channels),
+            nn.Conv2d(channels, channels, 3, 2, padding=1, bias=False),
+            nn.BatchNorm2d(channels),
+            nn.ReLU(),
+            nn.AvgPool2d((cells[0] // 2, cells[1] // 2)),
+        )
+
+    def forward(
+        self, past: QueueMemory | None, passage: Passage | None, agents: Decoded, ids: Tensor, front: Tensor
+    ) -> Queue:
+        """Add a frame.
+
+        Args:
+            past: What the frame before left.
+            passage: From that frame to this one.
+            agents: Of this frame.
+            ids: (N,) numbers of the agents.
+            front: (1, C, h, w) coarsest feature map of the front camera.
+
+        Returns:
+            Agents and the ego over the last frames.
+        """
+        feature = self.ego_feature_encoder(front).flatten(1)[None]
+        box = self.ego_anchor.float()[None]
+        features, boxes = agents.features[None], agents.anchors[None]
+        if past is None or passage is None:
+            return Queue(features, boxes, torch.ones_like(ids), feature, box, 1)
+        box = box.clone()
+        if self.speed_from_poses and passage.fresh:
+            box[..., VELOCITY] = passage.ego_velocity
+        elif passage.fresh:
+            box[..., VELOCITY_Y] = past.status[FORWARD_SPEED]
+        else:
+            box[..., VELOCITY_Y] = 0.0
+        # Boxes that are no longer anybody's are carried along as well; nothing looks at them.
+        old_features, old_boxes, periods = self._followed(past, carry_boxes(past.boxes, passage, 0.0), ids)
+        oldest = max(0, len(old_features) + 1 - self.frames)
+        return Queue(
+            torch.cat([old_features, features])[oldest:],
+            torch.cat([old_boxes, boxes])[oldest:],
+            (periods + 1).clamp(max=self.frames),
+            torch.cat([past.ego_features, feature])[oldest:],
+            torch.cat([carry_boxes(past.ego_boxes, passage, 0.0), box])[oldest:],
+            min((past.ego_period if passage.fresh else 0) + 1, self.frames),
+        )
+
+    def _followed(self, past: QueueMemory, boxes: Tensor, ids: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows of the past in the order of this frame's agents, zero for those that were not there or not certain."""
+        same = (ids[:, None] == past.ids) & (past.confidence > SURE)
+        known, row = same.any(1), same.to(torch.uint8).argmax(1)
+        nobody = ~known[:, None]
+        return (
+            past.features[:, row].masked_fill(nobody, 0),
+            boxes[:, row].masked_fill(nobody, 0),
+            past.periods[row].masked_fill(~known, 0),
+        )

@@ -1,0 +1,40 @@
+"""The planner of SparseDrive (Sun et al., 2024): plans are read from tokens of modes."""
+
+from torch import Tensor
+
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.motion_planner import Planner, PlannerPredictions, Scene, interaction_layers
+
+
+class RegressionPlanner(Planner):
+    """One plan for each mode and driving command, in one go."""
+
+    def __init__(self, config: SparseConfig) -> None:
+        super().__init__(config, {"layers": interaction_layers(config, plans=True)})
+
+    def forward(self, scene: Scene, noise: Tensor | None = None) -> PlannerPredictions:
+        """Plan a key frame.
+
+        Args:
+            scene: The frame.
+            noise: Not used; the other planner has some.
+
+        Returns:
+            Forecasts and plans.
+        """
+        queue = self.instance_queue(scene.past, scene.passage, scene.agents, scene.ids, scene.front)
+        found = self.interact(scene, queue)
+        ego = found.tokens[-1:]
+        queries = self.plan_queries(ego)
+        motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
+        status = self.refinement.plan_status_branch(ego)[0].float()
+        return PlannerPredictions(
+            motion_logits,
+            motion_offsets,
+            self.refinement.plan_cls_branch(queries)[..., 0].float(),
+            self.refinement.plan_reg_branch(queries).float().unflatten(-1, (-1, 2)),
+            status,
+            queue,
+            self.remember(scene, queue, found.features[-1:], status),
+            {},
+        )

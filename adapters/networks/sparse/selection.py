@@ -1,0 +1,185 @@
+"""From raw predictions to what is reported: the most certain boxes and lines, and the plan that hits nobody."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from adapters.networks.sparse.boxes import decode_boxes
+from adapters.networks.sparse.config import SparseConfig
+from adapters.networks.sparse.decoder import Decoded
+from adapters.networks.sparse.motion_planner import PlannerPredictions
+from adapters.networks.sparse.rescoring import colliding
+
+MAP_CLASSES: Final = ("ped_crossing", "divider", "boundary")
+REFUSED: Final = -999.0
+"""Logit of a plan that collides."""
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """Everything that a sparse network computed for one key frame, before selection.
+
+    Attributes:
+        agents: From the decoder of boxes.
+        lines: From the decoder of map elements.
+        track_ids: (N,) int64 numbers of the agents.
+        planner: Forecasts and plans.
+    """
+
+    agents: Decoded
+    lines: Decoded
+    track_ids: Tensor
+    planner: PlannerPredictions
+
+
+@dataclass(frozen=True, slots=True)
+class SparseOutputs:
+    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+
+    Attributes:
+        plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead: of the given command, and of its modes the most
+            likely one that hits nobody.
+        plan_modes: (3 commands, 6 modes, 6, 2) the same for all.
+        plan_scores: (3, 6) 0 to 1, exactly 0 where a plan of the given command was refused because it collides.
+        boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the
+            heading, counter-clockwise from the x axis; length lies along it.
+        box_scores: (N,) 0 to 1, falling.
+        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
+        track_ids: (N,) int64, the same number for the same agent from frame to frame.
+        trajectories: (N, 6 modes, 12 steps, 2) forecast centres.
+        trajectory_scores: (N, 6) 0 to 1, each mode for itself.
+        map_points: (L, 20, 2); a line may appear under several classes.
+        map_scores: (L,) 0 to 1, falling.
+        map_labels: (L,) index into `MAP_CLASSES`.
+    """
+
+    plan: Tensor
+    plan_modes: Tensor
+    plan_scores: Tensor
+    boxes: Tensor
+    box_scores: Tensor
+    box_labels: Tensor
+    track_ids: Tensor
+    trajectories: Tensor
+    trajectory_scores: Tensor
+    map_points: Tensor
+    map_scores: Tensor
+    map_labels: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedBoxes:
+    """The K boxes that are reported.
+
+    Attributes:
+        rows: (K,) which instances they are.
+        scores: (K,) of the class and of the centre, falling.
+        labels: (K,).
+        class_scores: (K,) of the class alone, falling: in an order of its own.
+    """
+
+    rows: Tensor
+    scores: Tensor
+    labels: Tensor
+    class_scores: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedLines:
+    """The L map elements that are reported.
+
+    Attributes:
+        points: (L, P, 2) metres.
+        scores: (L,) 0 to 1, falling.
+        labels: (L,).
+    """
+
+    points: Tensor
+    scores: Tensor
+    labels: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedPlan:
+    """The plan, and what it was chosen from.
+
+    Attributes:
+        plan: (S, 2) metres.
+        modes: (commands, M, S, 2) metres.
+        scores: (commands, M) 0 to 1.
+    """
+
+    plan: Tensor
+    modes: Tensor
+    scores: Tensor
+
+
+def select(config: SparseConfig, predictions: Predictions, command: int) -> SparseOutputs:
+    """What is reported for a key frame.
+
+    Args:
+        config: Of the network.
+        predictions: Of the frame.
+        command: Whose plan counts: 0 right, 1 left, 2 straight.
+
+    Returns:
+        Plan, boxes, forecasts and map.
+    """
+    found, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
+    chosen = select_plan(config, predictions, command)
+    x, y, z, along, across, height, heading, *velocity = decode_boxes(predictions.agents.anchors)[found.rows].unbind(-1)
+    return SparseOutputs(
+        plan=chosen.plan,
+        plan_modes=chosen.modes,
+        plan_scores=chosen.scores,
+        boxes=torch.stack([x, y, z - height / 2, across, along, height, heading, *velocity[:2]], -1),
+        box_scores=found.scores,
+        box_labels=found.labels,
+        track_ids=predictions.track_ids[found.rows],
+        trajectories=forecast_centres(predictions)[found.rows],
+        trajectory_scores=predictions.planner.motion_logits[found.rows].sigmoid(),
+        map_points=lines.points,
+        map_scores=lines.scores,
+        map_labels=lines.labels,
+    )
+
+
+def select_boxes(config: SparseConfig, agents: Decoded) -> SelectedBoxes:
+    """The boxes of the most certain classes, in the order of the certainty of class and centre together."""
+    best, labels = agents.logits.max(-1)
+    class_scores, rows = best.sigmoid().sort(descending=True, stable=True)
+    class_scores, rows = class_scores[: config.reported_boxes], rows[: config.reported_boxes]
+    qualities = agents.stages[-1].qualities
+    assert qualities is not None
+    scores, order = (class_scores * qualities[rows, 0].sigmoid()).sort(descending=True, stable=True)
+    rows = rows[order]
+    return SelectedBoxes(rows, scores, labels[rows], class_scores)
+
+
+def select_lines(config: SparseConfig, lines: Decoded) -> SelectedLines:
+    """The most certain pairs of a line and a class."""
+    classes = config.map_classes
+    scores, pairs = lines.logits.sigmoid().flatten().sort(descending=True, stable=True)
+    scores, pairs = scores[: config.reported_lines], pairs[: config.reported_lines]
+    points = lines.anchors[pairs.div(classes, rounding_mode="floor")].view(len(pairs), -1, 2)
+    return SelectedLines(points, scores, pairs % classes)
+
+
+def select_plan(config: SparseConfig, predictions: Predictions, command: int) -> SelectedPlan:
+    """The most likely plan for the command that hits nobody; if all of them hit somebody, the most likely one."""
+    planner, agents = predictions.planner, predictions.agents
+    modes = planner.plan_offsets.cumsum(-2)
+    likely = planner.motion_logits.argmax(-1)
+    own = torch.arange(len(likely), device=likely.device)
+    forecasts = forecast_centres(predictions)[own, likely, : config.steps]
+    hit = colliding(modes[command], agents.anchors, agents.scores, forecasts)
+    logits = planner.plan_logits.clone()
+    logits[command] = torch.where(hit & ~hit.all(), torch.full_like(logits[command], REFUSED), logits[command])
+    return SelectedPlan(modes[command, logits[command].argmax()], modes, logits.sigmoid())
+
+
+def forecast_centres(predictions: Predictions) -> Tensor:
+    """(N, modes, steps, 2) metres, lidar frame."""
+    return predictions.planner.motion_offsets.cumsum(-2) + predictions.agents.anchors[:, None, None, :2]

@@ -1,0 +1,139 @@
+"""From image features to a bird's-eye view, and from the view to boxes for all queries (BEVFormer, Li et al., 2022)."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.bev_geometry import turned_view
+from adapters.networks.layers.bevformer import BEVFormerEncoder, ImageFeatures
+from adapters.networks.layers.branches import normalised_branch, plain_branch
+from adapters.networks.layers.coders import box_codes, logit, metres
+from adapters.networks.layers.deformable_decoder import DeformableDecoder
+from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
+from adapters.networks.layers.positional import LearnedGridEncoding
+from adapters.networks.uniad.config import UniADConfig
+
+BOX_CODE = 10
+PAST_STEPS = 8
+"""Past positions that the published network also predicts and does not use."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """What the K layers of the decoder predict for Q queries.
+
+    Attributes:
+        states: (K, Q, C).
+        class_logits: (K, Q, classes).
+        box_codes: (K, Q, 10) as `adapters.networks.layers.coders.box_codes`, metres in the lidar frame.
+        reference_logits: (Q, 3) logits of the last layer's centres as shares of the perception range.
+    """
+
+    states: Tensor
+    class_logits: Tensor
+    box_codes: Tensor
+    reference_logits: Tensor
+
+
+class DetectionTransformer(nn.Module):
+    """The encoder of the bird's-eye view and the decoder of agents."""
+
+    def __init__(self, config: UniADConfig) -> None:
+        super().__init__()
+        channels, heads, hidden = config.channels, config.heads, config.feedforward_channels
+        self.level_embeds = nn.Parameter(torch.randn(config.pyramid_levels, channels))
+        self.cams_embeds = nn.Parameter(torch.randn(config.cameras, channels))
+        self.encoder = BEVFormerEncoder(
+            config.grid,
+            config.encoder_layers,
+            channels,
+            heads,
+            hidden,
+            config.pyramid_levels,
+            config.bev_points,
+            config.image_points,
+            config.height_points,
+        )
+        self.decoder = DeformableDecoder(channels, heads, hidden, 1, config.bev_points, config.decoder_layers)
+        self.can_bus_mlp = nn.Sequential(
+            OrderedDict(
+                [
+                    ("0", nn.Linear(CAN_BUS, channels // 2)),
+                    ("1", nn.ReLU()),
+                    ("2", nn.Linear(channels // 2, channels)),
+                    ("3", nn.ReLU()),
+                    ("norm", nn.LayerNorm(channels)),
+                ]
+            )
+        )
+
+
+class DetectionHead(nn.Module):
+    """Bird's-eye view and boxes (sections 3.1 of the paper)."""
+
+    def __init__(self, config: UniADConfig) -> None:
+        super().__init__()
+        self.config = config
+        channels, layers = config.channels, config.decoder_layers
+        # Weights of training losses; nothing reads them here, but published checkpoints hold them.
+        self.code_weights = nn.Parameter(torch.tensor([1.0] * 8 + [0.2] * 2), requires_grad=False)
+        self.positional_encoding = LearnedGridEncoding(config.bev_rows, config.bev_columns, channels)
+        self.transformer = DetectionTransformer(config)
+        self.cls_branches = nn.ModuleList([normalised_branch(channels, config.agent_classes) for _ in range(layers)])
+        self.reg_branches = nn.ModuleList([plain_branch(channels, BOX_CODE) for _ in range(layers)])
+        self.past_traj_reg_branches = nn.ModuleList([plain_branch(channels, PAST_STEPS * 2) for _ in range(layers)])
+        self.bev_embedding = nn.Embedding(config.grid.cells, channels)
+
+    def encode(
+        self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: EgoMotion, previous: Tensor | None
+    ) -> Tensor:
+        """Bird's-eye view of one moment.
+
+        Args:
+            maps: For each level, (cameras, C, h, w) features.
+            images: (cameras, 3, H, W) they are from.
+            projections: (cameras, 4, 4) from metres to pixels.
+            motion: Since the previous moment.
+            previous: (cells, C) the view of the previous moment of the same scene.
+
+        Returns:
+            (cells, C).
+        """
+        transformer = self.transformer
+        features = ImageFeatures.of(maps, images, transformer.cams_embeds, transformer.level_embeds)
+        turned = None if previous is None else turned_view(previous, self.config.grid, motion.previous_cells)
+        queries = self.bev_embedding.weight
+        cells = queries + transformer.can_bus_mlp(motion.can_bus.to(queries.dtype))
+        positions = self.positional_encoding()
+        result: Tensor = transformer.encoder(cells, positions, features, projections, motion.shift, turned)
+        return result
+
+    def detect(self, bev: Tensor, queries: Tensor, reference_logits: Tensor) -> Detections:
+        """Boxes of queries.
+
+        Args:
+            bev: (cells, C).
+            queries: (Q, 2 C) positions and then contents.
+            reference_logits: (Q, 3) of where they look first.
+
+        Returns:
+            States, classes and boxes after each layer.
+        """
+        positions, contents = queries.chunk(2, -1)
+        references, shapes = reference_logits.float().sigmoid(), (self.config.grid.shape,)
+        decoded = self.transformer.decoder(contents, positions, references, bev, shapes, self.reg_branches, (0, 1, 4))
+        logits = [branch(states).float() for branch, states in zip(self.cls_branches, decoded.states, strict=True)]
+        lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
+        return Detections(
+            states=decoded.states,
+            class_logits=torch.stack(logits),
+            box_codes=box_codes(metres(decoded.references, lower, upper), decoded.corrections),
+            reference_logits=logit(decoded.references[-1]),
+        )
+
+    def past_offsets(self, states: Tensor) -> Tensor:
+        """(Q, C) states of the last layer to (Q, 8, 2) past positions; for diagnosis, nothing here uses them."""
+        predicted: Tensor = self.past_traj_reg_branches[-1](states)
+        return predicted.float().view(-1, PAST_STEPS, 2)

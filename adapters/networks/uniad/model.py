@@ -1,0 +1,247 @@
+"""UniAD: six images, camera matrices and motion in; a plan, tracks, forecasts, occupancy and a road map out."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
+from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.resnet import EXPANSION, ResNet
+from adapters.networks.uniad.bev import DetectionHead
+from adapters.networks.uniad.collision_optimiser import MovedPlan, Solver, move_plan
+from adapters.networks.uniad.config import UniADConfig
+from adapters.networks.uniad.frames import Predictions, UniADInputs, UniADOutputs
+from adapters.networks.uniad.map_head import MapHead, MapMasks
+from adapters.networks.uniad.map_masks import RoadMap, paste_masks, ranked
+from adapters.networks.uniad.motion import MotionHead
+from adapters.networks.uniad.occupancy import OccupancyHead
+from adapters.networks.uniad.planning import PlanningHead
+from adapters.networks.uniad.track_memory import MemoryBank, QueryInteraction
+from adapters.networks.uniad.tracking import (
+    Instances,
+    Pose,
+    chosen_tracks,
+    decoded,
+    headings,
+    moved_references,
+    updated,
+)
+
+__all__ = ["UniAD", "UniADInputs", "UniADOutputs"]
+
+VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
+"""What the occupancy is of: all but barriers, pedestrians and cones."""
+BACKBONE_OUTPUTS = (1, 2, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What a frame leaves for the next one of its scene."""
+
+    scene_token: str
+    bev: Tensor
+    instances: Instances
+    pose: Pose
+
+
+class LossWeights(nn.Module):
+    """Weights of training losses; nothing reads them here, but published checkpoints hold them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.code_weights = nn.Parameter(torch.tensor([1.0] * 8 + [0.2] * 2), requires_grad=False)
+
+
+class UniAD(nn.Module):
+    """The network and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
+
+    Args:
+        config: Its sizes.
+        anchors: (4, 6, 12, 2) of ``motion_anchor_infos_mode6.pkl``; `MotionHead.load_anchors` sets them later.
+        solver: What moves plans away from occupied cells; ``None`` leaves them where they are.
+        masks: Whether masks of the map are made; the plan does not need them.
+        stores_anchors: Whether the anchors are part of the state dict; official checkpoints come without.
+    """
+
+    vehicle_classes: Tensor
+
+    def __init__(
+        self,
+        config: UniADConfig,
+        anchors: Tensor | None = None,
+        solver: Solver | None = "newton",
+        masks: bool = False,
+        *,
+        stores_anchors: bool = False,
+    ) -> None:
+        super().__init__()
+        self.config, self.solver, self.masks = config, solver, masks
+        channels = config.channels
+        self.pts_bbox_head = DetectionHead(config)
+        self.img_backbone = ResNet(
+            config.backbone_blocks,
+            BACKBONE_OUTPUTS,
+            config.backbone_width,
+            config.backbone_style,
+            config.deformable_stages,
+        )
+        widths = [config.backbone_width * EXPANSION * 2**stage for stage in BACKBONE_OUTPUTS]
+        self.img_neck = FeaturePyramid(widths, channels, config.pyramid_levels)
+        self.query_embedding = nn.Embedding(config.queries + 1, 2 * channels)
+        self.reference_points = nn.Linear(channels, 3)
+        self.query_interact = QueryInteraction(channels, config.heads)
+        self.memory_bank = MemoryBank(channels, config.heads)
+        self.criterion = LossWeights()
+        self.seg_head = MapHead(config)
+        self.occ_head = OccupancyHead(config)
+        self.motion_head = MotionHead(config, anchors, stores_anchors=stores_anchors)
+        self.planning_head = PlanningHead(config)
+        vehicles = torch.tensor([label in VEHICLE_CLASSES for label in range(config.agent_classes)])
+        self.register_buffer("vehicle_classes", vehicles, persistent=False)
+        self.reset()
+        self.eval()
+
+    def reset(self) -> None:
+        """Forget everything.
+
+        A new scene alone forgets less, as in the published code: track numbers go on, and the ego's motion into the
+        new scene is measured from the last key frame of the old one (in the very first frame, from the origin).
+        """
+        self._memory: Memory | None = None
+        self._can_bus = torch.zeros(CAN_BUS, dtype=torch.float64)
+        self._next_id = torch.zeros((), dtype=torch.int64)
+
+    def forward(self, inputs: UniADInputs) -> UniADOutputs:
+        """Plan one key frame.
+
+        Args:
+            inputs: Frames of a scene come in the order of time.
+
+        Returns:
+            What is reported for it.
+
+        Raises:
+            InputError: If there are no motion anchors, or casadi is asked for and absent.
+        """
+        predictions = self.predict(inputs)
+        tracks, before = predictions.tracks, predictions.plan.positions_m
+        moved, plan, road = None, before, None
+        if self.solver is not None:
+            moved = self.collision_free(predictions, self.solver)
+            plan = torch.from_numpy(moved.points).to(before)
+        if self.masks:
+            road = self.road(self.seg_head.masks(predictions.elements))
+        count = len(tracks.scores)
+        offsets = predictions.forecasts.trajectories[-1, :count, ..., :2]
+        heading = headings(tracks.boxes[:, 6:7], self.config)
+        return UniADOutputs(
+            plan=plan,
+            plan_before_optimisation=before,
+            collision=moved,
+            boxes=torch.cat([tracks.boxes[:, :6], heading, tracks.boxes[:, 7:]], 1),
+            box_scores=tracks.scores,
+            box_labels=tracks.labels,
+            track_ids=tracks.track_ids,
+            trajectories=tracks.boxes[:, None, None, :2] + offsets,
+            trajectory_scores=predictions.forecasts.log_probabilities[-1, :count].exp(),
+            occupied=predictions.occupancy.occupied,
+            road=road,
+        )
+
+    def collision_free(self, predictions: Predictions, solver: Solver) -> MovedPlan:
+        """The plan of a frame, moved away from the cells that will be occupied."""
+        return move_plan(
+            predictions.plan.positions_m.double().cpu().numpy(), predictions.occupancy.occupied.cpu().numpy(), solver
+        )
+
+    def road(self, masks: MapMasks) -> RoadMap:
+        """Masks that share the ground."""
+        scores, order = ranked(masks.values, masks.scores)
+        classes = self.config.map_classes
+        return paste_masks(masks.values, scores, order, masks.labels, masks.drivable_values, classes)
+
+    def predict(self, inputs: UniADInputs) -> Predictions:
+        """Everything up to the plan, and remember it.
+
+        Args:
+            inputs: One key frame.
+
+        Returns:
+            All that the network computed.
+        """
+        memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
+        device = inputs.images.device
+        pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, device)
+        motion = self.ego_motion(inputs).to(device)
+        projections = inputs.lidar2img.to(device, torch.float32)
+        maps = self.img_neck(self.img_backbone(inputs.images))
+        bev = self.pts_bbox_head.encode(maps, inputs.images, projections, motion, memory.bev if memory else None)
+
+        entering, moved = self.entering_queries(memory, pose)
+        detections = self.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
+        fresh = self.config.queries + 1
+        instances, next_id = updated(entering, detections, fresh, self._next_id.to(device))
+        chosen = chosen_tracks(instances, self.vehicle_classes, self.config)
+        tracks = decoded(instances.kept(chosen.reported))
+        ego = decoded(instances.kept(slice(fresh - 1, fresh)))
+        after = self.memory_bank(instances)
+        surviving = self.query_interact(after.kept(chosen.surviving))
+        next_instances = self.fresh_queries().then(surviving)
+
+        elements = self.seg_head(bev)
+        forecasts = self.motion_head(tracks.then(ego), elements, bev)
+        vehicles = chosen.vehicles
+        occupancy = self.occ_head(
+            bev,
+            forecasts.queries[-1, :-1][vehicles],
+            tracks.states[vehicles],
+            forecasts.positions[:-1][vehicles],
+            tracks.scores[vehicles],
+        )
+        plan = self.planning_head(
+            bev, self.pts_bbox_head.positional_encoding(), forecasts.queries[-1, -1], ego.states[0], inputs.command
+        )
+        self._memory = Memory(inputs.scene_token, bev, next_instances, pose)
+        self._can_bus = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
+        self._next_id = next_id
+        return Predictions(
+            bev=bev,
+            moved_references=moved,
+            entering=entering,
+            detections=detections,
+            after=after,
+            next_instances=next_instances,
+            tracks=tracks,
+            ego=ego,
+            elements=elements,
+            forecasts=forecasts,
+            vehicles=self.vehicle_classes[tracks.labels],
+            occupancy=occupancy,
+            plan=plan,
+        )
+
+    def ego_motion(self, inputs: UniADInputs) -> EgoMotion:
+        """How the ego moved since the last frame, whichever scene that was of if the network was trained so."""
+        config = self.config
+        follows = self._memory is not None and self._memory.scene_token == inputs.scene_token
+        known = follows or config.motion_across_scenes
+        return EgoMotion.between(self._can_bus if known else None, inputs.can_bus, config.grid, config.rotation_centre)
+
+    def fresh_queries(self) -> Instances:
+        """Queries that know nothing, the last of which is the ego's."""
+        queries = self.query_embedding.weight
+        return Instances.fresh(self.config, queries, self.reference_points(queries.chunk(2, -1)[0]))
+
+    def entering_queries(self, memory: Memory | None, pose: Pose) -> tuple[Instances, Tensor]:
+        """Queries for the decoder: fresh ones, and tracks where they would be now; and these places, (T, 3) logits."""
+        if memory is None:
+            fresh = self.fresh_queries()
+            return fresh, fresh.reference_logits[:0]
+        before, count = memory.instances, self.config.queries + 1
+        tracks = before.kept(slice(count, None))
+        moved = moved_references(tracks, memory.pose, pose, self.config)
+        # The published network forgets how high tracks were.
+        heights = self.reference_points(tracks.queries.chunk(2, -1)[0]).float()[:, 2:]
+        references = torch.cat([before.reference_logits[:count], torch.cat([moved[:, :2], heights], -1)])
+        return replace(before, reference_logits=references), moved

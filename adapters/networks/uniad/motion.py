@@ -1,0 +1,212 @@
+"""Forecasts: agents look at each other, at the map and at their goals (MotionFormer, section 3.2 of the paper)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.branches import normalised_branch, plain_branch
+from adapters.networks.layers.positional import sine_features
+from adapters.networks.uniad.config import UniADConfig
+from adapters.networks.uniad.map_head import MapElements
+from adapters.networks.uniad.motion_layers import MotionFormer, embedding_layer
+from adapters.networks.uniad.tracking import Boxes
+from benchmark.errors import InputError
+
+GROUP_OF_CLASS = (0, 0, 0, 0, 0, 3, 1, 1, 2, 3)
+"""Anchors of vehicles, cycles, pedestrians, and barriers and cones, for the ten classes of nuScenes."""
+HALF_TURN = 3.1415953
+"""Not quite pi; the published network has learned it so."""
+GAUSSIAN = 5
+"""Numbers per forecast step: x, y, two deviations and a correlation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecasts:
+    """Forecasts for A agents, the last of which is the ego; K layers.
+
+    Attributes:
+        trajectories: (K, A, modes, steps, 5) x, y from the agent's place in metres along the axes of the lidar, two
+            standard deviations, correlation.
+        log_probabilities: (K, A, modes).
+        queries: (K, A, modes, C) states.
+        positions: (A, C) encoded places of the agents.
+    """
+
+    trajectories: Tensor
+    log_probabilities: Tensor
+    queries: Tensor
+    positions: Tensor
+
+
+def turned(offsets: Tensor, angles: Tensor) -> Tensor:
+    """Offsets turned counter-clockwise.
+
+    Args:
+        offsets: (A, ..., 2) metres.
+        angles: (A,) radians.
+
+    Returns:
+        (A, ..., 2).
+    """
+    shape = (-1, *[1] * (offsets.dim() - 2))
+    cosine, sine = angles.cos().view(shape), angles.sin().view(shape)
+    x, y = offsets.unbind(-1)
+    return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Goals:
+    """Encoded ends of A agents' forecasts: in the agent's frame, in the scene's, and from the agent in the scene's."""
+
+    in_agent: Tensor
+    in_scene: Tensor
+    from_agent: Tensor
+
+
+class MotionHead(nn.Module):
+    """Forecasts of all reported agents and of the ego.
+
+    Args:
+        config: Sizes.
+        anchors: (groups, modes, steps, 2) typical forecasts in the frames of agents, metres. They are not among the
+            parameters of published checkpoints; see `load_anchors`.
+        stores_anchors: Whether they are part of the state dict, and therefore of what is loaded; zeros before.
+    """
+
+    anchors: Tensor
+    group_of_class: Tensor
+
+    def __init__(self, config: UniADConfig, anchors: Tensor | None = None, *, stores_anchors: bool = False) -> None:
+        super().__init__()
+        self.config = config
+        channels, layers = config.channels, config.motion_layers
+        shape = (config.motion_groups, config.modes, config.forecast_steps, 2)
+        self.register_buffer("anchors", torch.zeros(shape), persistent=stores_anchors)
+        groups = torch.tensor([GROUP_OF_CLASS[label % len(GROUP_OF_CLASS)] for label in range(config.agent_classes)])
+        self.register_buffer("group_of_class", groups.clamp(max=config.motion_groups - 1), persistent=False)
+        self.learnable_motion_query_embedding = nn.Embedding(config.motion_groups * config.modes, channels)
+        self.motionformer = MotionFormer(config)
+        # Published checkpoints hold it; no prediction uses it.
+        self.layer_track_query_fuser = nn.Sequential(
+            nn.Linear(config.decoder_layers * channels, channels), nn.LayerNorm(channels), nn.ReLU()
+        )
+        self.agent_level_embedding_layer = embedding_layer(channels)
+        self.scene_level_ego_embedding_layer = embedding_layer(channels)
+        self.scene_level_offset_embedding_layer = embedding_layer(channels)
+        self.boxes_query_embedding_layer = embedding_layer(channels)
+        self.traj_cls_branches = nn.ModuleList([normalised_branch(channels, 1) for _ in range(layers)])
+        outputs = config.forecast_steps * GAUSSIAN
+        self.traj_reg_branches = nn.ModuleList([plain_branch(channels, outputs) for _ in range(layers)])
+        self._has_anchors = stores_anchors
+        if anchors is not None:
+            self.load_anchors(anchors)
+
+    def load_anchors(self, anchors: Tensor) -> None:
+        """Set the anchors.
+
+        Args:
+            anchors: (groups, modes, steps, 2) metres.
+
+        Raises:
+            InputError: If they have another shape or are not finite.
+        """
+        if anchors.shape != self.anchors.shape or not bool(anchors.isfinite().all()):
+            raise InputError(
+                f"motion anchors must be finite and have the shape {list(self.anchors.shape)}, not "
+                f"{list(anchors.shape)}; pass the array of the published motion_anchor_infos_mode6.pkl"
+            )
+        self.anchors.copy_(anchors)
+        self._has_anchors = True
+
+    def forward(self, agents: Boxes, elements: MapElements, bev: Tensor) -> Forecasts:
+        """Forecast.
+
+        Args:
+            agents: A agents, the ego last.
+            elements: Of the map.
+            bev: (cells, C).
+
+        Returns:
+            The forecasts.
+
+        Raises:
+            InputError: If there are no anchors.
+        """
+        if not self._has_anchors:
+            raise InputError(
+                "UniAD has no motion anchors, which are not in its checkpoint; import motion_anchor_infos_mode6.pkl too"
+            )
+        former, centres = self.motionformer, agents.boxes[:, :2]
+        positions = self.boxes_query_embedding_layer(self._encoded(centres).to(bev.dtype))
+        places = positions[:, None].expand(-1, self.config.modes, -1)
+        placed_agents, placed_lines = agents.states + positions, elements.queries + elements.query_positions
+        goals, anchors, learned = self._anchored(agents)
+        intentions = former.intention_interaction_layers(goals.in_agent)
+        goals = _Goals(intentions, goals.in_scene, goals.from_agent)
+        static = intentions + goals.from_agent + learned
+        tokens, reference = torch.zeros_like(static), anchors
+        shown = placed_agents[:, None].expand_as(tokens)
+        trajectories, queries = [], []
+        for layer in range(self.config.motion_layers):
+            dynamic = former.dynamic_embed_fuser(torch.cat([goals.in_agent, goals.from_agent, goals.in_scene], -1))
+            intention = former.static_dynamic_fuser(torch.cat([static, dynamic], -1))
+            tokens = former.in_query_fuser(torch.cat([tokens, intention], -1))
+            seen = [
+                former.track_agent_interaction_layers[layer](tokens + places, placed_agents),
+                former.map_interaction_layers[layer](tokens + places, placed_lines),
+                self._at_goals(layer, tokens, places, centres[:, None] + reference[:, :, -1], bev),
+            ]
+            tokens = former.out_query_fuser(torch.cat([*seen, shown], -1))
+            predicted = self.traj_reg_branches[layer](tokens).float()
+            predicted = predicted.view(*tokens.shape[:2], self.config.forecast_steps, GAUSSIAN)
+            reference = predicted[..., :2].cumsum(-2)
+            trajectories.append(torch.cat([reference, predicted[..., 2:4].exp(), predicted[..., 4:].tanh()], -1))
+            queries.append(tokens)
+            goals = self._goals(agents, reference[:, :, -1])
+        logits = [
+            branch(states)[..., 0].float() for branch, states in zip(self.traj_cls_branches, queries, strict=True)
+        ]
+        log_probabilities = torch.stack(logits).log_softmax(-1)
+        return Forecasts(torch.stack(trajectories), log_probabilities, torch.stack(queries), positions)
+
+    def _encoded(self, places: Tensor) -> Tensor:
+        """(..., 2) metres to (..., C) sines, those of y first."""
+        x_low, y_low, _, x_high, y_high, _ = self.config.perception_range_m
+        shares = torch.stack(
+            [(places[..., 1] - y_low) / (y_high - y_low), (places[..., 0] - x_low) / (x_high - x_low)], -1
+        )
+        return sine_features(shares.float() * (2 * math.pi), self.config.channels // 2).flatten(-2)
+
+    def _anchored(self, agents: Boxes) -> tuple[_Goals, Tensor, Tensor]:
+        """Encoded ends of the agents' anchors, the anchors along the lidar's axes, and learned queries for them."""
+        group = self.group_of_class[agents.labels]
+        own = self.anchors[group]
+        anchors = turned(own, agents.boxes[:, 6] - HALF_TURN)
+        learned = self.learnable_motion_query_embedding.weight
+        learned = learned.view(self.config.motion_groups, self.config.modes, -1)[group]
+        ends = anchors[:, :, -1]
+        return self._embedded(own[:, :, -1], agents.boxes[:, None, :2] + ends, ends), anchors, learned
+
+    def _goals(self, agents: Boxes, ends: Tensor) -> _Goals:
+        """Encoded (A, modes, 2) ends, metres from the agents along the axes of the lidar."""
+        in_agent = turned(ends, HALF_TURN - agents.boxes[:, 6])
+        return self._embedded(in_agent, agents.boxes[:, None, :2] + ends, ends)
+
+    def _embedded(self, in_agent: Tensor, in_scene: Tensor, from_agent: Tensor) -> _Goals:
+        dtype = self.learnable_motion_query_embedding.weight.dtype
+        return _Goals(
+            self.agent_level_embedding_layer(self._encoded(in_agent).to(dtype)),
+            self.scene_level_ego_embedding_layer(self._encoded(in_scene).to(dtype)),
+            self.scene_level_offset_embedding_layer(self._encoded(from_agent).to(dtype)),
+        )
+
+    def _at_goals(self, layer: int, tokens: Tensor, places: Tensor, ends: Tensor, bev: Tensor) -> Tensor:
+        """(A, modes, C) after looking at the bird's-eye view around (A, modes, 2) ends in the lidar frame."""
+        x_low, y_low, _, x_high, y_high, _ = self.config.perception_range_m
+        x, y = ends.unbind(-1)
+        shares = torch.stack([(x - x_low) / (x_high - x_low), (y - y_low) / (y_high - y_low)], -1)
+        flat = [rows.reshape(-1, rows.shape[-1]) for rows in (tokens, places, shares)]
+        seen: Tensor = self.motionformer.bev_interaction_layers[layer](*flat, bev, self.config.grid.shape)
+        return seen.view_as(tokens)

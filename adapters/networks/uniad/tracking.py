@@ -1,0 +1,291 @@
+"""Tracks as queries: their life cycle, what they remember, and how they change from one key frame to the next."""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from adapters.networks.layers.coders import decode_boxes, logit, metres, within
+from adapters.networks.uniad.bev import Detections
+from adapters.networks.uniad.config import UniADConfig
+
+BORN_SCORE = 0.4
+"""A query that is more certain becomes a track."""
+ASLEEP_SCORE = 0.35
+"""A track that is less certain is not reported."""
+PATIENCE = 5
+"""Key frames without an awake one after which a track ends."""
+NO_TRACK, EGO = -1, -2
+MARGIN_M = 10.0
+"""How far outside the perception range, on the ground, boxes are still reported."""
+HIGHEST_M = 10.0
+"""Boxes whose centre is higher or lower are not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instances:
+    """Q queries and what is known of them; the first ones are fresh, of these the last is the ego, then come tracks.
+
+    Attributes:
+        queries: (Q, 2 C) positions and then contents.
+        reference_logits: (Q, 3) logits of centres as shares of the perception range.
+        track_ids: (Q,) int64, `NO_TRACK` or `EGO` where there is no track.
+        frames_asleep: (Q,) int64.
+        frames_to_save: (Q,) float32 until the next state is remembered.
+        memory: (Q, M, C) remembered states, the oldest first.
+        memory_empty: (Q, M) which of them are not there.
+        class_logits: (Q, classes).
+        box_codes: (Q, 10) metres in the lidar frame of their key frame.
+        states: (Q, C) after the last layer of the decoder.
+        scores: (Q,) of the most certain class.
+    """
+
+    queries: Tensor
+    reference_logits: Tensor
+    track_ids: Tensor
+    frames_asleep: Tensor
+    frames_to_save: Tensor
+    memory: Tensor
+    memory_empty: Tensor
+    class_logits: Tensor
+    box_codes: Tensor
+    states: Tensor
+    scores: Tensor
+
+    @classmethod
+    def fresh(cls, config: UniADConfig, queries: Tensor, reference_logits: Tensor) -> "Instances":
+        """Queries of which nothing is known.
+
+        Args:
+            config: Of the network.
+            queries: (Q, 2 C).
+            reference_logits: (Q, 3).
+
+        Returns:
+            The instances.
+        """
+        count, device = len(queries), queries.device
+
+        def zeros(*shape: int) -> Tensor:
+            return torch.zeros(count, *shape, device=device)
+
+        return cls(
+            queries=queries,
+            reference_logits=reference_logits.float(),
+            track_ids=torch.full((count,), NO_TRACK, device=device),
+            frames_asleep=torch.zeros(count, dtype=torch.int64, device=device),
+            frames_to_save=zeros(),
+            memory=zeros(config.memory_length, config.channels).to(queries.dtype),
+            memory_empty=torch.ones(count, config.memory_length, dtype=torch.bool, device=device),
+            class_logits=zeros(config.agent_classes),
+            box_codes=zeros(10),
+            states=zeros(config.channels).to(queries.dtype),
+            scores=zeros(),
+        )
+
+    def kept(self, which: Tensor | slice) -> "Instances":
+        """Those of a mask, of a list of indices or of a slice."""
+        return Instances(*(getattr(self, name)[which] for name in self.__slots__))
+
+    def then(self, others: "Instances") -> "Instances":
+        """These and others."""
+        pairs = ((getattr(self, name), getattr(others, name)) for name in self.__slots__)
+        return Instances(*(torch.cat(pair) for pair in pairs))
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where and when a key frame is.
+
+    Attributes:
+        rotation: (3, 3) float32, for rows: global = lidar @ rotation + translation.
+        inverse: Of the rotation.
+        translation: (3,) float32 metres.
+        time_s: Seconds of any clock.
+    """
+
+    rotation: Tensor
+    inverse: Tensor
+    translation: Tensor
+    time_s: float
+
+    @classmethod
+    def of(cls, rotation: Tensor, translation: Tensor, time_s: float, device: torch.device) -> "Pose":
+        """From tensors on the processor, with one transfer to the device and no wait for it."""
+        single = rotation.detach().to("cpu", torch.float32)
+        rows = [single, torch.linalg.inv(single), translation.detach().to("cpu", torch.float32)[None]]
+        packed = torch.cat(rows).to(device)
+        return cls(packed[:3], packed[3:6], packed[6], time_s)
+
+
+def moved_references(tracks: Instances, then: Pose, now: Pose, config: UniADConfig) -> Tensor:
+    """Where tracks would be now at the speed they had.
+
+    Args:
+        tracks: T tracks of an earlier key frame.
+        then: Of that frame.
+        now: Of the present one.
+        config: Gives the perception range.
+
+    Returns:
+        (T, 3) logits of shares of the perception range around the present lidar.
+    """
+    low, high = config.perception_range_m[:3], config.perception_range_m[3:]
+    places = metres(tracks.reference_logits.sigmoid(), low, high)
+    step = F.pad(tracks.box_codes[:, 8:10], (0, 1)) * (now.time_s - then.time_s)
+    # Hundreds of metres in the global frame leave a tenth of a millimetre in single precision; rotations are exact
+    # enough in it only if they are not rounded further, which reduced-precision products would do.
+    turned = _rows_times(places + step, then.rotation) + then.translation - now.translation
+    places = _rows_times(turned, now.inverse)
+    axes = zip(places.unbind(-1), low, high, strict=True)
+    return logit(torch.stack([(place - least) / (most - least) for place, least, most in axes], -1))
+
+
+def _rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
+    """(T, 3) rows times (3, 3), in full single precision on any device."""
+    return (rows[:, :, None] * matrix).sum(1)
+
+
+def updated(instances: Instances, detections: Detections, fresh: int, next_id: Tensor) -> tuple[Instances, Tensor]:
+    """Instances after the decoder: births, naps and ends of tracks.
+
+    Args:
+        instances: Before it.
+        detections: Of these.
+        fresh: How many are fresh; the last of them is the ego.
+        next_id: () int64, the first id that has not been given.
+
+    Returns:
+        The instances, and the next id.
+    """
+    logits = detections.class_logits[-1]
+    scores = logits.sigmoid().amax(-1)
+    ids = instances.track_ids.clone()
+    ids[fresh - 1 : fresh].fill_(EGO)
+    awake = scores >= BORN_SCORE
+    asleep_for = instances.frames_asleep.masked_fill(awake, 0)
+    born = (ids == NO_TRACK) & awake
+    order = born.cumsum(0)
+    naps = (ids >= 0) & (scores < ASLEEP_SCORE)
+    asleep_for = asleep_for + naps
+    ids = torch.where(naps & (asleep_for >= PATIENCE), NO_TRACK, ids)
+    ids = torch.where(born, next_id + order - 1, ids)
+    after = replace(
+        instances,
+        reference_logits=detections.reference_logits,
+        track_ids=ids,
+        frames_asleep=asleep_for,
+        class_logits=logits,
+        box_codes=detections.box_codes[-1],
+        states=detections.states[-1],
+        scores=scores,
+    )
+    return after, next_id + order[-1]
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """N boxes with the conventions of the network.
+
+    Attributes:
+        boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y; see `headings`.
+        scores: (N,) 0 to 1, falling.
+        labels: (N,).
+        track_ids: (N,).
+        states: (N, C).
+    """
+
+    boxes: Tensor
+    scores: Tensor
+    labels: Tensor
+    track_ids: Tensor
+    states: Tensor
+
+    def then(self, others: "Boxes") -> "Boxes":
+        """These and others."""
+        pairs = ((getattr(self, name), getattr(others, name)) for name in self.__slots__)
+        return Boxes(*(torch.cat(pair) for pair in pairs))
+
+
+def headings(yaws: Tensor, config: UniADConfig) -> Tensor:
+    """Headings of boxes, counter-clockwise from the x axis, from their yaws in the network's convention.
+
+    Args:
+        yaws: Of any shape, radians. The published weights were trained with that of mmdet3d before version 1.0:
+            -heading - pi/2.
+        config: Says which convention.
+
+    Returns:
+        The same shape, -pi to pi.
+    """
+    turned = yaws + math.pi / 2 if config.counterclockwise_yaw else math.pi / 2 - yaws
+    return torch.remainder(turned, 2 * math.pi) - math.pi
+
+
+def decoded(instances: Instances) -> Boxes:
+    """A box for each instance, in their order."""
+    return Boxes(
+        boxes=decode_boxes(instances.box_codes),
+        scores=instances.scores,
+        labels=instances.class_logits.argmax(-1),
+        track_ids=instances.track_ids,
+        states=instances.states,
+    )
+
+
+def strongest_boxes(instances: Instances, config: UniADConfig) -> Boxes:
+    """Boxes of the most certain instances whose centres are not far outside the perception range."""
+    chosen = instances.kept(instances.scores.topk(min(config.max_boxes, len(instances.scores))).indices)
+    return decoded(chosen.kept(_near(chosen.box_codes, config)))
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """What a key frame reports and what it hands on, as indices.
+
+    Attributes:
+        reported: (N,) instances whose boxes are reported: tracks that are awake and near, falling scores.
+        vehicles: (V,) which of these are vehicles.
+        surviving: (T,) instances that are tracks in the next key frame, in their order.
+    """
+
+    reported: Tensor
+    vehicles: Tensor
+    surviving: Tensor
+
+
+def chosen_tracks(instances: Instances, vehicle_classes: Tensor, config: UniADConfig) -> Chosen:
+    """Choose, with one wait for the device: how many there are of each must be known to go on.
+
+    Args:
+        instances: After `updated`.
+        vehicle_classes: (classes,) booleans.
+        config: Of the network.
+
+    Returns:
+        The choice.
+    """
+    living = instances.track_ids >= 0
+    awake = living & (instances.scores >= ASLEEP_SCORE)
+    scores, strongest = torch.where(awake, instances.scores, -1.0).topk(min(config.max_boxes, len(awake)))
+    reported = (scores >= 0) & _near(instances.box_codes[strongest], config)
+    vehicles = reported & vehicle_classes[instances.class_logits[strongest].argmax(-1)]
+    masks = reported, vehicles, living
+    counts = torch.stack([mask.sum() for mask in masks]).tolist()
+    first, second, third = (_trues(mask, count) for mask, count in zip(masks, counts, strict=True))
+    return Chosen(strongest[first], (reported.cumsum(0) - 1)[second], third)
+
+
+def _near(box_codes: Tensor, config: UniADConfig) -> Tensor:
+    """Whether the centres of (Q, 10) box codes are not far outside the perception range."""
+    x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
+    lower = (x_low - MARGIN_M, y_low - MARGIN_M, -HIGHEST_M)
+    upper = (x_high + MARGIN_M, y_high + MARGIN_M, HIGHEST_M)
+    return within(torch.stack([box_codes[:, axis] for axis in (0, 1, 4)], -1), lower, upper)
+
+
+def _trues(mask: Tensor, count: int) -> Tensor:
+    """Where a mask is true, if it is known how often."""
+    return (~mask).to(torch.uint8).argsort(stable=True)[:count]

@@ -1,0 +1,179 @@
+"""The head of VAD: bird's-eye view, agents, map, forecasts and plan, in this order and under the published names."""
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.attention import CrossAttentionDecoder
+from adapters.networks.layers.branches import LaneEncoder, normalised_branch, plain_branch
+from adapters.networks.layers.coders import box_codes, line_extent, metres
+from adapters.networks.layers.deformable_decoder import Decoded
+from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.positional import LearnedGridEncoding
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.transformer import VADTransformer
+
+BOX_CODE = 10
+
+
+class VADHead(nn.Module):
+    """Everything after the image features (sections 3.1 to 3.4 of the paper)."""
+
+    def __init__(self, config: VADConfig) -> None:
+        super().__init__()
+        self.config = config
+        channels, layers = config.channels, config.decoder_layers
+        # Weights of training losses; nothing reads them here, but published checkpoints hold them.
+        self.code_weights = nn.Parameter(torch.tensor([1.0] * 8 + [0.2] * 2), requires_grad=False)
+        self.map_code_weights = nn.Parameter(torch.ones(4), requires_grad=False)
+        self.positional_encoding = LearnedGridEncoding(config.bev_rows, config.bev_columns, channels)
+        self.transformer = VADTransformer(config)
+        self.cls_branches = nn.ModuleList([normalised_branch(channels, config.agent_classes) for _ in range(layers)])
+        self.reg_branches = nn.ModuleList([plain_branch(channels, BOX_CODE) for _ in range(layers)])
+        self.traj_branches = nn.ModuleList([plain_branch(2 * channels, config.steps * 2)])
+        self.traj_cls_branches = nn.ModuleList([normalised_branch(2 * channels, 1)])
+        self.map_cls_branches = nn.ModuleList([normalised_branch(channels, config.map_classes) for _ in range(layers)])
+        self.map_reg_branches = nn.ModuleList([plain_branch(channels, 2) for _ in range(layers)])
+        self.bev_embedding = nn.Embedding(config.grid.cells, channels)
+        self.query_embedding = nn.Embedding(config.agents, 2 * channels)
+        self.map_instance_embedding = nn.Embedding(config.map_instances, 2 * channels)
+        self.map_pts_embedding = nn.Embedding(config.points_per_line, 2 * channels)
+        cross = (channels, config.heads, config.feedforward_channels)
+        self.motion_decoder = CrossAttentionDecoder(*cross)
+        self.motion_mode_query = nn.Embedding(config.modes, channels)
+        self.pos_mlp_sa = nn.Linear(2, channels)
+        self.lane_encoder = LaneEncoder(channels)
+        self.motion_map_decoder = CrossAttentionDecoder(*cross)
+        self.pos_mlp = nn.Linear(2, channels)
+        self.ego_query = nn.Embedding(1, channels)
+        self.ego_agent_decoder = CrossAttentionDecoder(*cross)
+        self.ego_agent_pos_mlp = nn.Linear(2, channels)
+        self.ego_map_decoder = CrossAttentionDecoder(*cross)
+        self.ego_map_pos_mlp = nn.Linear(2, channels)
+        self.ego_fut_decoder = plain_branch(2 * channels, config.commands * config.steps * 2)
+        self.agent_fus_mlp = nn.Sequential(
+            nn.Linear(config.modes * 2 * channels, channels),
+            nn.LayerNorm(channels),
+            nn.ReLU(),
+            nn.Linear(channels, channels),
+        )
+
+    def forward(
+        self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: EgoMotion, previous: Tensor | None
+    ) -> Predictions:
+        """Predict one key frame; arguments as in `VADTransformer.encode`."""
+        bev = self.transformer.encode(
+            self.bev_embedding.weight, self.positional_encoding(), maps, images, projections, motion, previous
+        )
+        agents = self.transformer.decode_agents(self.query_embedding.weight, bev, self.reg_branches)
+        queries = self.map_instance_embedding.weight[:, None] + self.map_pts_embedding.weight
+        lines = self.transformer.decode_map(queries.flatten(0, 1), bev, self.map_reg_branches)
+
+        map_points = self._by_line(lines.references)
+        map_logits = self._classes_of_lines(lines)
+        lane_features, lane_places = self._lanes(lines, map_points[-1])
+        agent_places = agents.references[-1, :, :2]
+        seen = map_logits[-1].sigmoid().amax(-1) > self.config.lane_score
+        forecasts = self._forecast(agents.states[-1], agent_places, lane_features, lane_places, seen)
+        mode_offsets = self.traj_branches[0](forecasts).float()
+        plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places)
+
+        lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
+        logits = [branch(states).float() for branch, states in zip(self.cls_branches, agents.states, strict=True)]
+        return Predictions(
+            bev=bev,
+            agent_states=agents.states,
+            agent_first_references=agents.first_references,
+            agent_references=agents.references,
+            class_logits=torch.stack(logits),
+            box_codes=box_codes(metres(agents.references, lower, upper), agents.corrections),
+            mode_offsets=mode_offsets.view(*mode_offsets.shape[:2], self.config.steps, 2),
+            mode_logits=self.traj_cls_branches[0](forecasts)[..., 0].float(),
+            map_states=lines.states,
+            map_first_references=lines.first_references,
+            map_references=lines.references,
+            map_class_logits=map_logits,
+            map_extents=line_extent(map_points),
+            map_points=map_points,
+            plan_offsets=plan_offsets,
+        )
+
+    def _by_line(self, points: Tensor) -> Tensor:
+        """(K, M * P, D) to (K, M, P, D)."""
+        return points.view(len(points), self.config.map_instances, self.config.points_per_line, -1)
+
+    def _classes_of_lines(self, lines: Decoded) -> Tensor:
+        """(K, M, map classes) logits, from the mean of a line's points."""
+        means = self._by_line(lines.states).mean(2)
+        found = [branch(states).float() for branch, states in zip(self.map_cls_branches, means, strict=True)]
+        return torch.stack(found)
+
+    def _lanes(self, lines: Decoded, points: Tensor) -> tuple[Tensor, Tensor]:
+        """(M, C) features of the map elements, and (M, 2) where they are, as shares.
+
+        An element is where its point nearest to the corner with the least x and y is: the published code takes norms of
+        shares, whose origin is that corner and not the ego.
+        """
+        nearest = points.square().sum(-1).sqrt().argmin(1)
+        places = points.gather(1, nearest[:, None, None].expand(-1, 1, 2))[:, 0]
+        features: Tensor = self.lane_encoder(self._by_line(lines.states)[-1])
+        return features, places
+
+    def _forecast(
+        self, agents: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, lane_seen: Tensor
+    ) -> Tensor:
+        """Features of every mode of every agent, from all modes of all agents and from the lanes nearby.
+
+        Args:
+            agents: (A, C).
+            places: (A, 2) as shares.
+            lanes: (M, C).
+            lane_places: (M, 2) as shares.
+            lane_seen: (M,) whether a lane counts at all.
+
+        Returns:
+            (A, modes, 2 C).
+        """
+        tokens = (agents[:, None] + self.motion_mode_query.weight).flatten(0, 1)
+        positions = _linear(self.pos_mlp_sa, places).repeat_interleave(self.config.modes, 0)
+        among_agents = self.motion_decoder(tokens, positions).view(-1, self.config.modes, self.config.channels)
+
+        relative = lane_places - places[:, None]
+        near = relative.square().sum(-1).sqrt() <= self.config.lane_distance
+        # An empty lane that all agents see, in the corner, keeps agents without lanes from looking at nothing.
+        relative = torch.cat([relative, torch.ones_like(relative[:, :1])], 1)
+        allowed = torch.cat([near & lane_seen, torch.ones_like(near[:, :1])], 1)
+        values = torch.cat([lanes, torch.zeros_like(lanes[:1])])
+        among_lanes = self.motion_map_decoder(
+            among_agents,
+            _linear(self.pos_mlp, torch.zeros_like(places[:1])),
+            values + _linear(self.pos_mlp, relative),
+            values,
+            allowed[:, None],
+        )
+        return torch.cat([among_agents, among_lanes], -1)
+
+    def _plan(self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor) -> Tensor:
+        """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes."""
+        agents = self.agent_fus_mlp(forecasts.flatten(1))
+        origin = torch.zeros_like(places[:1])
+        after_agents = self.ego_agent_decoder(
+            self.ego_query.weight,
+            _linear(self.ego_agent_pos_mlp, origin),
+            agents + _linear(self.ego_agent_pos_mlp, places),
+            agents,
+        )
+        after_lanes = self.ego_map_decoder(
+            after_agents,
+            _linear(self.ego_map_pos_mlp, origin),
+            lanes + _linear(self.ego_map_pos_mlp, lane_places),
+            lanes,
+        )
+        offsets: Tensor = self.ego_fut_decoder(torch.cat([after_agents, after_lanes], -1))
+        return offsets.float().view(self.config.commands, self.config.steps, 2)
+
+
+def _linear(layer: nn.Linear, places: Tensor) -> Tensor:
+    """Positions, which are in single precision, through a layer of any."""
+    result: Tensor = layer(places.to(layer.weight.dtype))
+    return result

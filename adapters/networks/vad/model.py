@@ -1,0 +1,110 @@
+"""VAD: six images, camera matrices and motion in; a plan, boxes, forecasts and a vector map out."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.resnet import EXPANSION, ResNet
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.head import VADHead
+from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.selection import VADOutputs, select
+from benchmark.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class VADInputs:
+    """One key frame.
+
+    Attributes:
+        images: (6, 3, H, W), normalised and padded; front, front right, front left, back, back left, back right.
+        lidar2img: (6, 4, 4), lidar frame in metres to pixels of the padded images.
+        can_bus: (18,) float64, absolute, as the data set gives it.
+        command: 0 right, 1 left, 2 straight.
+        scene_token: A change forgets the past.
+    """
+
+    images: Tensor
+    lidar2img: Tensor
+    can_bus: Tensor
+    command: int
+    scene_token: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """What a frame leaves for the next one: its CAN bus vector (float64, absolute) and its bird's-eye view."""
+
+    scene_token: str
+    can_bus: Tensor
+    bev: Tensor
+
+
+class VAD(nn.Module):
+    """The network and what it remembers; call it under ``torch.inference_mode()``, frame after frame.
+
+    Args:
+        config: Its sizes.
+    """
+
+    def __init__(self, config: VADConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.pts_bbox_head = VADHead(config)
+        self.img_backbone = ResNet(config.backbone_blocks, config.backbone_outputs, config.backbone_width)
+        widths = [config.backbone_width * EXPANSION * 2**stage for stage in config.backbone_outputs]
+        self.img_neck = FeaturePyramid(widths, config.channels, config.pyramid_levels)
+        self._memory: _Memory | None = None
+        self.eval()
+
+    def reset(self) -> None:
+        """Forget the past; the next frame is the first of a scene."""
+        self._memory = None
+
+    def forward(self, inputs: VADInputs) -> VADOutputs:
+        """Plan one key frame.
+
+        Args:
+            inputs: Frames of a scene come in the order of time.
+
+        Returns:
+            What is reported for it.
+        """
+        return select(self.config, self.predict(inputs), inputs.command)
+
+    def predict(self, inputs: VADInputs) -> Predictions:
+        """The same before selection, and remember it.
+
+        Args:
+            inputs: One key frame.
+
+        Returns:
+            Everything that the network computed.
+
+        Raises:
+            InputError: If camera matrices or motion have NaN or infinity in them. A camera with such a matrix would see
+                nothing, and nobody would notice.
+        """
+        if not (inputs.lidar2img.isfinite().all() and inputs.can_bus.isfinite().all()):
+            raise InputError(
+                f"camera matrices or CAN bus of a frame of scene {inputs.scene_token} have NaN or infinity in them; "
+                "check the data set's calibration and poses"
+            )
+        memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
+        images = inputs.images
+        motion = self.ego_motion(inputs).to(images.device)
+        projections = inputs.lidar2img.to(images.device, torch.float32)
+        maps = self.img_neck(self.img_backbone(images))
+        predictions: Predictions = self.pts_bbox_head(maps, images, projections, motion, memory.bev if memory else None)
+        absolute = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
+        self._memory = _Memory(inputs.scene_token, absolute, predictions.bev)
+        return predictions
+
+    def ego_motion(self, inputs: VADInputs) -> EgoMotion:
+        """How the ego moved since the frame that is remembered: zero if it is of another scene, or there is none."""
+        memory = self._memory if self._memory and self._memory.scene_token == inputs.scene_token else None
+        previous = memory.can_bus if memory else None
+        return EgoMotion.between(previous, inputs.can_bus, self.config.grid, self.config.rotation_centre)

@@ -1,0 +1,142 @@
+"""From raw predictions to what is reported: the most certain boxes and lines, in metres, and the plan."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from adapters.networks.layers.coders import decode_boxes, extent_corners, metres, strongest, within
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.predictions import Predictions
+
+MAP_CLASSES = ("divider", "ped_crossing", "boundary")
+
+MARGIN_M = 5.0
+"""How far outside the perception range, on the ground, boxes and lines are still reported."""
+HIGHEST_M = 10.0
+"""Boxes whose centre is higher or lower are not."""
+
+
+@dataclass(frozen=True, slots=True)
+class VADOutputs:
+    """What is reported for one key frame; lidar frame, x right, y forward, metres and radians.
+
+    Attributes:
+        plan: (6, 2) positions of the lidar origin 0.5 s to 3 s ahead, for the given command.
+        plan_modes: (3, 6, 2) the same for all commands.
+        boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the
+            heading, counter-clockwise from the x axis; length lies along it.
+        box_scores: (N,) 0 to 1, falling.
+        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
+        trajectories: (N, 6 modes, 6 steps, 2) forecast centres.
+        trajectory_scores: (N, 6) probabilities of the modes, sum 1.
+        map_points: (L, 20, 2).
+        map_scores: (L,) 0 to 1, falling.
+        map_labels: (L,) index into `MAP_CLASSES`.
+    """
+
+    plan: Tensor
+    plan_modes: Tensor
+    boxes: Tensor
+    box_scores: Tensor
+    box_labels: Tensor
+    trajectories: Tensor
+    trajectory_scores: Tensor
+    map_points: Tensor
+    map_scores: Tensor
+    map_labels: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedBoxes:
+    """N boxes with the conventions of the network.
+
+    Attributes:
+        boxes: (N, 9) centre x, y, z of the bottom, width, length, height, yaw, velocity x, y. The heading is
+            -yaw - pi/2: this is the yaw of mmdet3d before version 1.0.
+        scores: (N,) 0 to 1, falling.
+        labels: (N,).
+        agents: (N,) which query each is from.
+    """
+
+    boxes: Tensor
+    scores: Tensor
+    labels: Tensor
+    agents: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedLines:
+    """L map elements.
+
+    Attributes:
+        corners: (L, 4) least x, y and greatest x, y, metres.
+        points: (L, P, 2) metres.
+        scores: (L,) 0 to 1, falling.
+        labels: (L,).
+    """
+
+    corners: Tensor
+    points: Tensor
+    scores: Tensor
+    labels: Tensor
+
+
+def select(config: VADConfig, predictions: Predictions, command: int) -> VADOutputs:
+    """What is reported for a key frame.
+
+    Args:
+        config: Of the network.
+        predictions: Of the frame.
+        command: Whose plan counts: 0 right, 1 left, 2 straight.
+
+    Returns:
+        Plan, boxes, forecasts and map.
+    """
+    plans = predictions.plan_offsets.cumsum(1)
+    found, lines = select_boxes(config, predictions), select_lines(config, predictions)
+    yaw = found.boxes[:, 6:7]
+    heading = torch.remainder(-yaw - math.pi / 2 + math.pi, 2 * math.pi) - math.pi
+    offsets = predictions.mode_offsets[found.agents]
+    return VADOutputs(
+        plan=plans[command],
+        plan_modes=plans,
+        boxes=torch.cat([found.boxes[:, :6], heading, found.boxes[:, 7:]], 1),
+        box_scores=found.scores,
+        box_labels=found.labels,
+        trajectories=found.boxes[:, None, None, :2] + offsets.cumsum(2),
+        trajectory_scores=predictions.mode_logits[found.agents].softmax(-1),
+        map_points=lines.points,
+        map_scores=lines.scores,
+        map_labels=lines.labels,
+    )
+
+
+def select_boxes(config: VADConfig, predictions: Predictions) -> SelectedBoxes:
+    """The most certain boxes whose centres are not far outside the perception range."""
+    scores, labels, agents = strongest(predictions.class_logits[-1], config.max_boxes)
+    boxes = decode_boxes(predictions.box_codes[-1, agents])
+    lower, upper = _reported_range(config)
+    kept = within(boxes[:, :3], (*lower, -HIGHEST_M), (*upper, HIGHEST_M))
+    boxes = boxes[kept]
+    bottom = boxes[:, 2:3] - boxes[:, 5:6] / 2
+    boxes = torch.cat([boxes[:, :2], bottom, boxes[:, 3:]], 1)
+    return SelectedBoxes(boxes, scores[kept], labels[kept], agents[kept])
+
+
+def select_lines(config: VADConfig, predictions: Predictions) -> SelectedLines:
+    """The most certain map elements that do not reach far outside the perception range."""
+    scores, labels, lines = strongest(predictions.map_class_logits[-1], config.max_lines)
+    low, high = config.perception_range_m[:2], config.perception_range_m[3:5]
+    corners = metres(extent_corners(predictions.map_extents[-1, lines]).view(-1, 2, 2), low, high).flatten(-2)
+    lower, upper = _reported_range(config)
+    kept = within(corners, (*lower, *lower), (*upper, *upper))
+    points = metres(predictions.map_points[-1, lines], low, high)
+    return SelectedLines(corners[kept], points[kept], scores[kept], labels[kept])
+
+
+def _reported_range(config: VADConfig) -> tuple[tuple[float, float], tuple[float, float]]:
+    """x, y of the least and of the greatest reported position, metres."""
+    x_low, y_low, _, x_high, y_high, _ = config.perception_range_m
+    return (x_low - MARGIN_M, y_low - MARGIN_M), (x_high + MARGIN_M, y_high + MARGIN_M)

@@ -1,0 +1,1 @@
+"""How the miniatures of SparseDrive and DiffusionDrive learn."""

@@ -1,0 +1,221 @@
+"""How the miniatures of SparseDrive and DiffusionDrive learn: what ``challenger-bench train planner`` runs for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from adapters.camera_inputs import RGB_MEAN_STD, Normalisation
+from adapters.networks.sparse.decoder import Decoded, Stage
+from adapters.networks.sparse.diffusion import DiffusionPlanner
+from adapters.networks.sparse.keyframe_pose import Moment
+from adapters.networks.sparse.model import SparseInputs, SparseNetwork
+from adapters.training.frames import TrainingFrame
+from adapters.training.sparse.decoder import Learned, LearnedStage
+from adapters.training.sparse.losses import (
+    decoder_losses,
+    forecast_losses,
+    plan_losses,
+    status_loss,
+    summed,
+)
+from adapters.training.sparse.motion_planner import Cleaned, Interacted, denoised, interacted, queued
+from adapters.training.sparse.targets import Targets
+from adapters.training.sparse.views import Passages, Views
+from benchmark.machine.storage import content_seed
+
+STREAM_FRAMES: Final = 4
+"""Key frames that are seen one after the other, the first of them without a past."""
+FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
+"""Layers of the image network that stay as its own training left them: to change them would cost most."""
+PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a network says about B key frames.
+
+    Attributes:
+        agents: Boxes.
+        lines: Map elements.
+        planned: Tokens of agents and the ego.
+        cleaned: Of the diffusion planner.
+    """
+
+    agents: Learned
+    lines: Learned
+    planned: Interacted
+    cleaned: tuple[Cleaned, ...]
+
+
+class SparseLesson:
+    """All tasks at once, frame after frame, as in the second stage of the published training; see `Lesson`.
+
+    Memory goes from frame to frame, and gradients stop there.
+
+    Args:
+        network: To be trained.
+        normalisation: Of the images.
+        perception: Whether what finds boxes and lines learns too, and not the planner alone.
+
+    Attributes:
+        network: The same.
+        clip_frames: Key frames of a clip.
+    """
+
+    def __init__(
+        self, network: SparseNetwork, normalisation: Normalisation = RGB_MEAN_STD, *, perception: bool = True
+    ) -> None:
+        self.network: nn.Module = network
+        self.clip_frames = STREAM_FRAMES
+        self._sparse, self._normalisation = network, normalisation
+        for name in FROZEN if perception else PERCEPTION:
+            network.get_submodule(name).requires_grad_(False)
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """See `Lesson.losses`."""
+        return self.losses_of([clip])
+
+    def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
+        """Losses of several clips at once, which costs less than one after the other.
+
+        Args:
+            clips: Of any lengths; those of one length are seen together.
+
+        Returns:
+            Weighted scalars by name, means over the key frames.
+        """
+        frames = sum(map(len, clips))
+        alike: dict[int, list[Sequence[TrainingFrame]]] = {}
+        for clip in clips:
+            alike.setdefault(len(clip), []).append(clip)
+        parts = [
+            {name: loss * (length * len(same) / frames) for name, loss in self._losses_together(same).items()}
+            for length, same in sorted(alike.items())
+        ]
+        return {name: torch.stack([part[name] for part in parts]).sum() for name in parts[0]}
+
+    def _losses_together(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
+        config = self._sparse.config
+        frames = [frame for together in zip(*clips, strict=True) for frame in together]
+        device = next(self._sparse.parameters()).device
+        targets = Targets.of(frames, config.points_per_line, device)
+        seen = self.seen(frames, len(clips), targets)
+        found, matches = decoder_losses([each.agents for each in seen], [each.lines for each in seen], targets)
+        planner = self._sparse.head.motion_plan_head
+        agents = _flattened([each.agents for each in seen])
+        tokens = torch.cat([each.planned.tokens[:, :-1] for each in seen]).flatten(0, 1)
+        last = Stage(agents.anchors[matches.queries], agents.logits[matches.queries], None)
+        matched = Decoded((last,), last.anchors, last.anchors)
+        found |= forecast_losses(
+            *planner.forecast(matched, tokens[matches.queries]),
+            planner.turned_anchors(matched),
+            targets.futures[matches.wanted],
+            targets.futures_valid[matches.wanted],
+        )
+        found["status"] = status_loss(torch.cat([each.planned.status for each in seen]), targets)
+        anchors = planner.plan_anchor[targets.commands]
+        if isinstance(planner, DiffusionPlanner):
+            blocks = zip(*(each.cleaned for each in seen), strict=True)
+            cleaned = [
+                Cleaned(torch.cat([one.logits for one in same]), torch.cat([one.offsets for one in same]))
+                for same in blocks
+            ]
+            return found | summed([plan_losses(each.logits, each.offsets, anchors, targets) for each in cleaned])
+        queries = planner.plan_queries(torch.cat([each.planned.ego for each in seen])[:, None])
+        queries = queries[torch.arange(len(frames), device=device), targets.commands]
+        logits = planner.refinement.plan_cls_branch(queries)[..., 0]
+        offsets = planner.refinement.plan_reg_branch(queries).unflatten(-1, (-1, 2))
+        return found | plan_losses(logits, offsets, anchors, targets)
+
+    def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[Seen]:
+        """What the network says, for one key frame of each clip after the other.
+
+        Args:
+            frames: The first of each clip, then the second of each, ...
+            batch: Clips.
+            targets: Of these frames.
+
+        Returns:
+            Of all first frames, of all second ones, ...
+        """
+        network, head = self._sparse, self._sparse.head
+        config, device = network.config, targets.plans.device
+        images = torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device)
+        maps = network.img_neck(network.img_backbone(normalised_images(images, self._normalisation)))
+        found: list[Seen] = []
+        before: list[Moment] = []
+        for start in range(0, len(frames), batch):
+            present = frames[start : start + batch]
+            rows = slice(start * config.cameras, (start + batch) * config.cameras)
+            projections = torch.stack([frame.lidar2img for frame in present]).to(device, torch.float32)
+            views = Views.of(
+                [level[rows] for level in maps], projections, config.image_height_px, config.image_width_px
+            )
+            moments = [Moment(frame.timestamp_s, frame.global_T_lidar, frame.scene) for frame in present]
+            passages = Passages.between(before, moments, device) if before else None
+            past = found[-1] if found else None
+            agents = Learned.decoded(head.det_head, views, past.agents.kept if past else None, passages)
+            lines = Learned.decoded(head.map_head, views, past.lines.kept if past else None, passages)
+            left = past.planned.left if past else None
+            front = maps[-1][rows].unflatten(0, (batch, config.cameras))[:, 0]
+            queue = queued(head.motion_plan_head, agents, front, left, passages)
+            planned = interacted(head.motion_plan_head, head.det_head.anchor_encoder, agents, lines, queue)
+            commands = targets.commands[start : start + batch]
+            found.append(Seen(agents, lines, planned, self._cleaned(views, planned, commands, present)))
+            before = moments
+        return found
+
+    def _cleaned(
+        self, views: Views, planned: Interacted, commands: Tensor, frames: Sequence[TrainingFrame]
+    ) -> tuple[Cleaned, ...]:
+        planner = self._sparse.head.motion_plan_head
+        if not isinstance(planner, DiffusionPlanner):
+            return ()
+        noise = torch.stack([self.noise_of(frame) for frame in frames])
+        return tuple(denoised(planner, views, planned, commands, noise.to(commands.device)))
+
+    def noise_of(self, frame: TrainingFrame) -> Tensor:
+        """(modes, steps, 2) standard normal numbers that the plans of a key frame start with."""
+        config = self._sparse.config
+        return torch.randn((config.modes, config.steps, 2), generator=_generator(frame, "noise"))
+
+
+def network_inputs(frame: TrainingFrame, normalisation: Normalisation = RGB_MEAN_STD) -> SparseInputs:
+    """What the planner would give the network for a key frame.
+
+    Args:
+        frame: The key frame.
+        normalisation: Of the images.
+
+    Returns:
+        The inputs.
+    """
+    return SparseInputs(
+        images=normalised_images(frame.images, normalisation),
+        projections=frame.lidar2img,
+        timestamp_s=frame.timestamp_s,
+        global_T_lidar=frame.global_T_lidar,
+        command=frame.command,
+        scene_token=frame.scene,
+    )
+
+
+def normalised_images(images: Tensor, normalisation: Normalisation) -> Tensor:
+    """(..., 3, H, W) bytes, red green blue, as a network reads them."""
+    mean, std = (
+        torch.tensor(each, device=images.device)[:, None, None] for each in (normalisation.mean, normalisation.std)
+    )
+    return ((images if normalisation.rgb else images.flip(-3)) - mean) / std
+
+
+def _generator(frame: TrainingFrame, purpose: str) -> torch.Generator:
+    return torch.Generator().manual_seed(content_seed("sparse lesson", purpose, frame.scene, frame.index))
+
+
+def _flattened(agents: Sequence[Learned]) -> LearnedStage:
+    """The last stages of several key frames, (F * N, ...)."""
+    anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
+    return LearnedStage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)

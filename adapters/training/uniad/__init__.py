@@ -1,0 +1,1 @@
+"""How UniAD's miniature learns."""

@@ -1,0 +1,139 @@
+"""Where the training of a small UniAD starts: queries and anchors from the data, everything else from a seed."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from adapters.networks.layers.coders import logit
+from adapters.networks.layers.deformable_attention import ring_of_offsets
+from adapters.networks.uniad.config import UniADConfig
+from adapters.networks.uniad.map_masks import MaskLogits
+from adapters.networks.uniad.model import UniAD
+from adapters.networks.uniad.motion_layers import GoalAttention
+from adapters.training.frames import TrainingFrame
+from adapters.training.uniad.targets import motion_anchors, query_places
+from benchmark.errors import InputError
+
+RARE = 0.05
+"""How often an untrained network takes a query for an agent of a class."""
+CAR_M = (1.9, 4.5, 1.6)
+"""Width, length and height of an untrained network's boxes."""
+USUAL_MOTION = {7: 3.0, 8: 3.0, 12: 0.5, 13: 5.0, 14: 5.0, 17: 10.0}
+"""Places in the CAN bus vector of accelerations, m/s^2, turn rate, rad/s, speeds, m/s, and turn, degrees; and how large
+they usually are."""
+LOUD = 2.0
+"""Gain of the plan's last layer: steps of many metres are far from what usual random weights give."""
+QUIET = 0.5
+"""Gain of convolutions whose normalisation has no statistics yet."""
+EMBEDDING = 0.1
+"""Deviation of what tells levels and cameras apart; the published start of 1 drowns small features for long."""
+FIRST_VALUE = 0.2
+"""Least value of untrained masks: where a mask is zero, nothing pulls at it."""
+
+
+def untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -> UniAD:
+    """A network to be trained.
+
+    Args:
+        config: Its sizes.
+        frames: Of the training set, some hundreds: places of queries and anchors of forecasts are from them.
+        seed: Of all other parameters.
+
+    Returns:
+        The network; its anchors are part of its state.
+
+    Raises:
+        InputError: If there are too few agents in the frames, or all of them are too near the ends of scenes.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = UniAD(config, motion_anchors(frames, config), stores_anchors=True)
+        _start_classes(network)
+        with torch.no_grad():
+            _start_motion(network)
+            _start_plan(network, frames)
+            _start_places(network, query_places(frames, config))
+            _start_boxes(network)
+            _start_layers(network)
+    return network
+
+
+def _start_classes(network: UniAD) -> None:
+    rare = -math.log((1 - RARE) / RARE)
+    for branch in (*network.pts_bbox_head.cls_branches, *network.seg_head.cls_branches):
+        nn.init.constant_(_last(branch).bias, rare)
+
+
+def _start_places(network: UniAD, places: Tensor) -> None:
+    """Move the queries' encodings as little as it takes for them to look at places, the ego's at the ego."""
+    config = network.config
+    low, high = torch.tensor(config.perception_range_m[:3]), torch.tensor(config.perception_range_m[3:])
+    wanted = torch.cat([places, torch.zeros(1, 3)]).clamp(low + 0.5, high - 0.5)
+    layer = network.reference_points
+    nn.init.xavier_uniform_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    encodings = network.query_embedding.weight[:, : config.channels]
+    missing = logit((wanted - low) / (high - low)) - layer(encodings)
+    encodings += missing @ torch.linalg.pinv(layer.weight).T
+
+
+def _start_motion(network: UniAD) -> None:
+    """Of the CAN bus only what tells how the ego moves is read, all of order one; the rest drowns it for long."""
+    layer = _last(network.pts_bbox_head.transformer.can_bus_mlp[0])
+    read = torch.zeros(layer.in_features)
+    for number, usual in USUAL_MOTION.items():
+        read[number] = 1 / usual
+    nn.init.normal_(layer.weight)
+    layer.weight *= read
+    nn.init.uniform_(layer.bias, -1, 1)
+
+
+def _start_boxes(network: UniAD) -> None:
+    width, length, height = (math.log(size) for size in CAR_M)
+    bias = torch.tensor([0.0, 0.0, width, length, 0.0, height, 0.0, 0.0, 0.0, 0.0])
+    for branch in network.pts_bbox_head.reg_branches:
+        nn.init.zeros_(_last(branch).weight)
+        _last(branch).bias.copy_(bias)
+
+
+def _start_plan(network: UniAD, frames: Sequence[TrainingFrame]) -> None:
+    """First plans are the mean of what was driven."""
+    complete = [frame.ego_future for frame in frames if bool(frame.ego_future_valid.all())]
+    if not complete:
+        raise InputError("no training frame has three recorded seconds after it; give a split with longer scenes")
+    driven, last = torch.stack(complete), _last(network.planning_head.reg_branch)
+    last.weight *= LOUD
+    last.bias.copy_(driven.diff(dim=1, prepend=torch.zeros(len(driven), 1, 2)).mean(0).flatten())
+
+
+def _start_layers(network: UniAD) -> None:
+    transformer = network.pts_bbox_head.transformer
+    for embedding in (transformer.level_embeds, transformer.cams_embeds, network.seg_head.transformer.level_embeds):
+        nn.init.normal_(embedding, std=EMBEDDING)
+    for module in network.occ_head.modules():
+        if isinstance(module, nn.Conv2d):
+            nn.init.xavier_normal_(module.weight, QUIET)
+    for module in network.modules():
+        if isinstance(module, GoalAttention):
+            nn.init.zeros_(module.sampling_offsets.weight)
+            module.sampling_offsets.bias.copy_(ring_of_offsets(module.heads, module.steps, module.points))
+        if isinstance(module, MaskLogits):
+            mixture, last = _first(module.linear_l1), _first(module.linear)
+            mixture.weight.copy_(torch.eye(module.heads))
+            nn.init.zeros_(mixture.bias)
+            nn.init.constant_(last.weight, 1 / module.heads)
+            nn.init.constant_(last.bias, FIRST_VALUE)
+
+
+def _first(branch: nn.Sequential) -> nn.Linear:
+    layer = branch[0]
+    assert isinstance(layer, nn.Linear)
+    return layer
+
+
+def _last(branch: nn.Module) -> nn.Linear:
+    layer = list(branch.children())[-1] if isinstance(branch, nn.Sequential) else branch
+    assert isinstance(layer, nn.Linear)
+    return layer

@@ -1,0 +1,1 @@
+"""How VAD's miniature learns."""

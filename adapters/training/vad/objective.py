@@ -1,0 +1,270 @@
+"""How VAD learns (section 3.5 of its paper): boxes, forecasts, map and plan of consecutive key frames."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.vad.model import VAD, VADInputs
+from adapters.networks.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
+from adapters.networks.vad.predictions import Predictions
+from adapters.training.dense_targets import CHANNELS, dense_targets
+from adapters.training.frames import TrainingFrame
+from adapters.training.image_encoder import miniature_images
+from adapters.training.losses import (
+    Matches,
+    box_loss,
+    direction_loss,
+    line_loss,
+    match_boxes,
+    match_lines,
+    normalised_boxes,
+    plan_loss,
+    query_class_loss,
+    trajectory_losses,
+)
+from adapters.training.turned_worlds import turned_can_bus
+
+CLIP_FRAMES: Final = 3
+LEARNED_FRAMES: Final = 2
+"""The last frames of a clip, which have losses; earlier ones only leave their view."""
+ENCODER_KEPT: Final = ("conv1", "bn1", "layer1", "layer2")
+"""Parts of the image network that stay as they are."""
+WITHOUT_SPEED: Final = 1 / 3
+"""Share of clips that are not told how the ego moves: the plan has to come from what is seen."""
+WITHOUT_PAST: Final = 0.4
+"""Share of clips whose first learned frame is as at the start of a scene; it saves a sixth of the time, too."""
+DENSE_GAIN: Final = 4.0
+"""From a normalised channel of the view to a logit."""
+PACE_STEP: Final = 1
+"""The planned step whose distance the tokens have to know: 1 s."""
+PACE_M: Final = 7.0
+PACE_SPREAD_M: Final = 4.0
+"""Mean and spread of that distance in the embedded town, about."""
+WEIGHTS: Final = {
+    "class": 2.0,
+    "box": 0.25,
+    "forecast": 0.2,
+    "mode": 0.2,
+    "line_class": 2.0,
+    "line": 0.25,
+    "line_direction": 0.05,
+    "dense": 1.0,
+    "pace": 1.0,
+    "plan": 0.5,
+    "plan_steps": 1.0,
+    "plan_agents": 0.2,
+    "plan_boundary": 0.2,
+    "plan_direction": 0.2,
+}
+"""What each loss counts; metres where it has a unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disguise:
+    """What hides from a clip that the plan could be read off the ego's own motion.
+
+    Attributes:
+        turn_rad: The world is turned by so much; no image shows where north is.
+        speed_known: Whether the network is told how the ego moves. Its past view is aligned all the same.
+        past_known: Whether the first learned frame remembers.
+    """
+
+    turn_rad: float
+    speed_known: bool
+    past_known: bool
+
+    @classmethod
+    def drawn(cls) -> "Disguise":
+        """From the random numbers of the process, which the trainer seeds for each step."""
+        turn, speed, past = torch.rand(3).tolist()
+        return cls(2 * math.pi * turn, speed >= WITHOUT_SPEED, past >= WITHOUT_PAST)
+
+
+class VADLesson:
+    """`adapters.training.frames.Lesson` for VAD; all but the last stages of the image network stay as they are.
+
+    Args:
+        network: Any sizes.
+    """
+
+    clip_frames = CLIP_FRAMES
+
+    def __init__(self, network: VAD) -> None:
+        self.network = network
+        for name in ENCODER_KEPT:
+            network.img_backbone.get_submodule(name).requires_grad_(False)
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """See `adapters.training.frames.Lesson`; the mean over the learned frames."""
+        disguise = Disguise.drawn()
+        first_learned = max(len(clip) - LEARNED_FRAMES, 0)
+        previous: tuple[Tensor, Tensor] | None = None
+        found: list[dict[str, Tensor]] = []
+        for number in range(first_learned if not disguise.past_known else 0, len(clip)):
+            learned = number >= first_learned
+            with torch.set_grad_enabled(learned):
+                inputs = inputs_of(clip[number])
+                inputs = replace(inputs, can_bus=turned_can_bus(inputs.can_bus, disguise.turn_rad))
+                predictions = predictions_of(self.network, inputs, previous, disguise.speed_known)
+                if learned:
+                    found.append(frame_losses(self.network, predictions, clip[number]))
+            # As published, nothing flows back in time.
+            previous = inputs.can_bus, predictions.bev.detach()
+        return {name: WEIGHTS[name] * torch.stack([each[name] for each in found]).mean() for name in WEIGHTS}
+
+
+def inputs_of(frame: TrainingFrame) -> VADInputs:
+    """A frame as `adapters.networks.vad.planner.VADPlanner` makes it of an observation.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        Inputs on the processor.
+    """
+    images = miniature_images(frame.images)
+    return VADInputs(
+        # Convolutions on processors take two thirds of the time in this order of memory.
+        images=images.contiguous(memory_format=torch.channels_last),
+        lidar2img=frame.lidar2img,
+        can_bus=frame.can_bus,
+        command=frame.command,
+        scene_token=frame.scene,
+    )
+
+
+def frame_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Losses of one key frame, not weighted.
+
+    Args:
+        network: That predicted.
+        predictions: Of the frame.
+        frame: The same frame.
+
+    Returns:
+        Scalars by the names of `WEIGHTS`.
+    """
+    return {
+        **_agent_losses(network, predictions, frame),
+        **_map_losses(network, predictions, frame),
+        "dense": _dense_loss(network, predictions, frame),
+        "pace": _pace_loss(predictions, frame),
+        **_plan_losses(predictions, frame),
+    }
+
+
+def predictions_of(
+    network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
+) -> Predictions:
+    """As `VAD.predict`, with a past that the caller holds.
+
+    Args:
+        network: The network; what it remembers is not looked at.
+        inputs: One key frame.
+        previous: (18,) CAN bus vector and (cells, C) view of the frame before, ``None`` at the start of a scene.
+        speed_known: As in `Disguise`.
+
+    Returns:
+        Everything that the network computed.
+    """
+    can_bus, view = previous or (None, None)
+    config = network.config
+    motion = EgoMotion.between(can_bus, inputs.can_bus, config.grid, config.rotation_centre)
+    if not speed_known:
+        silent = motion.can_bus.clone()
+        silent[:3], silent[7:16] = 0.0, 0.0
+        motion = replace(motion, can_bus=silent)
+    maps = network.img_neck(network.img_backbone(inputs.images))
+    projections = inputs.lidar2img.float()
+    found: Predictions = network.pts_bbox_head(maps, inputs.images, projections, motion.to(inputs.images.device), view)
+    return found
+
+
+def _agent_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Boxes after every layer, forecasts of the queries that the last layer found boxes for."""
+    low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
+    inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
+    boxes, labels = frame.boxes[inside], frame.labels[inside]
+    # The network's yaw is that of mmdet3d before version 1.0.
+    wanted = normalised_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
+    weights = network.pts_bbox_head.code_weights
+    classes, codes, matches = [], [], Matches(labels[:0], labels[:0])
+    for logits, found in zip(predictions.class_logits, predictions.box_codes, strict=True):
+        matches = match_boxes(logits, found, labels, wanted, weights)
+        classes.append(query_class_loss(logits, labels, matches))
+        codes.append(box_loss(found, wanted, matches, weights))
+    steps = network.config.steps
+    future = frame.futures[inside][matches.wanted, :steps, :2] - boxes[matches.wanted, None, :2]
+    forecast, mode = trajectory_losses(
+        predictions.mode_offsets[matches.queries].cumsum(2),
+        predictions.mode_logits[matches.queries],
+        future,
+        frame.futures_valid[inside][matches.wanted, :steps],
+    )
+    return {"class": torch.stack(classes).sum(), "box": torch.stack(codes).sum(), "forecast": forecast, "mode": mode}
+
+
+def _map_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    config = network.config
+    low, high = (torch.tensor(config.perception_range_m[each : each + 2]) for each in (0, 3))
+    wanted = _with_points(frame.lines, config.points_per_line)
+    classes, lines, directions = [], [], []
+    for logits, shares in zip(predictions.map_class_logits, predictions.map_points, strict=True):
+        points = low + shares * (high - low)
+        matches, matched = match_lines(logits, points, frame.line_labels, wanted)
+        classes.append(query_class_loss(logits, frame.line_labels, matches))
+        lines.append(line_loss(points, matched, matches))
+        directions.append(direction_loss(points, matched, matches))
+    return {
+        "line_class": torch.stack(classes).sum(),
+        "line": torch.stack(lines).sum(),
+        "line_direction": torch.stack(directions).sum(),
+    }
+
+
+def _with_points(lines: Tensor, points: int) -> Tensor:
+    """(M, P, 2) lines with another number of evenly spaced points."""
+    if not len(lines):
+        return lines.new_zeros((0, points, 2))
+    return F.interpolate(lines.transpose(1, 2), points, mode="linear", align_corners=True).transpose(1, 2)
+
+
+def _dense_loss(network: VAD, predictions: Predictions, frame: TrainingFrame) -> Tensor:
+    """Cross entropy of the first channels of the view; the mean over what is known."""
+    targets, known = dense_targets(frame, network.config.grid)
+    logits = DENSE_GAIN * predictions.bev[:, :CHANNELS]
+    # Cells of lines and agents are few.
+    weights = known * (1 + 2 * targets)
+    entropy = F.binary_cross_entropy_with_logits(logits, targets, reduction="none")
+    return CHANNELS * (entropy * weights).sum() / weights.sum()
+
+
+def _pace_loss(predictions: Predictions, frame: TrainingFrame) -> Tensor:
+    """How well every cell, agent and map element knows how far the ego drives, in its channel after the dense ones.
+
+    The plan reads agents and map elements alone; what they do not know of the ego is lost to it.
+    """
+    if not frame.ego_future_valid[PACE_STEP]:
+        return predictions.bev.sum() * 0
+    wanted = (frame.ego_future[PACE_STEP, 1] - PACE_M) / PACE_SPREAD_M
+    read = (predictions.bev, predictions.agent_states[-1], predictions.map_states[-1])
+    return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
+
+
+def _plan_losses(predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    offsets = predictions.plan_offsets[frame.command]
+    plan = offsets.cumsum(0)
+    recorded = torch.diff(frame.ego_future, dim=0, prepend=torch.zeros_like(frame.ego_future[:1]))
+    return {
+        "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
+        "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
+        "plan_agents": agent_constraint(plan, frame),
+        "plan_boundary": boundary_constraint(plan, frame),
+        "plan_direction": direction_constraint(plan, frame),
+    }

@@ -1,0 +1,225 @@
+"""Options that several commands share, and how their texts are read."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.machine.workers import Executor
+
+
+class Frames(StrEnum):
+    """Which frames get images."""
+
+    ALL = "all"
+    KEYFRAMES = "keyframes"
+
+
+class SheetPictures(StrEnum):
+    """Which frames of a scene sheet get a picture of all cameras."""
+
+    KEYFRAMES = "keyframes"
+    ALL = "all"
+    NONE = "none"
+
+
+class Layout(StrEnum):
+    """How several variants of one scene lie on disk."""
+
+    SUFFIXED = "suffixed"
+    PER_VARIANT = "per-variant"
+
+
+class RendererName(StrEnum):
+    """Who draws the images of a split."""
+
+    SCHEMATIC = "schematic"
+    MAGICDRIVE = "magicdrive"
+    NONE = "none"
+
+
+class QuickRendererName(StrEnum):
+    """Who draws the images of recordings that have none."""
+
+    SCHEMATIC = "schematic"
+    NONE = "none"
+
+
+class DrawnSize(StrEnum):
+    """What the photorealistic renderer draws, height and width."""
+
+    SMALL = "224x400"
+    LARGE = "424x800"
+
+
+class WrittenSize(StrEnum):
+    """What the photorealistic renderer writes."""
+
+    MODEL = "model"
+    CAMERA = "1600x900"
+
+
+class AskedLook(StrEnum):
+    """Light and weather that the photorealistic renderer is asked for."""
+
+    RECORDED = "recorded"
+    DAYTIME = "daytime"
+    RAINY = "rainy"
+    NIGHT = "night"
+
+
+class Verifiable(StrEnum):
+    """What has golden numbers."""
+
+    PHYSICS = "physics"
+    SCORING = "scoring"
+    DENOISER = "denoiser"
+    PROTOCOLS = "protocols"
+    MODEL = "model"
+
+
+class Preset(StrEnum):
+    """Settings of the search to start from."""
+
+    DEFAULT = "default"
+    PAPER = "paper"
+
+
+class FilmLayoutName(StrEnum):
+    """What a frame of a film shows."""
+
+    BOTH = "both"
+    CAMERAS = "cameras"
+    BIRDSEYE = "birdseye"
+
+
+class FilmFormatName(StrEnum):
+    """What a film is written as."""
+
+    WEBM = "webm"
+    PNG = "png"
+    WEBP = "webp"
+
+
+class ExecutorName(StrEnum):
+    """Where work is done."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
+DataOption = Annotated[str, typer.Option("--data", help="mini (embedded) or the root of a nuScenes-format data set.")]
+TablesOption = Annotated[
+    str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
+]
+OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
+SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
+ScenesOption = Annotated[str | None, typer.Option("--scenes", help="Only these scenes, separated by commas.")]
+NormalisationOption = Annotated[
+    str | None, typer.Option("--normalisation", help="Pixel values that the weights want, if the file is wrong on it.")
+]
+RecordsOption = Annotated[
+    list[Path] | None,
+    typer.Option("--records", help="Folder of run records, if not <out>/runs; may be repeated, and name single runs."),
+]
+LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
+WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
+PresetOption = Annotated[
+    Preset, typer.Option("--preset", help="default, or paper: nothing of the search that the paper does not name.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md)."),
+]
+DenoiserOption = Annotated[
+    Path | None, typer.Option("--denoiser", help="Weights of another trajectory model, such as ig360_adv.ckpt.")
+]
+DeviceOption = Annotated[str, typer.Option("--device", help="Where the trajectory model runs: cpu, cuda, cuda:1.")]
+TogetherOption = Annotated[
+    int, typer.Option("--together", min=1, help="Attempts planned side by side in a process; pays on a GPU.")
+]
+DropoutOption = Annotated[
+    bool, typer.Option("--dropout", help="Sample with dropout on, as the reference code does by an omission.")
+]
+CallsOption = Annotated[
+    int | None,
+    typer.Option("--calls", min=1, help="Network calls of a mutation at most; the reference has one a noise level."),
+]
+ExecutorOption = Annotated[
+    ExecutorName, typer.Option("--executor", help="This machine's processes, or an existing Ray cluster.")
+]
+AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT of the Ray cluster, or auto.")]
+WeightsFolderOption = Annotated[
+    Path | None, typer.Option("--weights-folder", help="Folder that holds published weights, if not the cache.")
+]
+SizeOption = Annotated[str, typer.Option("--size", help="Image size, WIDTHxHEIGHT.")]
+DrawnSizeOption = Annotated[
+    DrawnSize, typer.Option("--render-size", help="magicdrive: what the network draws, HEIGHTxWIDTH.")
+]
+WrittenSizeOption = Annotated[
+    WrittenSize, typer.Option("--image-size", help="magicdrive: what is written, the network's size or the camera's.")
+]
+AskedLookOption = Annotated[
+    AskedLook, typer.Option("--prompt-look", help="magicdrive: light and weather, if not those of the recording.")
+]
+RenderDeviceOption = Annotated[
+    str, typer.Option("--render-device", help="magicdrive: auto, cpu, cuda (all GPUs, a worker on each), cuda:1.")
+]
+SpeedOption = Annotated[
+    float | None,
+    typer.Option("--tflops", min=1e-3, help="magicdrive: the device's speed for estimates, if not to be measured."),
+]
+FilmLayoutOption = Annotated[FilmLayoutName, typer.Option("--layout", help="What a frame shows.")]
+FilmFormatOption = Annotated[
+    FilmFormatName, typer.Option("--format", help="A film, numbered frames, or an animated picture for pages.")
+]
+LosslessOption = Annotated[bool, typer.Option("--lossless", help="Keep a PNG file beside each JPEG file.")]
+FramesOption = Annotated[Frames, typer.Option("--frames", help="Images at all 12 Hz frames or at 2 Hz keyframes.")]
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Width and height of ``WIDTHxHEIGHT``; raises `InputError` for anything else."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()) or not (32 <= int(width) <= 8192 and 32 <= int(height) <= 8192):
+        raise InputError(f"--size {text!r} is not WIDTHxHEIGHT in pixels, for example 448x256 (32 to 8192 each)")
+    return int(width), int(height)
+
+
+def name_list(text: str | None) -> tuple[str, ...] | None:
+    """Names between commas, or ``None`` if nothing was given."""
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def worker_count(count: int) -> int:
+    """Number of processes: 0 is all processors; raises `InputError` if negative."""
+    from benchmark.machine.workers import default_workers
+
+    if count < 0:
+        raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
+    return count or default_workers()
+
+
+def executor_of(name: ExecutorName, address: str | None, workers: int) -> "Executor":
+    """Where work is done; raises `InputError` if the options contradict each other."""
+    if name is ExecutorName.LOCAL:
+        from benchmark.machine.workers import LocalProcesses
+
+        if address is not None:
+            raise InputError("--address belongs to --executor ray; add it or leave the address out")
+        return LocalProcesses(worker_count(workers))
+    from benchmark.machine.ray_cluster import RayCluster
+
+    return RayCluster(address or "auto")
+
+
+def print_json(value: Any) -> None:
+    """Machine-readable output: JSON and nothing else on stdout."""
+    typer.echo(json.dumps(value, indent=1, sort_keys=True, allow_nan=False))

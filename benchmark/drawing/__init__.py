@@ -1,0 +1,1 @@
+"""The view from above: a scene's road, agents and plans on a canvas of metres."""

@@ -1,0 +1,176 @@
+"""Where things of a sheet and plans of run records are: everything in the sheet's own metres."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, ego_footprints, poses_between, to_global, wrap_angle
+from benchmark.records.run import SampleRow
+from benchmark.records.scenes import Sheet, SheetAgent
+from benchmark.waypoints import chord_headings, points_in_lidar, waypoints_in_lidar
+
+INSTANTS_PER_STEP: Final = 5
+"""Instants at which ``exact`` compares in each half second."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedForecasts:
+    """What a planner expects of others.
+
+    Attributes:
+        boxes: (A, 5) present boxes.
+        paths: (A, 6, 2) centres over the plan's steps in the most likely mode.
+    """
+
+    boxes: Floats
+    paths: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedPlan:
+    """A plan.
+
+    Attributes:
+        waypoints: (6, 2) positions of the lidar origin.
+        footprints: (30, 5) the ego's rectangle at 0.1, 0.2, ... 3.0 s, as ``exact`` compares it.
+        start: (5,) the same at the sample.
+        modes: (M, 6, 2) other modes, as the waypoints; those that are the plan itself are left out.
+        forecasts: Expected motion of others, or ``None``.
+    """
+
+    waypoints: Floats
+    footprints: Floats
+    start: Floats
+    modes: Floats
+    forecasts: PlacedForecasts | None
+
+
+def ego_pose(sheet: Sheet, frame: int) -> Floats:
+    """(3,) x, y, yaw of the recorded rear axle."""
+    return np.array([sheet.ego.x_m[frame], sheet.ego.y_m[frame], sheet.ego.yaw_rad[frame]])
+
+
+def ego_box(sheet: Sheet, frame: int) -> Floats:
+    """(5,) the recorded body of the ego."""
+    x, y, yaw = ego_pose(sheet, frame)
+    ahead = sheet.ego.centre_ahead_m
+    return np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), sheet.ego.length_m, sheet.ego.width_m, yaw])
+
+
+def agent_box(agent: SheetAgent, frame: int) -> Floats | None:
+    """(5,) the box of an object, or ``None`` where it is not there."""
+    place = frame - agent.first
+    if not 0 <= place < len(agent.x_m):
+        return None
+    x, y, yaw = agent.x_m[place], agent.y_m[place], agent.yaw_rad[place]
+    if x is None or y is None or yaw is None:
+        return None
+    return np.array([x, y, agent.size_m[0], agent.size_m[1], yaw])
+
+
+def agent_box_at(sheet: Sheet, agent: SheetAgent, seconds: float) -> Floats | None:
+    """The box of an object between frames.
+
+    Args:
+        sheet: The sheet.
+        agent: One of its objects.
+        seconds: Since the first frame.
+
+    Returns:
+        (5,) the box, or ``None`` where the object is not there at the frames before and after.
+    """
+    times = frame_seconds(sheet)
+    if not times[0] <= seconds <= times[-1] + 1e-6:
+        return None
+    after = min(int(np.searchsorted(times, seconds - 1e-6)), len(times) - 1)
+    before = max(after - 1, 0)
+    first, second = agent_box(agent, before), agent_box(agent, after)
+    if second is None or first is None or after == before:
+        return second if abs(times[after] - seconds) < 1e-6 else None
+    share = (seconds - times[before]) / (times[after] - times[before])
+    step = second - first
+    step[4] = wrap_angle(step[4])
+    return np.asarray(first + share * step)
+
+
+def frame_seconds(sheet: Sheet) -> Floats:
+    """(T,) time of each frame since the first, seconds."""
+    return (np.array(sheet.timestamps_us, np.int64) - sheet.timestamps_us[0]) / 1e6
+
+
+def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
+    """Put a stored plan where it was planned.
+
+    Args:
+        row: A sample of a run record.
+        axle: (3,) pose of the rear axle at the sample.
+
+    Returns:
+        The plan, or ``None`` where the planner failed.
+
+    Raises:
+        InputError: If the lists of the plan are not of the lengths that a plan has.
+    """
+    if row.plan is None:
+        return None
+    plan, ahead = row.plan, row.lidar_ahead_m
+    heading = np.array([np.cos(axle[2]), np.sin(axle[2])])
+    # The lidar frame's first axis points to the right.
+    lidar = np.array([*(axle[:2] + ahead * heading), axle[2] - np.pi / 2])
+    try:
+        waypoints = waypoints_in_lidar(np.array(plan.waypoints, np.float64).reshape(PLAN_STEPS, 2), plan.frame, ahead)
+        modes = np.array(plan.modes or [], np.float64).reshape(-1, PLAN_STEPS, 2)
+        forecasts = None if plan.forecasts is None else _forecasts(row, lidar)
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            f"the plan of {row.scene} at sample {row.index} has lists of the wrong lengths ({error}); run "
+            "challenger-bench eval again"
+        ) from error
+    modes = waypoints_in_lidar(modes, plan.frame, ahead) if len(modes) else modes
+    other = np.abs(modes - waypoints).max(axis=(1, 2)) > 0.05
+    return PlacedPlan(
+        waypoints=to_global(waypoints, lidar),
+        footprints=_boxes_of(_footprints(waypoints), lidar),
+        start=_boxes_of(ego_footprints(np.array([0.0, 0.0, np.pi / 2])), lidar),
+        modes=to_global(modes[other], lidar),
+        forecasts=forecasts,
+    )
+
+
+def _footprints(waypoints: Floats) -> Floats:
+    """(30, 5) in the lidar frame: linear between waypoints, the heading by the shortest arc."""
+    heading = chord_headings(waypoints, start_heading_rad=np.pi / 2)
+    poses = np.concatenate([waypoints, heading[:, None]], axis=-1)
+    before = np.concatenate([[[0.0, 0.0, np.pi / 2]], poses[:-1]])
+    shares = np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
+    return ego_footprints(poses_between(before[:, None], poses[:, None], shares)).reshape(-1, 5)
+
+
+def _forecasts(row: SampleRow, lidar: Floats) -> PlacedForecasts:
+    assert row.plan is not None and row.plan.forecasts is not None
+    given = row.plan.forecasts
+    boxes = np.array(given.boxes, np.float64).reshape(-1, 5)
+    likeliest = [modes[int(np.argmax(scores))] for modes, scores in zip(given.trajectories, given.scores, strict=True)]
+    paths = np.array(likeliest, np.float64).reshape(len(boxes), PLAN_STEPS, 2)
+    if row.plan.frame == "ego":
+        boxes = np.column_stack(
+            [points_in_lidar(boxes[:, :2], row.lidar_ahead_m), boxes[:, 2:4], boxes[:, 4] + np.pi / 2]
+        )
+        paths = points_in_lidar(paths, row.lidar_ahead_m)
+    return PlacedForecasts(_boxes_of(boxes, lidar), to_global(paths, lidar))
+
+
+def _boxes_of(boxes: Floats, frame_pose: Floats) -> Floats:
+    """Boxes (..., 5) of a frame in the metres of its pose."""
+    return np.concatenate(
+        [to_global(boxes[..., :2], frame_pose), boxes[..., 2:4], boxes[..., 4:] + frame_pose[2]], axis=-1
+    )
+
+
+def plan_instant(seconds: float) -> int:
+    """Which footprint of a `PlacedPlan` is that of a time after the sample; the nearest one."""
+    last = PLAN_STEPS * INSTANTS_PER_STEP
+    return min(max(round(seconds * INSTANTS_PER_STEP / PLAN_STEP_S), 1), last) - 1

@@ -1,0 +1,1 @@
+"""How vehicles move: paths, the LQR tracker, the kinematic bicycle."""

@@ -1,0 +1,155 @@
+"""The main path of an evaluation: plan every sample, judge every plan, write the record.
+
+Read from the top: `evaluate` chooses scenes, hands each to `benchmark.runs.scene_work`, and writes what comes back. One
+scene is one unit of work, because planners have memory. What the planner said about a scene is kept under a content key
+(`benchmark.runs.plan_rows`), so the same command goes on where it stopped; verdicts are computed anew each time, so a
+changed protocol never needs the planner.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from benchmark.errors import InputError
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.storage import only_writer
+from benchmark.machine.workers import map_ordered
+from benchmark.planning import Planner
+from benchmark.protocols import PROTOCOLS, protocol
+from benchmark.records.run import RunRecord, write_record
+from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
+from benchmark.runs.run_directory import run_directory, tidy
+from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+PROCESSES_PAY_AFTER_S = 10.0
+"""Opening the data set in further processes takes seconds; less work than this is done sooner in one."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvalSettings:
+    """How to evaluate.
+
+    Attributes:
+        protocols: Who judges; all that are known by default.
+        scenes: Only these scenes of the split.
+        limit: Only the first so many scenes.
+        workers: Number of processes; the result does not depend on it.
+        seed: Seed of the intervals.
+        fresh: Plan again even where plans are kept.
+    """
+
+    protocols: tuple[str, ...] = field(default_factory=lambda: tuple(PROTOCOLS))
+    scenes: tuple[str, ...] | None = None
+    limit: int | None = None
+    workers: int = 1
+    seed: int = 0
+    fresh: bool = False
+
+    def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
+        """The scenes that will run.
+
+        Args:
+            data: The data set.
+            split: The split.
+
+        Returns:
+            Scene names in the order of the split.
+
+        Raises:
+            InputError: If the split or a scene is unknown, or nothing is left.
+        """
+        names = data.scene_names(split)
+        unknown = sorted(set(self.scenes or ()) - set(names))
+        if unknown:
+            raise InputError(
+                f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; it has "
+                f"{len(names)} scenes, among them {', '.join(names[:3])}"
+            )
+        if self.limit is not None and self.limit < 1:
+            raise InputError(f"--limit must be at least 1, got {self.limit}")
+        wanted = names if self.scenes is None else tuple(name for name in names if name in set(self.scenes))
+        if not wanted:
+            raise InputError(f"split {split!r} of {data.root} has no scenes to evaluate")
+        return wanted[: self.limit]
+
+
+def evaluate(
+    data: "DataSet",
+    split: str,
+    planner: Planner | PlannerFactory,
+    out: Path,
+    settings: EvalSettings | None = None,
+    *,
+    reopen: Callable[[], "DataSet"] | None = None,
+) -> RunRecord:
+    """Run a planner on a split and write the record.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        planner: A planner, or a factory, which is what more than one process needs.
+        out: Folder of run directories.
+        settings: See `EvalSettings`.
+        reopen: Opens the data set in another process; by default from its root, version and name.
+
+    Returns:
+        The record, in the directory that `run_directory` names. Its status is ``partial`` if the planner failed
+        on any sample.
+
+    Raises:
+        InputError: If the split, a scene or a protocol is unknown, the data is broken, or another command is writing
+            the same record.
+    """
+    settings = settings or EvalSettings()
+    if settings.workers < 1:
+        raise InputError(f"--workers must be at least 1, got {settings.workers}")
+    factory = None if hasattr(planner, "plan") else planner
+    ready = cast("Planner", planner) if factory is None else factory()
+    facts = facts_of(ready) if factory is None else factory.facts
+    versions = {name: protocol(name).version for name in settings.protocols}
+    scenes, every_scene = settings.chosen(data, split), data.scene_names(split)
+    directory = run_directory(out, data.name, split, facts, () if len(scenes) == len(every_scene) else scenes)
+    run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh)
+    elsewhere = None
+    if factory is not None and settings.workers > 1:
+        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        elsewhere = partial(work_in_worker, run, opener, factory)
+    described = {
+        "planner": facts,
+        "data": {"name": data.name, "version": data.version, "fingerprint": run.fingerprint},
+        "split": split,
+        "scenes": list(scenes),
+        "scenes_in_split": len(every_scene),
+        "scene_facts": data.scene_facts(scenes),
+        "config": {"protocols": list(settings.protocols), "seed": settings.seed},
+        "environment": environment_facts(),
+    }
+    with only_writer(directory):
+        results = list(_results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, facts.name))
+        rows = [row for result in results for row in result.rows]
+        record = write_record(directory, described, rows, versions, seed=settings.seed)
+        tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
+    return record
+
+
+def _results(
+    scenes: tuple[str, ...],
+    here: Callable[[str], SceneResult],
+    elsewhere: Callable[[str], SceneResult] | None,
+    workers: int,
+    label: str,
+) -> Iterator[SceneResult]:
+    """Results in the order of the scenes; the first scene is done here and tells whether more processes pay."""
+    started = time.perf_counter()
+    yield from map_ordered(here, scenes[:1], workers=1, label=label)
+    left_s = (time.perf_counter() - started) * (len(scenes) - 1)
+    if elsewhere is not None and left_s > PROCESSES_PAY_AFTER_S:
+        yield from map_ordered(elsewhere, scenes[1:], workers=workers, label=label)
+    else:
+        yield from map_ordered(here, scenes[1:], workers=1, label=label)

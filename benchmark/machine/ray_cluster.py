@@ -1,0 +1,206 @@
+"""Work on many items with a Ray cluster: the units, their order and their bytes are those of `LocalProcesses`.
+
+Units find and keep finished work by content key in a folder that all nodes share, so a unit that is run again, because
+its node was lost, does no harm.
+"""
+
+import contextlib
+import functools
+import os
+import socket
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from benchmark.errors import InputError
+from benchmark.machine.environment import package_versions
+from benchmark.machine.storage import content_key, file_sha256
+from benchmark.machine.workers import progress, results_in_order, single_threaded
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL_OBJECT_STORE_BYTES: Final = 200 * 10**6
+"""Shared memory of a Ray that is started here: scenes on their way to workers, a few MB each."""
+PROBE_S: Final = 5.0
+"""How long a cluster may take to answer at all."""
+_HTTP2_PREFACE: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+_HTTP2_SETTINGS: Final = 4
+_ADVICE: Final = "start it with ray start --head and give the HOST:PORT that it prints as --address"
+_PACKAGES: Final = ("adapters", "benchmark", "generation", "leaderboard")
+
+
+@dataclass(frozen=True, slots=True)
+class RayCluster:
+    """The processors of a Ray cluster, one unit on each; or its GPUs.
+
+    The command runs on one of the nodes. All nodes have the same version of this project installed and see data and
+    output at the same paths.
+
+    Attributes:
+        address: HOST:PORT of the head, ``auto`` for the cluster of this machine, ``ray://HOST:PORT`` for a Ray client,
+            or ``None`` to start Ray on this machine.
+        retries: How often a unit is given to another worker when its own is lost; its own errors are not tried again.
+        gpus: GPUs of a unit, which sees no others; 0 for units that need none.
+    """
+
+    address: str | None = "auto"
+    retries: int = 3
+    gpus: int = 0
+
+    def map(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+    ) -> Iterator[Result]:
+        """See `Executor.map`.
+
+        Raises:
+            InputError: If Ray is not installed, the cluster cannot be joined, a node has other code, or units are lost
+                more often than they are tried again.
+        """
+        # Ray says on stdout which workers were lost, where a command may print JSON.
+        with contextlib.redirect_stdout(sys.stderr), _joined(self.address) as ray:
+            yield from progress(self._results(ray, function, items, label), total=total, label=label)
+
+    def _results(
+        self, ray: Any, function: Callable[[Item], Result], items: Iterable[Item], label: str
+    ) -> Iterator[Result]:
+        unit = ray.remote(num_cpus=1, num_gpus=self.gpus, max_retries=self.retries)(_unit)
+        shared, expected = ray.put(function), _code_fingerprint()
+        running: set[Any] = set()
+
+        def submit(item: Item) -> "Future[Result]":
+            reference = unit.remote(shared, expected, item)
+            running.add(reference)
+            future: Future[Result] = reference.future()
+            future.add_done_callback(lambda _: running.discard(reference))
+            return future
+
+        try:
+            yield from results_in_order(submit, items, _places(ray, self.address, self.gpus))
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from error
+        except ray.exceptions.RayError as error:
+            raise InputError(
+                f"a unit of work was lost on the Ray cluster ({label}; {_first_line(error)}); see to the nodes, then "
+                "run the same command again (finished work is kept)"
+            ) from error
+        finally:
+            for reference in list(running):
+                ray.cancel(reference, force=True)
+
+
+def _unit(function: Callable[[Item], Result], expected: str, item: Item) -> Result:
+    if _code_fingerprint() != expected:
+        raise InputError(
+            f"the Ray node {socket.gethostname()} has another version of challenger-bench, numpy or torch than the "
+            "node of the command; install the same versions on all nodes"
+        )
+    single_threaded()
+    return function(item)
+
+
+@functools.cache
+def _code_fingerprint() -> str:
+    """Of everything that a unit's bytes depend on and that is installed on each node by itself."""
+    root = Path(__file__).resolve().parents[2]
+    files = (path for package in _PACKAGES for path in sorted((root / package).rglob("*")))
+    sources = [path for path in files if path.is_file() and path.parent.name != "__pycache__"]
+    # The build of a package for CPU or CUDA is no other version.
+    versions = {name: version and version.partition("+")[0] for name, version in package_versions().items()}
+    return content_key(versions, {str(path.relative_to(root)): file_sha256(path) for path in sources})
+
+
+@contextlib.contextmanager
+def _joined(address: str | None) -> Iterator[Any]:
+    """The ray module, connected; a connection that was there before is used and stays."""
+    try:
+        import ray
+        import ray.exceptions
+    except ImportError as error:
+        raise InputError(
+            "the executor ray needs the package Ray, which is not installed; install challenger-bench[ray] on all nodes"
+        ) from error
+    if ray.is_initialized():
+        yield ray
+        return
+    # A benchmark does not report to anybody that it is used.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # Ray announces with a warning that it will change what it means to ask for no accelerators.
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    where: dict[str, Any] = {"address": "local", "include_dashboard": False}
+    if address is None:
+        where["object_store_memory"] = LOCAL_OBJECT_STORE_BYTES
+    else:
+        where = {"address": _current_address() if address == "auto" else address}
+        require_answer(where["address"])
+    try:
+        # Output of workers would mix with the command's own.
+        ray.init(**where, log_to_driver=False, logging_level="ERROR")
+    except (ConnectionError, OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        raise InputError(
+            f"cannot join the Ray cluster at {address}: {_first_line(error)}; start a node of it on this machine with "
+            "ray start, with the same versions of Python and Ray, and where it asks for a token, set "
+            "RAY_AUTH_MODE=token"
+        ) from error
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _current_address() -> str:
+    """What ``auto`` means to Ray: the cluster of the environment, or the one last started on this machine."""
+    note = Path(os.environ.get("RAY_TMPDIR", "/tmp")) / "ray" / "ray_current_cluster"
+    return os.environ.get("RAY_ADDRESS") or (note.read_text().strip() if note.is_file() else "") or "auto"
+
+
+def require_answer(address: str) -> None:
+    """Find out quickly whether a cluster is there; Ray waits for minutes where nothing answers, or something else.
+
+    Args:
+        address: HOST:PORT, ``ray://HOST:PORT``, or ``auto``, where Ray finds nothing at once.
+
+    Raises:
+        InputError: If it is no address, or no server like Ray's answers there.
+    """
+    if address == "auto":
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"the address of a Ray cluster is HOST:PORT, auto or ray://HOST:PORT, not {address!r}")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=PROBE_S) as connection:
+            encrypted = os.environ.get("RAY_USE_TLS", "0") not in ("", "0")
+            speaks_http2 = encrypted or _speaks_http2(connection)
+    except OSError as error:
+        raise InputError(f"no Ray cluster answers at {address} ({error.strerror or error}); {_ADVICE}") from error
+    if not speaks_http2:
+        raise InputError(f"what answers at {address} is no Ray cluster; {_ADVICE}")
+
+
+def _speaks_http2(connection: socket.socket) -> bool:
+    """Whether a server answers as those of gRPC do, which Ray's are: with its settings."""
+    connection.sendall(_HTTP2_PREFACE)
+    frame = connection.recv(9)
+    return len(frame) == 9 and frame[3] == _HTTP2_SETTINGS
+
+
+def _places(ray: Any, address: str | None, gpus: int) -> int:
+    """How many units can work at the same time."""
+    there = ray.cluster_resources()
+    for resource, each, what in (("CPU", 1, "processors"), ("GPU", gpus, "GPUs")):
+        if there.get(resource, 0) < each:
+            raise InputError(
+                f"the Ray cluster at {address} has no {what} to work on; add a node that has some with ray start "
+                "--address=HOST:PORT"
+            )
+    processors = int(there["CPU"])
+    return min(processors, int(there["GPU"]) // gpus) if gpus else processors
+
+
+def _first_line(error: BaseException) -> str:
+    """What an error of Ray says before it explains itself at length."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".;")

@@ -1,0 +1,1 @@
+"""What records say in numbers: rates with intervals, comparisons, transfer, diagnosis, disagreement of protocols."""

@@ -1,0 +1,153 @@
+"""Verdicts of a protocol counted against the exact ones: what it misses and what it invents, from rows alone."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.geometry import Bools
+from benchmark.metrics.disagreement import CAUSES, EXACT, RUNGS, any_contact, before_mask, compared
+from benchmark.protocols import Outcomes
+from benchmark.records.run import RunRecord, outcomes_of
+
+__all__ = [
+    "CAUSES",
+    "EXACT",
+    "RUNGS",
+    "Comparison",
+    "Confusion",
+    "comparisons",
+    "confusion",
+    "sample_confusion",
+    "step_confusion",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Confusion:
+    """Verdicts of a protocol counted against the exact ones.
+
+    Attributes:
+        compared: How many pairs there are.
+        exact: Collisions of ``exact``.
+        official: Collisions of the protocol.
+        missed: Collisions of ``exact`` alone.
+        false_alarms: Collisions of the protocol alone.
+    """
+
+    compared: int
+    exact: int
+    official: int
+    missed: int
+    false_alarms: int
+
+    @property
+    def missed_share(self) -> float | None:
+        """Share of the exact collisions that are missed; ``None`` if there are none."""
+        return self.missed / self.exact if self.exact else None
+
+    @property
+    def false_share(self) -> float | None:
+        """Share of the reported collisions that are false; ``None`` if there are none."""
+        return self.false_alarms / self.official if self.official else None
+
+
+def confusion(exact: Bools, official: Bools) -> Confusion:
+    """Count verdicts against each other.
+
+    Args:
+        exact: (...) exact verdicts.
+        official: (...) the protocol's, the same shape.
+
+    Returns:
+        The counts.
+    """
+    return Confusion(
+        compared=exact.size,
+        exact=int(exact.sum()),
+        official=int(official.sum()),
+        missed=int((exact & ~official).sum()),
+        false_alarms=int((official & ~exact).sum()),
+    )
+
+
+def sample_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) -> Confusion:
+    """Count "any collision within 3 s", sample by sample.
+
+    Args:
+        exact: S verdicts of ``exact``: any contact at any time.
+        official: S verdicts of a protocol.
+        masked: Whether the protocol's mask applies, as in what is published.
+
+    Returns:
+        The counts over the samples that both count.
+    """
+    both = compared(exact, official)
+    reported = official.collision if masked else before_mask(official)
+    return confusion(any_contact(exact)[both], reported.any(axis=-1)[both])
+
+
+def step_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) -> Confusion:
+    """Count contacts at the same waypoint, step by step.
+
+    Args:
+        exact: S verdicts of ``exact``; its contacts at the waypoints alone are taken.
+        official: S verdicts of a protocol.
+        masked: Whether the protocol's mask applies, as in what is published.
+
+    Returns:
+        The counts over the steps of the samples that both count.
+    """
+    both = compared(exact, official)
+    reported = official.collision if masked else before_mask(official)
+    return confusion(exact.step("waypoint_collision").astype(np.bool_)[both], reported[both])
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One protocol against ``exact`` on one run.
+
+    Attributes:
+        samples: "Any collision within 3 s", after the protocol's mask.
+        steps: Contact at the same waypoint, after the protocol's mask.
+        mask_removed_steps: Colliding steps that the mask takes away.
+        samples_with_removed_steps: In so many samples.
+        causes: How often each of `CAUSES` occurs; ``None`` if the record does not say it of every disagreement.
+    """
+
+    samples: Confusion
+    steps: Confusion
+    mask_removed_steps: int
+    samples_with_removed_steps: int
+    causes: Counter[str] | None
+
+
+def comparisons(record: RunRecord) -> dict[str, Comparison]:
+    """What protocols miss and invent on a run, from its rows alone.
+
+    Args:
+        record: A run judged by ``exact``.
+
+    Returns:
+        By name of each other protocol that judged it, in the order of the names: the counts over the samples that have
+        a plan and that both count.
+    """
+    exact = outcomes_of(record.rows, EXACT)
+    return {name: _compared(record, name, exact) for name in sorted(record.run.protocols) if name != EXACT}
+
+
+def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> Comparison:
+    rows = [row for row in record.rows if row.status == "ok"]
+    official = outcomes_of(rows, protocol)
+    both = compared(exact, official)
+    removed = (before_mask(official) & ~official.collision)[both]
+    wrong = both & (any_contact(exact) != any_contact(official))
+    differing = [row for row, differs in zip(rows, wrong.tolist()) if differs]
+    known = all(protocol in row.disagreements for row in differing)
+    return Comparison(
+        samples=sample_confusion(exact, official),
+        steps=step_confusion(exact, official),
+        mask_removed_steps=int(removed.sum()),
+        samples_with_removed_steps=int(removed.any(axis=1).sum()),
+        causes=Counter(row.disagreements[protocol] for row in differing) if known else None,
+    )

@@ -1,0 +1,124 @@
+"""What the samples of a record add to its collision rates, for everything that compares records."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
+from benchmark.protocols import PROTOCOLS
+from benchmark.records.run import RunRecord, outcomes_of, protocol_of
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """What each sample of a record adds to its collision rates under one protocol.
+
+    Attributes:
+        record: The record.
+        protocol: The protocol, never ``native``.
+        tokens: S samples with a plan.
+        scenes: S scene names.
+        values: (S, 4) at 1, 2, 3 s and their mean, 0..1.
+        counted: (S,) whether the sample counts.
+        failed: Samples without a plan.
+    """
+
+    record: RunRecord
+    protocol: str
+    tokens: tuple[str, ...]
+    scenes: tuple[str, ...]
+    values: Floats
+    counted: Bools
+    failed: frozenset[str]
+
+    def sums(self, unit_of: dict[str, str], only: Sequence[int] | None = None) -> SceneSums:
+        """Add the samples up.
+
+        Args:
+            unit_of: What each scene is drawn together with.
+            only: Which samples, if not all.
+
+        Returns:
+            Sums by unit.
+        """
+        rows = np.arange(len(self.tokens)) if only is None else np.array(only, dtype=np.int64)
+        weights = np.repeat(self.counted[rows, None].astype(float), len(HORIZONS), axis=1)
+        return sums_by_scene(self.values[rows] * weights, weights, [unit_of[self.scenes[row]] for row in rows])
+
+
+def registered_version(protocol: str) -> int | None:
+    """Version of a protocol as it is now, ``None`` if there is none of this name."""
+    return PROTOCOLS[protocol].version if protocol in PROTOCOLS else None
+
+
+def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
+    """Read a record's verdicts under one protocol.
+
+    Args:
+        record: The record.
+        protocol: Whose verdicts; ``native`` is that of the planner's own repository.
+
+    Returns:
+        The values.
+
+    Raises:
+        InputError: If the record was not judged by the protocol, or by another version of it.
+    """
+    name = protocol_of(record, protocol)
+    require_current(record, name)
+    planned = [row for row in record.rows if row.status == "ok"]
+    outcomes = outcomes_of(planned, name)
+    return Scored(
+        record=record,
+        protocol=name,
+        tokens=tuple(row.sample_token for row in planned),
+        scenes=tuple(row.scene for row in planned),
+        values=with_average(PROTOCOLS[name].sample_values(outcomes)["collision"]).reshape(-1, len(HORIZONS)),
+        counted=outcomes.counted,
+        failed=frozenset(row.sample_token for row in record.rows if row.status == "failed"),
+    )
+
+
+def require_current(record: RunRecord, protocol: str) -> None:
+    """Refuse verdicts that are not those of the protocol as it is now.
+
+    Args:
+        record: A record.
+        protocol: Name of a protocol, not ``native``.
+
+    Raises:
+        InputError: If the record has no verdicts of it, or those of another version.
+    """
+    judged, now = record.run.protocols.get(protocol), registered_version(protocol)
+    where = named(record)
+    if judged is None:
+        raise InputError(f"{where} was not judged by protocol {protocol!r}; run challenger-bench rescore")
+    if now is None:
+        raise InputError(
+            f"{where} was judged by protocol {protocol!r}, which is not known here; install the package that has it"
+        )
+    if judged != now:
+        raise InputError(
+            f"{where} was judged by version {judged} of protocol {protocol}, now {now}; run challenger-bench rescore"
+        )
+
+
+def source_of_scenes(record: RunRecord) -> dict[str, str]:
+    """The recording that each scene of a record was made from.
+
+    Args:
+        record: A record.
+
+    Returns:
+        Scene name to name of the recorded scene; the scene itself where the record does not say.
+    """
+    facts = record.run.scene_facts
+    return {name: facts[name].source if name in facts else name for name in record.run.scenes}
+
+
+def named(record: RunRecord) -> str:
+    """A record in words; its path would make tables differ from machine to machine."""
+    return f"{record.planner} on {record.run.split} of {record.run.data.name}"

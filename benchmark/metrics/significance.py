@@ -1,0 +1,241 @@
+"""Is a difference more than chance: paired comparisons with 95 % intervals.
+
+What is drawn is the *recorded* scene, together with everything made from it: the recording, its rendering and all its
+adversarial versions are in a resample together or not at all. So the pairing carries into the interval, and ten
+adversarial versions of one recording are not taken for ten independent observations.
+
+Two planners on one split are compared on the samples that both planned. One planner on two splits is compared twice:
+over all scenes of both, which is what the paper's "× increase" does, and over the recorded scenes that both splits
+have.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.metrics.rates import HORIZONS, Estimate, SceneSums, ends, resampled
+from benchmark.metrics.scores import Scored, named, source_of_scenes
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two collision rates and what lies between them.
+
+    Attributes:
+        first: The first rate, or ``None`` where no sample counts.
+        second: The second one.
+        difference: Second less first.
+        increase: (second - first) / first, the paper's "× increase". It does not exist where the first rate is zero.
+            A resample in which only the first rate is zero makes it infinite.
+    """
+
+    first: float | None
+    second: float | None
+    difference: Estimate
+    increase: Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class SplitComparison:
+    """One planner on two splits; first is the baseline.
+
+    Attributes:
+        planner: Its name.
+        privileged: Whether it saw what no car sees.
+        protocol: Who judged.
+        baseline_split: Name of the first split.
+        split: Name of the second split.
+        everything: Horizon to comparison over all scenes of both.
+        paired: Horizon to comparison over the recorded scenes that both have.
+        sources: Those recorded scenes.
+        only_baseline: Scenes of the first split of which the second has none.
+        only_split: Scenes of the second split whose recording the first does not have.
+        failed: Samples of both without a plan; they are in no rate.
+    """
+
+    planner: str
+    privileged: bool
+    protocol: str
+    baseline_split: str
+    split: str
+    everything: dict[str, Comparison]
+    paired: dict[str, Comparison]
+    sources: tuple[str, ...]
+    only_baseline: tuple[str, ...]
+    only_split: tuple[str, ...]
+    failed: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerComparison:
+    """Two planners on the same samples.
+
+    Attributes:
+        planners: Names of the first and the second.
+        privileged: For each, whether it saw what no car sees.
+        protocol: Who judged.
+        split: Name of the split.
+        by_horizon: Horizon to comparison.
+        samples: Samples that count for both.
+        failed: Samples that one of them or both failed on; they are left out of both rates.
+        unshared: Scenes that only one of them ran on; left out too.
+    """
+
+    planners: tuple[str, str]
+    privileged: tuple[bool, bool]
+    protocol: str
+    split: str
+    by_horizon: dict[str, Comparison]
+    samples: int
+    failed: int
+    unshared: tuple[str, ...]
+
+
+def compare_splits(baseline: Scored, other: Scored, *, seed: int = 0) -> SplitComparison:
+    """Compare a planner with itself on another split.
+
+    Args:
+        baseline: The first split.
+        other: The second one. Where its record does not say what a scene was made from, it is the baseline's scene
+            with the longest name that is the same or ends there at a hyphen.
+        seed: Seed of the intervals.
+
+    Returns:
+        The comparison.
+
+    Raises:
+        InputError: If they are not of the same planner, weights, data set and protocol.
+    """
+    first, second = baseline.record, other.record
+    _require_one_planner(baseline, other)
+    own = source_of_scenes(first)
+    known = set(own.values())
+    source_of = {scene: _resolved(source, known) for scene, source in source_of_scenes(second).items()}
+    sums = baseline.sums(own), other.sums(source_of)
+    shared = known & set(source_of.values())
+    return SplitComparison(
+        planner=first.planner,
+        privileged=first.run.planner.privileged,
+        protocol=baseline.protocol,
+        baseline_split=first.run.split,
+        split=second.run.split,
+        everything=_compared(*sums, sorted(known | set(source_of.values())), seed),
+        paired=_compared(*sums, sorted(shared), seed),
+        sources=tuple(sorted(shared)),
+        only_baseline=tuple(sorted(scene for scene, source in own.items() if source not in shared)),
+        only_split=tuple(sorted(scene for scene, source in source_of.items() if source not in shared)),
+        failed=len(baseline.failed) + len(other.failed),
+    )
+
+
+def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> PlannerComparison:
+    """Compare two planners on the samples that both planned.
+
+    Args:
+        first: One planner.
+        second: The other one, on the same split.
+        seed: Seed of the intervals.
+
+    Returns:
+        The comparison.
+
+    Raises:
+        InputError: If the two are not of the same data, split and protocol.
+    """
+    runs = first.record.run, second.record.run
+    if (runs[0].data.fingerprint, runs[0].split, first.protocol) != (
+        runs[1].data.fingerprint,
+        runs[1].split,
+        second.protocol,
+    ):
+        raise InputError(
+            f"{named(first.record)} and {named(second.record)} are not of the same data, split and protocol; "
+            "planners are compared on the same samples only"
+        )
+    row_of = {name: row for row, name in enumerate(second.tokens)}
+    both = [(row, row_of[name]) for row, name in enumerate(first.tokens) if name in row_of]
+    both = [(mine, theirs) for mine, theirs in both if first.counted[mine] and second.counted[theirs]]
+    unit_of = source_of_scenes(first.record)
+    sums = (
+        first.sums(unit_of, [mine for mine, _ in both]),
+        second.sums({**source_of_scenes(second.record), **unit_of}, [theirs for _, theirs in both]),
+    )
+    ran = [{*scored.tokens, *scored.failed} for scored in (first, second)]
+    return PlannerComparison(
+        planners=(first.record.planner, second.record.planner),
+        privileged=(runs[0].planner.privileged, runs[1].planner.privileged),
+        protocol=first.protocol,
+        split=runs[0].split,
+        by_horizon=_compared(*sums, list(sums[0].names), seed),
+        samples=len(both),
+        failed=len((first.failed | second.failed) & ran[0] & ran[1]),
+        unshared=tuple(sorted(set(runs[0].scenes) ^ set(runs[1].scenes))),
+    )
+
+
+def _require_one_planner(baseline: Scored, other: Scored) -> None:
+    first, second = baseline.record.run, other.record.run
+    places = f"{named(baseline.record)} and {named(other.record)}"
+    if first.planner.name != second.planner.name or first.data.name != second.data.name:
+        raise InputError(f"{places} are not of the same planner and data set; splits are compared for one planner")
+    if first.planner.weights_sha256 != second.planner.weights_sha256:
+        raise InputError(
+            f"{places} ran with different weights and do not compare; run challenger-bench eval again for the older one"
+        )
+    if baseline.protocol != other.protocol:
+        raise InputError(f"{places} are judged by {baseline.protocol} and {other.protocol}, which do not compare")
+
+
+def _resolved(source: str, known: set[str]) -> str:
+    """The known name that a name is, or that it begins with up to a hyphen; else the name."""
+    shorter = source
+    while shorter not in known and "-" in shorter:
+        shorter = shorter.rpartition("-")[0]
+    return shorter if shorter in known else source
+
+
+def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: int) -> dict[str, Comparison]:
+    """Comparison at each horizon over the named recordings."""
+    sides = first.over(names), second.over(names)
+    # One recording with counted samples has nothing to be drawn against.
+    enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
+    rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0)) for side in sides]
+    drawn = [_draws(side, seed) if enough else np.zeros((0, len(HORIZONS))) for side in sides]
+    difference, increase = rates[1] - rates[0], _ratio(rates[1] - rates[0], rates[0])
+    differences, increases = drawn[1] - drawn[0], _ratio(drawn[1] - drawn[0], drawn[0])
+    return {
+        horizon: Comparison(
+            first=_number(rates[0][column]),
+            second=_number(rates[1][column]),
+            difference=_estimate(difference[column], differences[:, column], (-1.0, 1.0)),
+            increase=_estimate(increase[column], increases[:, column], (-1.0, np.inf)),
+        )
+        for column, horizon in enumerate(HORIZONS)
+    }
+
+
+def _draws(side: SceneSums, seed: int) -> Floats:
+    """(2000, 4) rates over resampled recordings; every horizon has the same denominator."""
+    below = resampled(side.denominators[:, :1], side.names, seed=seed)
+    return _ratio(resampled(side.numerators, side.names, seed=seed), below)
+
+
+def _estimate(value: Floats, draws: Floats, bounds: tuple[float, float]) -> Estimate:
+    """An estimate; without an interval where there are no draws, empty where the value does not exist."""
+    number = _number(value)
+    if number is None or not len(draws):
+        return Estimate(number, None, None)
+    return Estimate(number, *ends(draws, bounds))
+
+
+def _number(value: Floats) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _ratio(above: Floats, below: Floats) -> Floats:
+    """Quotients; infinite or NaN where the denominator is zero."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.divide(above, below))

@@ -1,0 +1,222 @@
+"""Among evaluated samples, the one that shows each cause of disagreement best."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, box_corners, box_gap, ego_footprints
+from benchmark.metrics.disagreement import CAUSES, EXACT, MISS, RUNGS, ladder
+from benchmark.planning import Plan, PlanFrame
+from benchmark.protocols import PROTOCOLS
+from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
+from benchmark.protocols.stacked import stack
+from benchmark.records.run import RunRecord, SampleRow
+from benchmark.truth import SampleTruth
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+CASES_LOOKED_AT = 60
+"""For each protocol and cause; they are spread evenly over the samples that show it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One sample on which a protocol and ``exact`` disagree.
+
+    Attributes:
+        planner: Whose plan it is.
+        protocol: The protocol.
+        cause: One of `benchmark.metrics.disagreement.CAUSES`.
+        truth: What really happened.
+        plan_lidar: (6, 2) waypoints, metres.
+        step: The step that makes the difference, 0 to 5.
+        clearness: How well it can be seen: square metres of overlap that are missed, or metres of air that are taken
+            for a collision or that are left at the waypoints around a contact.
+    """
+
+    planner: str
+    protocol: str
+    cause: str
+    truth: SampleTruth
+    plan_lidar: Floats
+    step: int
+    clearness: float
+
+
+def clearest_cases(records: Sequence[RunRecord], data: "DataSet") -> list[Case]:
+    """One case of each cause for each protocol.
+
+    Args:
+        records: Run records of any planners on one data set; their rows name the causes.
+        data: The data set that they ran on.
+
+    Returns:
+        Cases by protocol and cause, in the order of `PROTOCOLS` and `CAUSES`; none for what no row shows.
+
+    Raises:
+        InputError: If a scene cannot be read or does not have the samples of a record.
+    """
+    truths: dict[str, dict[str, SampleTruth]] = {}
+    found = []
+    for protocol in PROTOCOLS:
+        for cause in CAUSES:
+            best: Case | None = None
+            for planner, row in _showing(records, protocol, cause):
+                if row.scene not in truths:
+                    truths[row.scene] = {truth.sample_token: truth for truth in data.truth(row.scene)}
+                if row.sample_token not in truths[row.scene]:
+                    raise InputError(
+                        f"{data.root} has no sample {row.sample_token} in {row.scene}, but the run of {planner} has; "
+                        "name the data set that it ran on"
+                    )
+                truth = truths[row.scene][row.sample_token]
+                case = case_of(planner, protocol, truth, plan_in_lidar(row, truth))
+                if case is not None and case.cause == cause and (best is None or case.clearness > best.clearness):
+                    best = case
+            found += [] if best is None else [best]
+    return found
+
+
+def _showing(records: Sequence[RunRecord], protocol: str, cause: str) -> list[tuple[str, SampleRow]]:
+    """Planner and row of samples that show a cause, few enough to look at."""
+    rows = [
+        (record.planner, row)
+        for record in sorted(records, key=lambda record: record.planner)
+        for row in record.rows
+        if row.disagreements.get(protocol) == cause
+    ]
+    if len(rows) <= CASES_LOOKED_AT:
+        return rows
+    return [rows[at] for at in np.linspace(0, len(rows) - 1, CASES_LOOKED_AT).round().astype(int).tolist()]
+
+
+def plan_in_lidar(row: SampleRow, truth: SampleTruth) -> Floats:
+    """The plan of a row in the frame that protocols read.
+
+    Args:
+        row: A row with a plan.
+        truth: What really happened at its sample.
+
+    Returns:
+        (6, 2) metres.
+    """
+    if row.plan is None:
+        raise ValueError(f"sample {row.sample_token} has no plan")
+    return Plan(np.array(row.plan.waypoints), PlanFrame(row.plan.frame)).waypoints_in_lidar(truth.lidar_ahead_m)
+
+
+def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats) -> Case | None:
+    """A sample as a case, at the step that shows the cause best.
+
+    Args:
+        planner: Whose plan it is.
+        protocol: Name of a registered protocol.
+        truth: What really happened.
+        plan_lidar: (6, 2) waypoints, metres.
+
+    Returns:
+        The case, or ``None`` if the protocol and ``exact`` agree or do not both count the sample.
+    """
+    definition, plans = PROTOCOLS[protocol], plan_lidar[None]
+    exact, official = (one.evaluate([truth], plans) for one in (PROTOCOLS[EXACT], definition))
+    if not (exact.counted[0] and official.counted[0]):
+        return None
+    rungs = ladder(definition, stack([truth]), plans, exact, official)
+    (cause,) = rungs.causes()
+    if cause is None:
+        return None
+    steps = np.flatnonzero(rungs.decisive_steps()[0]).tolist()
+    clearness = {step: _clearness(cause, protocol, truth, plan_lidar, step) for step in steps}
+    step = max(steps, key=lambda step: (clearness[step], -step))
+    return Case(planner, protocol, cause, truth, plan_lidar, step, clearness[step])
+
+
+def contact_instant(truth: SampleTruth, plan_lidar: Floats, step: int) -> int:
+    """The instant of a step at which the plan overlaps the others most.
+
+    Args:
+        truth: What really happened.
+        plan_lidar: (6, 2) waypoints, metres.
+        step: 0 to 5.
+
+    Returns:
+        Index from 0 to 29: 0.1 s, 0.2 s, ... 3.0 s.
+    """
+    instants = range(step * INSTANTS_PER_STEP, (step + 1) * INSTANTS_PER_STEP)
+    return max(instants, key=lambda instant: (_overlap_m2(truth, plan_lidar, instant), instant))
+
+
+def waypoint_instant(step: int) -> int:
+    """The instant of a step's waypoint, see `contact_instant`."""
+    return (step + 1) * INSTANTS_PER_STEP - 1
+
+
+def objects_at(truth: SampleTruth, instant: int) -> tuple[Floats, list[int]]:
+    """Where everybody is at an instant.
+
+    Args:
+        truth: What really happened.
+        instant: 0 to 29, see `contact_instant`.
+
+    Returns:
+        (N, 5) boxes of those that are there and their numbers in the truth.
+    """
+    boxes, present = object_boxes(truth.boxes, truth.annotated)
+    there = np.flatnonzero(present[:, instant])
+    return boxes[there, instant], there.tolist()
+
+
+def ego_rectangle(waypoint: Floats, heading_rad: float) -> Floats:
+    """The ego's rectangle at one waypoint.
+
+    Args:
+        waypoint: (2,) lidar origin, metres.
+        heading_rad: Where the ego looks.
+
+    Returns:
+        (5,) box.
+    """
+    return ego_footprints(np.array([*waypoint, heading_rad]))
+
+
+def _clearness(cause: str, protocol: str, truth: SampleTruth, plan_lidar: Floats, step: int) -> float:
+    at_waypoint = waypoint_instant(step)
+    if cause == f"{MISS}: {RUNGS[0]}":
+        hit = _overlapped(truth, plan_lidar, contact_instant(truth, plan_lidar, step))
+        around = [instant for instant in (at_waypoint - INSTANTS_PER_STEP, at_waypoint) if instant >= 0]
+        return min((_gap_m(truth, ego_boxes(plan_lidar)[instant], instant, hit) for instant in around), default=0.0)
+    if cause.startswith(MISS):
+        return _overlap_m2(truth, plan_lidar, at_waypoint)
+    definition = PROTOCOLS[protocol]
+    counted = set(np.flatnonzero(definition.counted_objects(stack([truth]))[:, step]).tolist())
+    air = _gap_m(truth, ego_boxes(plan_lidar)[at_waypoint], at_waypoint, counted)
+    if cause.endswith("heading"):
+        return air
+    # What the raster alone invents is seen best where the ego's heading does not matter.
+    turned = ego_rectangle(plan_lidar[step], float(definition.headings(plan_lidar[None])[0, step]))
+    return min(air, _gap_m(truth, turned, at_waypoint, counted))
+
+
+def _overlapped(truth: SampleTruth, plan_lidar: Floats, instant: int) -> set[int]:
+    boxes, numbers = objects_at(truth, instant)
+    ego = ego_boxes(plan_lidar)[instant]
+    return {number for number, gap in zip(numbers, box_gap(ego, boxes).tolist()) if gap == 0.0}
+
+
+def _gap_m(truth: SampleTruth, ego: Floats, instant: int, objects: set[int]) -> float:
+    boxes, numbers = objects_at(truth, instant)
+    gaps = box_gap(ego, boxes).tolist()
+    return min((gap for number, gap in zip(numbers, gaps) if number in objects), default=0.0)
+
+
+def _overlap_m2(truth: SampleTruth, plan_lidar: Floats, instant: int) -> float:
+    boxes, _ = objects_at(truth, instant)
+    if not len(boxes):
+        return 0.0
+    ego = shapely.Polygon(box_corners(ego_boxes(plan_lidar)[instant]))
+    return float(shapely.area(shapely.intersection(ego, shapely.polygons(box_corners(boxes)))).max())

@@ -1,0 +1,72 @@
+"""Names that tell apart several versions of one planner: two checkpoints, two seeds, two settings."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from benchmark.records.run import RunRecord
+
+PLANS_SHA256 = "plans_sha256"
+"""Setting of a planner whose plans come from a file: the file's hash."""
+_OF_ONE_SPLIT = frozenset({PLANS_SHA256})
+"""What differs between splits without making another version: a plan file holds one split."""
+_HASH_CHARACTERS = 8
+
+
+def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
+    """Records whose `RunRecord.planner` is unlike that of every other version of the planner among them.
+
+    A planner that ran in one version keeps its name. Otherwise what differs is added: ``vad-base (seed 1)``,
+    ``vad-base (weights 3fa2b1c0)``. Versions that differ in their code alone are told apart by nothing: the same
+    planner at two commits is not two planners. Plan files tell versions apart only where two of them are of one split.
+
+    Args:
+        records: Any records.
+
+    Returns:
+        The same records, in their order.
+    """
+    runs: dict[str, list[RunRecord]] = {}
+    for record in records:
+        runs.setdefault(record.run.planner.name, []).append(record)
+    telling = {name: _telling(found) for name, found in runs.items()}
+    return [replace(record, label=_label(record, telling[record.run.planner.name])) for record in records]
+
+
+def _telling(records: Sequence[RunRecord]) -> list[str]:
+    """Names of the facts that tell records of one planner apart."""
+    versions = [_version(record) for record in records]
+    names = sorted({name for version in versions for name in version})
+    return [name for name in names if _differs(name, records, [version.get(name) for version in versions])]
+
+
+def _differs(name: str, records: Sequence[RunRecord], values: Sequence[str | None]) -> bool:
+    if name not in _OF_ONE_SPLIT:
+        return len(set(values)) > 1
+    places = [(record.run.data.name, record.run.split) for record in records]
+    return len(set(zip(places, values))) > len(set(places))
+
+
+def _version(record: RunRecord) -> dict[str, str]:
+    """What tells versions of a planner apart, as text by what it is."""
+    planner = record.run.planner
+    settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
+    facts: dict[str, Any] = {"seed": planner.seed, **settings}
+    if planner.weights_sha256 is not None:
+        # The hash says all that the name of the file they came from would.
+        facts = {name: value for name, value in facts.items() if not name.startswith("checkpoint")}
+        facts["weights"] = planner.weights_sha256
+    return {name: _shown(name, value) for name, value in facts.items()}
+
+
+def _shown(name: str, value: Any) -> str:
+    is_hash = isinstance(value, str) and (name == "weights" or name.endswith("sha256"))
+    return value[:_HASH_CHARACTERS] if is_hash else str(value)
+
+
+def _label(record: RunRecord, telling: Sequence[str]) -> str | None:
+    if not telling:
+        return None
+    own = _version(record)
+    said = ", ".join(f"{name} {own.get(name, 'none')}" for name in telling)
+    return f"{record.run.planner.name} ({said})"

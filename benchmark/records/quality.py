@@ -1,0 +1,214 @@
+"""Quality records: one directory for one split under one definition, and the one way to add rows up.
+
+``subjects.jsonl`` and ``videos.jsonl`` hold the rows, ``quality.json`` says what was measured, names the hashes of the
+other two and is written last. ``scenes/`` beside them is what a repeated command goes on from.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines, write_json, write_json_lines
+from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.records.quality_schema import (
+    QUALITY_SCHEMA,
+    GroupSummary,
+    QualityFacts,
+    QualitySummary,
+    SceneRows,
+    SceneSummary,
+    SubjectRow,
+    Sum,
+    VideoRow,
+)
+from benchmark.records.run_schema import RateRow, SceneFacts
+
+QUALITY_FILE: Final = "quality.json"
+_SUBJECTS_FILE, _VIDEOS_FILE = "subjects.jsonl", "videos.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class QualityRecord:
+    """A loaded record.
+
+    Attributes:
+        directory: Where it lies.
+        facts: What was measured, and the numbers.
+        subjects: One row for each subject and camera.
+        videos: One row for each scene and camera.
+    """
+
+    directory: Path
+    facts: QualityFacts
+    subjects: tuple[SubjectRow, ...]
+    videos: tuple[VideoRow, ...]
+
+    @property
+    def covers_split(self) -> bool:
+        """Whether all scenes of the split were scored."""
+        return len(self.facts.scenes) == self.facts.scenes_in_split
+
+    @property
+    def content_id(self) -> str:
+        """Twelve hexadecimal digits made of what was measured and what came out, whatever the machine or folder."""
+        facts = self.facts
+        return content_key(facts.data.name, facts.data.fingerprint, facts.split, facts.scenes, facts.files)[:12]
+
+    @property
+    def masks(self) -> str:
+        """Source of masks."""
+        return str(self.facts.definition["masks"])
+
+
+def summarise_quality(scenes: Sequence[SceneRows], facts: Mapping[str, SceneFacts]) -> QualitySummary:
+    """Add rows up: every number is a sum over appearances (or frames) divided by their number.
+
+    VBench divides subject consistency likewise: each appearance after a subject's first counts once, whoever's it is.
+    Intervals draw recorded scenes with everything made from them.
+
+    Args:
+        scenes: Rows of each scene, in any order.
+        facts: Where scenes come from.
+
+    Returns:
+        The numbers.
+    """
+    ordered = sorted(scenes, key=lambda rows: rows.scene)
+    source = {rows.scene: facts[rows.scene].source if rows.scene in facts else rows.scene for rows in ordered}
+    subjects = [row for rows in ordered for row in rows.subjects]
+    videos = [row for rows in ordered for row in rows.videos]
+    groups = {"all": subjects}
+    if any(row.adversary for row in subjects):
+        groups |= {
+            "adversary": [row for row in subjects if row.adversary],
+            "others": [row for row in subjects if not row.adversary],
+        }
+    return QualitySummary(
+        groups={
+            name: GroupSummary(
+                subjects=len(rows),
+                appearances=sum(row.appearances for row in rows),
+                consistency=_ratio([(source[row.scene], row.consistency) for row in rows]),
+                imaging=_ratio([(source[row.scene], row.imaging) for row in rows]),
+            )
+            for name, rows in groups.items()
+        },
+        frames=sum(row.frames for row in videos),
+        frames_imaging=_ratio([(source[row.scene], row.imaging) for row in videos]),
+        scenes={
+            rows.scene: SceneSummary(
+                consistency=_mean([row.consistency for row in rows.subjects]),
+                imaging=_mean([row.imaging for row in rows.subjects]),
+                frames_imaging=_mean([row.imaging for row in rows.videos]),
+            )
+            for rows in ordered
+        },
+    )
+
+
+def write_quality(directory: Path, described: Mapping[str, Any], scenes: Sequence[SceneRows]) -> QualityRecord:
+    """Write a record.
+
+    Args:
+        directory: Its directory; nobody else may write to it.
+        described: Everything of `QualityFacts` but schema, files and summary.
+        scenes: Rows of each scene.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    ordered = sorted(scenes, key=lambda rows: rows.scene)
+    subjects = tuple(row for rows in ordered for row in rows.subjects)
+    videos = tuple(row for rows in ordered for row in rows.videos)
+    write_json_lines(directory / _SUBJECTS_FILE, [row.model_dump(mode="json") for row in subjects])
+    write_json_lines(directory / _VIDEOS_FILE, [row.model_dump(mode="json") for row in videos])
+    facts = QualityFacts.model_validate(
+        {
+            **described,
+            "schema": QUALITY_SCHEMA,
+            "files": {name: file_sha256(directory / name) for name in (_SUBJECTS_FILE, _VIDEOS_FILE)},
+            "summary": summarise_quality(ordered, described["scene_facts"]),
+        }
+    )
+    write_json(directory / QUALITY_FILE, facts.model_dump(mode="json", by_alias=True))
+    return QualityRecord(directory, facts, subjects, videos)
+
+
+def load_quality(directory: Path) -> QualityRecord:
+    """Read a record.
+
+    Args:
+        directory: Its directory.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: If it is damaged, of another version of the format, or its files do not belong together.
+    """
+    path = directory / QUALITY_FILE
+    stored = read_json(path)
+    schema = stored.get("schema") if isinstance(stored, dict) else None
+    again = "run challenger-bench quality again (finished scenes are kept)"
+    if schema != QUALITY_SCHEMA:
+        raise InputError(f"{path} has schema {schema!r} and this version reads {QUALITY_SCHEMA}; {again}")
+    try:
+        facts = QualityFacts.model_validate(stored)
+        for name in (_SUBJECTS_FILE, _VIDEOS_FILE):
+            if file_sha256(directory / name) != facts.files.get(name):
+                raise InputError(f"{directory / name} is not the file that {QUALITY_FILE} was written with; {again}")
+        return QualityRecord(
+            directory=directory,
+            facts=facts,
+            subjects=tuple(map(SubjectRow.model_validate, read_json_lines(directory / _SUBJECTS_FILE))),
+            videos=tuple(map(VideoRow.model_validate, read_json_lines(directory / _VIDEOS_FILE))),
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        reason = f"{error.title} {place}: {first['msg']}"
+        raise InputError(f"the quality record in {directory} is damaged ({reason}); {again}") from error
+    except OSError as error:
+        raise InputError(f"the quality record in {directory} is damaged ({error}); {again}") from error
+
+
+def find_quality(folder: Path) -> list[QualityRecord]:
+    """Every quality record below a folder.
+
+    Args:
+        folder: Where to look.
+
+    Returns:
+        Records in the order of their paths; none if the folder does not exist.
+
+    Raises:
+        InputError: If one of them is damaged.
+    """
+    found = []
+    for path in sorted(folder.rglob(QUALITY_FILE)):
+        try:
+            found.append(load_quality(path.parent))
+        except InputError as damage:
+            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
+    return found
+
+
+def _ratio(sums: Sequence[tuple[str, Sum]]) -> RateRow:
+    values = np.array([[of.total] for _, of in sums], dtype=np.float64).reshape(-1, 1)
+    weights = np.array([[of.count] for _, of in sums], dtype=np.float64).reshape(-1, 1)
+    found: Rate = ratios_over_scenes(values, weights, [source for source, _ in sums], seed=0)[0]
+    return RateRow(**dataclasses.asdict(found))
+
+
+def _mean(sums: Sequence[Sum]) -> float | None:
+    count = sum(of.count for of in sums)
+    return sum(of.total for of in sums) / count if count else None

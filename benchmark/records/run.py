@@ -1,0 +1,335 @@
+"""Run records: one directory for one planner on one split, from which everything downstream is computed.
+
+``run.json`` says what ran, ``samples.jsonl`` holds one row a sample, ``summary.json`` holds the rates and is derived
+from the rows alone. ``run.json`` names the hashes of the other two, and the three are replaced together
+(`benchmark.records.store`): a directory either is a record or is not.
+``timing.json`` beside them is not part of the record: everything else is the same bytes on every run.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key
+from benchmark.metrics.rates import rates
+from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols import protocol as definition_of
+from benchmark.records.run_schema import (
+    CAUSES,
+    SCHEMA,
+    DataFacts,
+    DiagnosisRow,
+    OutcomeRow,
+    PlannerFacts,
+    PlanRow,
+    ProtocolSummary,
+    RateRow,
+    RunFacts,
+    SampleRow,
+    SceneFacts,
+    Summary,
+)
+from benchmark.records.store import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_files, replace_files
+
+__all__ = [
+    "CAUSES",
+    "SCHEMA",
+    "DataFacts",
+    "DiagnosisRow",
+    "OutcomeRow",
+    "PlanRow",
+    "PlannerFacts",
+    "ProtocolSummary",
+    "RateRow",
+    "RunFacts",
+    "RunRecord",
+    "SampleRow",
+    "SceneFacts",
+    "Summary",
+    "find_records",
+    "load_record",
+    "outcomes_of",
+    "protocol_of",
+    "scene_failures",
+    "summarise",
+    "write_record",
+]
+
+NATIVE = "native"
+"""What the planner's own protocol is called where a protocol is asked for."""
+NO_NATIVE = "exact"
+"""Who judges planners that have no protocol of their own."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """A loaded run record.
+
+    Attributes:
+        directory: Where it lies.
+        run: What ran.
+        rows: One for each sample, by scene and time.
+        summary: Rates.
+        label: What tells this version of the planner from others (`benchmark.records.planner_versions`), if there
+            are others.
+    """
+
+    directory: Path
+    run: RunFacts
+    rows: tuple[SampleRow, ...]
+    summary: Summary
+    label: str | None = None
+
+    @property
+    def planner(self) -> str:
+        """Name of the planner in tables."""
+        return self.label or self.run.planner.name
+
+    @property
+    def content_id(self) -> str:
+        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        run, planner = self.run, self.run.planner
+        # Settings are a stranger's: as text they may hold any number.
+        settings = json.dumps(planner.settings, sort_keys=True)
+        ran = [planner.name, planner.weights_sha256, planner.code_sha256, planner.seed, settings]
+        on = [run.data.name, run.data.fingerprint, run.split, run.scenes]
+        return content_key(ran, on, run.protocols, run.seed, run.files)[:12]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every sample has a plan."""
+        return self.run.status == "complete"
+
+    @property
+    def covers_split(self) -> bool:
+        """Whether all scenes of the split ran."""
+        return len(self.run.scenes) == self.run.scenes_in_split
+
+    @property
+    def native_protocol(self) -> str:
+        """Protocol of the planner's own repository; ``exact`` where it has none."""
+        return self.run.planner.native_protocol or NO_NATIVE
+
+    @property
+    def stale_protocols(self) -> tuple[str, ...]:
+        """Known protocols that judged the rows in another version than the present one."""
+        judged = self.run.protocols
+        return tuple(name for name in PROTOCOLS if name in judged and judged[name] != PROTOCOLS[name].version)
+
+    @property
+    def missing_protocols(self) -> tuple[str, ...]:
+        """Known protocols that never judged the rows."""
+        return tuple(name for name in PROTOCOLS if name not in self.run.protocols)
+
+
+def protocol_of(record: RunRecord, name: str) -> str:
+    """The protocol that a name means for a record.
+
+    Args:
+        record: The record.
+        name: A protocol, or ``native``.
+
+    Returns:
+        The name, ``native`` replaced by the record's own.
+    """
+    return record.native_protocol if name == NATIVE else name
+
+
+def outcomes_of(rows: Sequence[SampleRow], protocol: str) -> Outcomes:
+    """Verdicts of a protocol that judged the rows.
+
+    Args:
+        rows: One for each sample.
+        protocol: Name of the protocol.
+
+    Returns:
+        The verdicts on the samples that have a plan, in their order.
+    """
+    return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in rows if row.status == "ok"])
+
+
+def summarise(
+    rows: Sequence[SampleRow],
+    versions: Mapping[str, int],
+    *,
+    seed: int,
+    scene_facts: Mapping[str, SceneFacts] | None = None,
+) -> Summary:
+    """Rates of every protocol from the rows.
+
+    Args:
+        rows: One for each sample.
+        versions: Protocols to summarise with the version that judged the rows.
+        seed: Seed of the intervals.
+        scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them,
+            because ten variants of one recording are not ten recordings. Scenes without facts stand for themselves.
+
+    Returns:
+        The summary.
+    """
+    planned = [row for row in rows if row.status == "ok"]
+    sources = {name: facts.source for name, facts in (scene_facts or {}).items()}
+    scenes = [sources.get(row.scene, row.scene) for row in planned]
+    protocols = {}
+    for name, version in versions.items():
+        outcomes = outcomes_of(rows, name)
+        found = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
+        decided = [failed for failed in scene_failures(rows, name).values() if failed is not None]
+        protocols[name] = ProtocolSummary(
+            version=version,
+            columns={
+                column: {horizon: RateRow(**dataclasses.asdict(rate)) for horizon, rate in by_horizon.items()}
+                for column, by_horizon in found.items()
+            },
+            counted=int(outcomes.counted.sum()),
+            incomplete=int((~outcomes.counted).sum()),
+            scenes_failed=sum(decided),
+            scenes_decided=len(decided),
+            mask_removed_steps=_removed_by_mask(outcomes),
+        )
+    return Summary(
+        schema=SCHEMA,
+        samples=len(rows),
+        failed=len(rows) - len(planned),
+        coverage=len(planned) / len(rows) if rows else 0.0,
+        protocols=protocols,
+    )
+
+
+def _removed_by_mask(outcomes: Outcomes) -> int | None:
+    """Steps that collide before the exclusion and not after it, among those that enter the rates."""
+    if not {"before_mask", "recorded"} <= set(outcomes.steps):
+        return None
+    removed = outcomes.steps["before_mask"] & outcomes.steps["recorded"]
+    return int((removed & outcomes.valid & outcomes.counted[:, None]).sum())
+
+
+def scene_failures(rows: Sequence[SampleRow], protocol: str) -> dict[str, bool | None]:
+    """Which scenes a planner fails: those with a counted sample that collides at any step.
+
+    Args:
+        rows: One for each sample.
+        protocol: Name of the protocol that judges.
+
+    Returns:
+        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample, or no contact but the
+        planner raised on a sample that could have shown one.
+
+    Raises:
+        InputError: If the protocol is unknown or did not judge the rows.
+    """
+    counts_incomplete = definition_of(protocol).counts_incomplete
+    by_scene: dict[str, list[SampleRow]] = {}
+    for row in rows:
+        if row.status == "ok" and protocol not in row.outcomes:
+            raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
+        by_scene.setdefault(row.scene, []).append(row)
+    return {scene: _fails(by_scene[scene], protocol, counts_incomplete) for scene in sorted(by_scene)}
+
+
+def _fails(rows: Sequence[SampleRow], protocol: str, counts_incomplete: bool) -> bool | None:
+    counted = [row.outcomes[protocol] for row in rows if row.status == "ok" and row.outcomes[protocol].counted]
+    if any(any(outcome.collision) for outcome in counted):
+        return True
+    unknown = any(
+        row.status == "failed" and (row.complete or (counts_incomplete and any(row.recorded_future))) for row in rows
+    )
+    return None if unknown or not counted else False
+
+
+def write_record(
+    directory: Path, facts: Mapping[str, Any], rows: Sequence[SampleRow], versions: Mapping[str, int], *, seed: int
+) -> RunRecord:
+    """Write a record in place of the one that is there, if any.
+
+    Args:
+        directory: Run directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
+        facts: `RunFacts` less status, protocols, seed and files.
+        rows: One for each sample.
+        versions: Protocol versions by name.
+        seed: Seed of the intervals.
+
+    Returns:
+        The record as it reads back.
+
+    Raises:
+        InputError: If there are no rows or they cannot be written.
+    """
+    if not rows:
+        raise InputError(f"there are no samples to write to {directory}: the chosen scenes have none")
+    summary = summarise(rows, versions, seed=seed, scene_facts=facts.get("scene_facts"))
+    run = RunFacts(
+        schema=SCHEMA,
+        status="complete" if summary.failed == 0 else "partial",
+        protocols=dict(versions),
+        seed=seed,
+        files={},
+        **facts,
+    )
+
+    def run_naming(files: dict[str, str]) -> dict[str, Any]:
+        return {**run.model_dump(mode="json", by_alias=True), "files": files}
+
+    written = replace_files(
+        directory,
+        run_naming,
+        [row.model_dump(mode="json") for row in rows],
+        summary.model_dump(mode="json", by_alias=True),
+    )
+    return RunRecord(directory, run.model_copy(update={"files": written}), tuple(rows), summary)
+
+
+def load_record(directory: Path) -> RunRecord:
+    """Read a record, of this or an earlier schema, judged by present or earlier protocols.
+
+    Args:
+        directory: Run directory.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
+    """
+    raw_run, raw_rows, raw_summary = read_files(directory)
+    try:
+        run = RunFacts.model_validate(raw_run)
+        rows = tuple(SampleRow.model_validate(row) for row in raw_rows)
+        summary = Summary.model_validate(raw_summary)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        file = {SampleRow.__name__: ROWS_FILE, Summary.__name__: SUMMARY_FILE}.get(error.title, RUN_FILE)
+        raise InputError(f"{directory / file} is not that of a valid run record: {place}: {first['msg']}") from error
+    return RunRecord(directory, run, rows, summary)
+
+
+def find_records(root: Path) -> list[RunRecord]:
+    """Every record below a folder.
+
+    Args:
+        root: Where to look.
+
+    Returns:
+        Records by their path.
+
+    Raises:
+        InputError: If the folder does not exist or a record in it is damaged.
+    """
+    if not root.is_dir():
+        raise InputError(
+            f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
+        )
+    found = []
+    for path in sorted(root.rglob(RUN_FILE)):
+        try:
+            found.append(load_record(path.parent))
+        except InputError as damage:
+            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
+    return found

@@ -1,0 +1,220 @@
+"""The schema of a run record's files, checked at the edge: what `benchmark.records.run` writes and reads."""
+
+from typing import Any, Final, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA = 2
+"""Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
+
+Waypoints = list[list[float]]
+
+
+class _Row(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class PlannerFacts(_Row):
+    """Which planner ran.
+
+    Attributes:
+        name: Shown in tables.
+        privileged: Whether it saw boxes, the map or the recorded future.
+        weights_sha256: Of its weights file, if it has one.
+        code_sha256: Of its source files.
+        settings: Its own settings.
+        seed: Its seed.
+        native_protocol: Protocol of the planner's own repository, if it has one.
+    """
+
+    name: str
+    privileged: bool
+    weights_sha256: str | None = None
+    code_sha256: str | None = None
+    settings: dict[str, Any] = Field(default_factory=dict)
+    seed: int = 0
+    native_protocol: str | None = None
+
+
+class SceneFacts(_Row):
+    """What the data set says of a scene beside its samples.
+
+    Attributes:
+        source: Name of the recorded scene that it was made from; its own name if it is a recording.
+        manoeuvre: What its first adversary does, if it has one and labels.
+    """
+
+    source: str
+    manoeuvre: str | None = None
+
+
+class DataFacts(_Row):
+    """Which data set: its name and the hash of its content."""
+
+    name: str
+    version: str
+    fingerprint: str
+
+
+class RunFacts(_Row):
+    """``run.json``.
+
+    Attributes:
+        schema_version: Version of the record's format.
+        scenes: Scenes that ran, in order.
+        scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
+        scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
+        status: ``partial`` if the planner failed on any sample.
+        protocols: Versions by name.
+        seed: Seed of the intervals.
+        config: Resolved settings of the run.
+        environment: Packages, processor, commit: where the planner ran.
+        rescored: The same of the last `challenger-bench rescore`, if the plans were judged anew since.
+        files: SHA-256 of the other files of the record.
+    """
+
+    schema_version: int = Field(alias="schema")
+    planner: PlannerFacts
+    data: DataFacts
+    split: str
+    scenes: list[str]
+    scenes_in_split: int
+    scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
+    status: Literal["complete", "partial"]
+    protocols: dict[str, int]
+    seed: int
+    config: dict[str, Any]
+    environment: dict[str, Any]
+    rescored: dict[str, Any] | None = None
+    files: dict[str, str]
+
+
+class ForecastRow(_Row):
+    """A planner's expectation of the others, as it gave it."""
+
+    boxes: list[list[float]]
+    trajectories: list[list[Waypoints]]
+    scores: list[list[float]]
+
+
+class PlanRow(_Row):
+    """A plan as the planner gave it, in its own frame."""
+
+    frame: Literal["lidar", "ego"]
+    waypoints: Waypoints
+    modes: list[Waypoints] | None = None
+    mode_scores: list[float] | None = None
+    forecasts: ForecastRow | None = None
+
+
+class OutcomeRow(_Row):
+    """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`)."""
+
+    collision: list[bool]
+    l2: list[float | None]
+    counted: bool
+    steps: dict[str, list[Any]]
+    facts: dict[str, Any]
+
+
+Cause = Literal["misforecasting", "misplanning", "not attributable"]
+CAUSES: Final[tuple[Cause, ...]] = get_args(Cause)
+"""Verdicts of a diagnosis."""
+
+
+class DiagnosisRow(_Row):
+    """Why a colliding plan collides (`benchmark.metrics.diagnosis`).
+
+    Attributes:
+        cause: The verdict.
+        reason: Which of the rule's cases it is.
+        hit: Instance that is touched first.
+        first_contact_s: When.
+    """
+
+    cause: Cause
+    reason: str
+    hit: str
+    first_contact_s: float
+
+
+class SampleRow(_Row):
+    """One line of ``samples.jsonl``.
+
+    Attributes:
+        scene: Scene name.
+        sample_token: Sample token.
+        index: Number of the sample in its scene.
+        timestamp_us: Keyframe time.
+        status: ``failed`` where the planner raised; such a row has no plan and no outcomes and is never a zero.
+        command: 0 right, 1 left, 2 straight.
+        ego_motion: Where the ego motion came from.
+        lidar_ahead_m: Lidar origin ahead of the rear axle: what turns an ``ego`` plan into a ``lidar`` one.
+        complete: Whether the recording goes on for 3 s.
+        recorded_future: (6, 3) x, y, yaw of the recorded lidar origin, null past the end of the scene.
+        plan: The plan, or null.
+        error: Traceback, or null.
+        outcomes: Verdicts by protocol.
+        diagnosis: Why the plan collides, or null where it does not under ``exact``.
+        disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
+            (`benchmark.metrics.disagreement`).
+    """
+
+    scene: str
+    sample_token: str
+    index: int
+    timestamp_us: int
+    status: Literal["ok", "failed"]
+    command: int
+    ego_motion: str
+    lidar_ahead_m: float
+    complete: bool
+    recorded_future: list[list[float] | None]
+    plan: PlanRow | None
+    error: str | None
+    outcomes: dict[str, OutcomeRow]
+    diagnosis: DiagnosisRow | None = None
+    disagreements: dict[str, str] = Field(default_factory=dict)
+
+
+class RateRow(_Row):
+    """A rate with its counts and its 95 % interval over scenes (`benchmark.metrics.rates.Rate`)."""
+
+    value: float | None
+    numerator: float
+    denominator: int
+    low: float | None
+    high: float | None
+
+
+class ProtocolSummary(_Row):
+    """What one protocol says about a run.
+
+    Attributes:
+        version: Version of the protocol.
+        columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
+        counted: Samples in the denominators.
+        incomplete: Samples that were planned but that the protocol does not count.
+        scenes_failed: Scenes with a counted sample that collides.
+        scenes_decided: Scenes of which that can be said (see `scene_failures`).
+        mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same
+            protocol; null for protocols without such a mask, where no sample was planned, and in records of schema 1.
+    """
+
+    version: int
+    columns: dict[str, dict[str, RateRow]]
+    counted: int
+    incomplete: int
+    scenes_failed: int
+    scenes_decided: int
+    mask_removed_steps: int | None = None
+
+
+class Summary(_Row):
+    """``summary.json``: derived from the rows alone."""
+
+    schema_version: int = Field(alias="schema")
+    samples: int
+    failed: int
+    coverage: float
+    protocols: dict[str, ProtocolSummary]

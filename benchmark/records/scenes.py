@@ -1,0 +1,363 @@
+"""Scene sheets on disk: their schema, and how they are read. Everything that is shown of a scene comes from here.
+
+``<sheets>/<data set>/<split>/split.json`` is a `SplitSheet`; ``.../<split>/scenes/<scene>/`` holds ``sheet.json`` (a
+`Sheet`), pictures below ``cameras/`` and, for scenes whose search was traced, ``rounds.json`` (a `RefinementTrace`).
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import file_name, file_sha256, read_json
+from benchmark.records.run_schema import DataFacts
+
+SCHEMA: Final = 1
+SHEET_FILE, ROUNDS_FILE, SPLIT_FILE = "sheet.json", "rounds.json", "split.json"
+SCENES_FOLDER: Final = "scenes"
+CAMERA_GRID: Final = (
+    ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"),
+    ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"),
+)
+"""Where each camera stands in a picture of all six."""
+
+Point = tuple[float, float]
+Ring = tuple[Point, ...]
+Polygon = tuple[Ring, ...]
+"""Outer ring first, then holes."""
+Segment = tuple[float, float, float, float]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class SheetEgo(_Stored):
+    """Recorded motion of the ego's rear axle, one value a frame.
+
+    Attributes:
+        x_m: Relative to the sheet's origin, as all positions.
+        y_m: Likewise.
+        yaw_rad: Heading.
+        length_m: Of the body.
+        width_m: Of the body.
+        centre_ahead_m: Centre of the body ahead of the rear axle.
+    """
+
+    x_m: tuple[float, ...]
+    y_m: tuple[float, ...]
+    yaw_rad: tuple[float, ...]
+    length_m: float
+    width_m: float
+    centre_ahead_m: float
+
+
+class SheetAgent(_Stored):
+    """One annotated object.
+
+    Attributes:
+        id: Instance identifier.
+        category: nuScenes category.
+        size_m: Length, width, height.
+        adversary: Whether it was generated.
+        first: Frame of the first of the values below; null where it is not there.
+        x_m: Box centres.
+        y_m: Likewise.
+        yaw_rad: Headings.
+    """
+
+    id: str
+    category: str
+    size_m: tuple[float, float, float]
+    adversary: bool
+    first: int
+    x_m: tuple[float | None, ...]
+    y_m: tuple[float | None, ...]
+    yaw_rad: tuple[float | None, ...]
+
+
+class SheetLine(_Stored):
+    """A divider; ``paint`` is a `benchmark.road_map.DividerKind`."""
+
+    points: Ring
+    paint: str
+
+
+class SheetMap(_Stored):
+    """The road around the ego's way."""
+
+    drivable: tuple[Polygon, ...] = ()
+    crossings: tuple[Polygon, ...] = ()
+    walkways: tuple[Polygon, ...] = ()
+    carparks: tuple[Polygon, ...] = ()
+    dividers: tuple[SheetLine, ...] = ()
+
+
+class SheetCamera(_Stored):
+    """Where one camera stands in the pictures, pixels of the picture.
+
+    Attributes:
+        name: Channel.
+        left: Of its cell.
+        top: Of its cell.
+        width: Of its cell.
+        height: Of its cell.
+    """
+
+    name: str
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+class Sheet(_Stored):
+    """What is shown of one scene.
+
+    Attributes:
+        schema_version: Version of the format.
+        data: Data set.
+        split: Split.
+        scene: Scene name.
+        source: Recorded scene that it was made from; its own name if it is a recording.
+        description: Free text of the data set.
+        labels: What each adversary does (``generation.labels.labelling``), as the data set says it.
+        origin_m: (x, y) in the global frame; all positions are relative to it.
+        timestamps_us: One a frame (12 Hz).
+        keyframes: Frames that are samples.
+        sample_tokens: Their tokens, in the same order.
+        ego: Recorded motion.
+        agents: Everything annotated; adversaries last.
+        road: The map.
+        cameras: Cells of the pictures; empty without pictures.
+        pictures: Frames that have a picture of all cameras, ``cameras/<frame, six digits>.webp``.
+        adversary_edges: For such a frame (as text) and each camera that sees an adversary: edges of its 3-D box as
+            (x1, y1, x2, y2) in pixels of the picture, cut at the cell's borders.
+        files: SHA-256 of each picture by its path below the sheet's folder.
+    """
+
+    schema_version: int = Field(alias="schema")
+    data: DataFacts
+    split: str
+    scene: str
+    source: str
+    description: str
+    labels: tuple[dict[str, Any], ...]
+    origin_m: Point
+    timestamps_us: tuple[int, ...]
+    keyframes: tuple[int, ...]
+    sample_tokens: tuple[str, ...]
+    ego: SheetEgo
+    agents: tuple[SheetAgent, ...]
+    road: SheetMap
+    cameras: tuple[SheetCamera, ...]
+    pictures: tuple[int, ...]
+    adversary_edges: dict[str, dict[str, tuple[Segment, ...]]]
+    files: dict[str, str]
+
+    @property
+    def manoeuvre(self) -> str | None:
+        """Primary manoeuvre of the first adversary that has labels."""
+        named = (label.get("manoeuvre") for label in self.labels)
+        return next((name for name in named if isinstance(name, str)), None)
+
+
+class TraceRound(_Stored):
+    """One round of refinement.
+
+    Attributes:
+        candidates: (B, M) points (x, y) relative to the sheet's origin, half a second apart, as simulated.
+        scores: (B,) final scores, lower is better; null where infinite.
+        collision_free: How many candidates touch nothing.
+    """
+
+    candidates: tuple[Ring, ...]
+    scores: tuple[float | None, ...]
+    collision_free: int
+
+
+class TraceFrame(_Stored):
+    """One planning frame: its rounds, and which candidate of which round was executed."""
+
+    frame: int
+    rounds: tuple[TraceRound, ...]
+    chosen_round: int
+    chosen: int
+
+
+class RefinementTrace(_Stored):
+    """``rounds.json``: the search for one adversary.
+
+    Attributes:
+        schema_version: Version of the format.
+        scene: Scene name.
+        agent: Instance identifier of the adversary.
+        origin_m: As the sheet's.
+        search: Version and fingerprint of the search and of its trajectory model.
+        frames: Planning frames in order.
+    """
+
+    schema_version: int = Field(alias="schema")
+    scene: str
+    agent: str
+    origin_m: Point
+    search: dict[str, Any]
+    frames: tuple[TraceFrame, ...]
+
+
+class AttemptFacts(_Stored):
+    """One vehicle that the search tried.
+
+    Attributes:
+        source: Recorded scene.
+        agent: Instance identifier.
+        scene: Name of the scene that it became; null if it did not.
+        discarded: Why not; null if it was kept.
+        manoeuvre: What it does, if labelled.
+    """
+
+    source: str
+    agent: str
+    scene: str | None
+    discarded: str | None
+    manoeuvre: str | None
+
+
+class SplitSheet(_Stored):
+    """What is shown of one split.
+
+    Attributes:
+        schema_version: Version of the format.
+        data: Data set.
+        split: Split.
+        scenes: All scene names of the split, in order.
+        statistics: ``benchmark.datasets.statistics.Statistics.as_json()`` without its path.
+        attempts: What the search tried, for generated splits.
+        runtime: Seconds of each stage of generation (`generation.build.profile`), if this machine measured them.
+    """
+
+    schema_version: int = Field(alias="schema")
+    data: DataFacts
+    split: str
+    scenes: tuple[str, ...]
+    statistics: dict[str, Any]
+    attempts: tuple[AttemptFacts, ...] = ()
+    runtime: dict[str, Any] | None = None
+
+
+_Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSheet:
+    """A sheet and where it lies.
+
+    Attributes:
+        directory: Of ``sheet.json``.
+        sheet: The sheet.
+        rounds: The search for its adversary, if it was traced.
+    """
+
+    directory: Path
+    sheet: Sheet
+    rounds: RefinementTrace | None
+
+    def picture_path(self, frame: int) -> Path:
+        """File of a frame's cameras."""
+        return self.directory / picture_name(frame)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheets:
+    """All sheets below a folder.
+
+    Attributes:
+        splits: By data set's name and split.
+        scenes: By data set's name, split and scene.
+    """
+
+    splits: Mapping[tuple[str, str], SplitSheet]
+    scenes: Mapping[tuple[str, str, str], StoredSheet]
+
+
+NO_SHEETS: Final = Sheets({}, {})
+
+
+def picture_name(frame: int) -> str:
+    """Path of a frame's cameras below the sheet's folder."""
+    return f"cameras/{frame:06d}.webp"
+
+
+def split_folder(root: Path, data_name: str, split: str) -> Path:
+    """Folder of a split's sheets below the folder of all sheets."""
+    return root / file_name(data_name) / file_name(split)
+
+
+def scene_folder(root: Path, data_name: str, split: str, scene: str) -> Path:
+    """Folder of a scene's sheet below the folder of all sheets."""
+    return split_folder(root, data_name, split) / SCENES_FOLDER / file_name(scene)
+
+
+def find_sheets(root: Path) -> Sheets:
+    """Read all sheets below a folder.
+
+    Args:
+        root: The folder; it need not exist.
+
+    Returns:
+        The sheets, by data set, split and scene.
+
+    Raises:
+        InputError: If one is damaged, of another version, or a picture is missing or not the one that was written.
+    """
+    splits = [_read(path, SplitSheet) for path in sorted(root.glob(f"*/*/{SPLIT_FILE}"))]
+    scenes = sorted(_stored_sheets(root), key=lambda found: found.sheet.scene)
+    return Sheets(
+        {(found.data.name, found.split): found for found in splits},
+        {(each.sheet.data.name, each.sheet.split, each.sheet.scene): each for each in scenes},
+    )
+
+
+def read_sheet(directory: Path) -> StoredSheet:
+    """Read one scene's sheet.
+
+    Args:
+        directory: Its folder.
+
+    Returns:
+        The sheet.
+
+    Raises:
+        InputError: If it is missing, damaged, of another version, or a picture is not the one that was written.
+    """
+    sheet = _read(directory / SHEET_FILE, Sheet)
+    for name, expected in sheet.files.items():
+        path = directory / name
+        if not path.resolve().is_relative_to(directory.resolve()):
+            raise InputError(f"{directory / SHEET_FILE} names {name!r}, which is outside its folder; write it again")
+        if not path.is_file() or file_sha256(path) != expected:
+            raise InputError(f"{path} is not the picture that its sheet names; run challenger-bench sheets again")
+    rounds = directory / ROUNDS_FILE
+    return StoredSheet(directory, sheet, _read(rounds, RefinementTrace) if rounds.is_file() else None)
+
+
+def _stored_sheets(root: Path) -> Iterator[StoredSheet]:
+    for path in sorted(root.glob(f"*/*/{SCENES_FOLDER}/*/{SHEET_FILE}")):
+        yield read_sheet(path.parent)
+
+
+def _read(path: Path, model: type[_Read]) -> _Read:
+    again = f"run challenger-bench sheets again or delete {path.parent}"
+    content = read_json(path)
+    version = content.get("schema") if isinstance(content, dict) else None
+    if version != SCHEMA:
+        raise InputError(f"{path} has schema {version!r}, this version reads {SCHEMA}; {again}")
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path} is damaged at {where}: {first['msg']}; {again}") from error

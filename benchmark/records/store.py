@@ -1,0 +1,168 @@
+"""The three files of a run record: replaced together or not at all, and read in any schema there ever was.
+
+New files are first written under pending names, ``run.json`` last; from then on the record is decided and the three are
+renamed, ``run.json`` last again. A command that is killed before leaves the old record as it was; one that is killed
+between the renames leaves a pending ``run.json``, and `settle` finishes the renames.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import (
+    file_sha256,
+    read_json,
+    read_json_lines,
+    read_kept_json,
+    write_json,
+    write_json_lines,
+    writing_to,
+)
+from benchmark.records.run_schema import SCHEMA
+
+RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
+_HASHED = (ROWS_FILE, SUMMARY_FILE)
+"""Files whose hashes ``run.json`` names."""
+
+RecordFiles = tuple[dict[str, Any], list[Any], dict[str, Any]]
+"""Contents of ``run.json``, ``samples.jsonl`` and ``summary.json``."""
+
+
+def pending(directory: Path, name: str) -> Path:
+    """Where a file of a record lies until all three are written."""
+    return directory / f".{name}.pending"
+
+
+def replace_files(
+    directory: Path, run: Callable[[dict[str, str]], dict[str, Any]], rows: list[Any], summary: dict[str, Any]
+) -> dict[str, str]:
+    """Write the files of a record in place of those that are there.
+
+    Args:
+        directory: Run directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
+        run: Contents of ``run.json``, given the SHA-256 of the other files by name.
+        rows: Contents of ``samples.jsonl``.
+        summary: Contents of ``summary.json``.
+
+    Returns:
+        Those hashes.
+
+    Raises:
+        InputError: If they cannot be written.
+    """
+    settle(directory)
+    write_json_lines(pending(directory, ROWS_FILE), rows)
+    write_json(pending(directory, SUMMARY_FILE), summary)
+    hashes = {name: file_sha256(pending(directory, name)) for name in _HASHED}
+    write_json(pending(directory, RUN_FILE), run(hashes))
+    _rename(directory)
+    return hashes
+
+
+def settle(directory: Path) -> None:
+    """Finish a replacement that was decided when its command was killed, and drop one that was not.
+
+    Args:
+        directory: Run directory; nobody else may write to it.
+
+    Raises:
+        InputError: If the directory cannot be written.
+    """
+    if _is_decided(directory):
+        _rename(directory)
+    with writing_to(directory):
+        for path in (*directory.glob(".*.pending"), *directory.glob(".*.part")):
+            path.unlink()
+
+
+def _is_decided(directory: Path) -> bool:
+    """Whether a pending ``run.json`` and the files that it names are all there, renamed already or not."""
+    run = read_kept_json(pending(directory, RUN_FILE))
+    hashes = run.get("files") if isinstance(run, dict) else None
+    if not isinstance(hashes, dict):
+        return False
+    newest = {
+        name: next((path for path in (pending(directory, name), directory / name) if path.is_file()), None)
+        for name in _HASHED
+    }
+    return all(path is not None and file_sha256(path) == hashes.get(name) for name, path in newest.items())
+
+
+def _rename(directory: Path) -> None:
+    with writing_to(directory):
+        for name in (*_HASHED, RUN_FILE):
+            if pending(directory, name).exists():
+                pending(directory, name).replace(directory / name)
+
+
+def stored_schema(directory: Path) -> int:
+    """Schema in which a record is stored.
+
+    Args:
+        directory: Run directory.
+
+    Returns:
+        The schema's number.
+
+    Raises:
+        InputError: If ``run.json`` is absent or damaged, or its schema is newer than this version or never existed.
+    """
+    return int(_run(directory)["schema"])
+
+
+def read_files(directory: Path) -> RecordFiles:
+    """Read the files of a record and bring them to the present schema.
+
+    Args:
+        directory: Run directory.
+
+    Returns:
+        Their contents; nothing but the schema, the hashes and the form of JSON is checked.
+
+    Raises:
+        InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
+    """
+    run = _run(directory)
+    rows, summary = read_json_lines(directory / ROWS_FILE), read_json(directory / SUMMARY_FILE)
+    for name in _HASHED:
+        if file_sha256(directory / name) != run["files"].get(name):
+            raise InputError(_does_not_belong(directory, name))
+    for schema in range(run["schema"], SCHEMA):
+        run, rows, summary = UPGRADES[schema](run, rows, summary)
+    return run, rows, summary
+
+
+def _run(directory: Path) -> dict[str, Any]:
+    run = read_json(directory / RUN_FILE)
+    if not isinstance(run, dict) or type(run.get("schema")) is not int or not isinstance(run.get("files"), dict):
+        raise InputError(f"{directory / RUN_FILE} is not a run record: it has no schema number or no hashes of files")
+    if run["schema"] > SCHEMA:
+        raise InputError(
+            f"{directory} has record schema {run['schema']}, this version reads up to {SCHEMA}; upgrade "
+            "challenger-bench"
+        )
+    if run["schema"] not in {SCHEMA, *UPGRADES}:
+        raise InputError(f"{directory} has record schema {run['schema']}, which never existed; run eval again")
+    return run
+
+
+def _does_not_belong(directory: Path, name: str) -> str:
+    if pending(directory, RUN_FILE).is_file():
+        return f"{directory} was being replaced when its command was stopped; run challenger-bench rescore again"
+    return (
+        f"{directory / name} does not belong to the {RUN_FILE} beside it (an interrupted or edited run); run the same "
+        "eval command again"
+    )
+
+
+Upgrade = Callable[[dict[str, Any], list[Any], dict[str, Any]], RecordFiles]
+
+
+def _from_schema_1(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> RecordFiles:
+    """Schema 2 only adds fields, and those have defaults that say "unknown"."""
+    return {**run, "schema": 2}, rows, {**summary, "schema": 2}
+
+
+UPGRADES: dict[int, Upgrade] = {1: _from_schema_1}
+"""From a schema to the next one: run, rows and summary in, the same out. Old records load for ever."""

@@ -1,0 +1,1 @@
+"""Tables as data, in every form that is printed or written."""

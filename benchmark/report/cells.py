@@ -1,0 +1,209 @@
+"""The facts behind the numbers of tables: value and unit, what was counted, interval, protocol, record or source.
+
+A number is written by its own cell, so that what is shown and what stands behind it cannot differ.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Protocol
+
+from benchmark.records.run import RunRecord
+
+UNDEFINED: Final = "–"
+"""Shown where a number does not exist; never a zero."""
+PERCENT: Final = "%"
+_STORED_DIGITS: Final = 12
+"""Significant digits of numbers in JSON: the last bits of a double may differ between processors."""
+
+
+class AnyRate(Protocol):
+    """A ratio with its denominator and interval: `benchmark.metrics.rates.Rate`, or the same from a record."""
+
+    @property
+    def value(self) -> float | None:
+        """The ratio."""
+
+    @property
+    def denominator(self) -> int:
+        """What it was counted over."""
+
+    @property
+    def low(self) -> float | None:
+        """Lower end of the interval."""
+
+    @property
+    def high(self) -> float | None:
+        """Upper end of the interval."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One cell of a table: its text and the facts behind it."""
+
+    text: str
+    cell: "Cell | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What stands behind a number.
+
+    Attributes:
+        value: The number in its unit, or ``None`` where it does not exist.
+        unit: For example ``%``, ``m``, ``points`` (of per cent), ``x`` (times), or what a count counts.
+        n: How many it was counted over; ``None`` where that is not known (quoted numbers).
+        of: What ``n`` counts.
+        low: Lower end of the 95 % interval in the same unit, or ``None`` where there is none.
+        high: Upper end; may be infinite.
+        protocol: Protocol of the verdicts behind it, or ``None`` where it rests on none.
+        record: Content id, planner and split of the records behind it; several are joined by semicolons.
+        source: Where it is quoted from, if it is not ours.
+    """
+
+    value: float | None
+    unit: str
+    n: int | None
+    of: str = "samples"
+    low: float | None = None
+    high: float | None = None
+    protocol: str | None = None
+    record: str | None = None
+    source: str | None = None
+
+    def shown(self, digits: int = 0, *, signed: bool = False, after: str = "") -> Shown:
+        """The number as it is shown.
+
+        Args:
+            digits: Decimals.
+            signed: Whether positive numbers have a sign.
+            after: Text behind a number that exists.
+
+        Returns:
+            Its text, or a dash.
+        """
+        text = number(self.value, digits, signed=signed)
+        return Shown(text if self.value is None else f"{text}{after}", self)
+
+    def interval(self, digits: int = 1) -> Shown:
+        """The interval as it is shown, for a column beside the number."""
+        return Shown(interval(self.low, self.high, digits=digits), self)
+
+    def as_json(self) -> dict[str, Any]:
+        """The facts that there are as JSON values; an end that is infinite is the text ``∞``."""
+        facts = {name: value for name, value in asdict(self).items() if value is not None}
+        return {name: _stored(value) if isinstance(value, float) else value for name, value in facts.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where numbers come from; makes their cells.
+
+    Attributes:
+        protocol: See `Cell`.
+        record: See `Cell`.
+        source: See `Cell`.
+    """
+
+    protocol: str | None = None
+    record: str | None = None
+    source: str | None = None
+
+    def cell(
+        self,
+        value: float | None,
+        unit: str,
+        n: int | None,
+        of: str = "samples",
+        *,
+        low: float | None = None,
+        high: float | None = None,
+        scale: float = 1.0,
+    ) -> Cell:
+        """A number from here.
+
+        Args:
+            value: The number.
+            unit: Of the number times ``scale``.
+            n: What it was counted over.
+            of: What ``n`` counts.
+            low: Lower end of its interval.
+            high: Upper end.
+            scale: What number and ends are multiplied with, for example 100 for a percentage.
+
+        Returns:
+            The cell.
+        """
+        scaled = [None if number is None else scale * number for number in (value, low, high)]
+        return Cell(scaled[0], unit, n, of, scaled[1], scaled[2], self.protocol, self.record, self.source)
+
+    def percent(self, rate: AnyRate, of: str = "samples") -> Cell:
+        """A rate as a percentage."""
+        return self.cell(rate.value, PERCENT, rate.denominator, of, low=rate.low, high=rate.high, scale=100.0)
+
+    def amount(self, rate: AnyRate, unit: str, of: str = "samples") -> Cell:
+        """A rate in its own unit."""
+        return self.cell(rate.value, unit, rate.denominator, of, low=rate.low, high=rate.high)
+
+    def count(self, count: int | None, of: str, among: int | None = None) -> Cell:
+        """A count.
+
+        Args:
+            count: How many.
+            of: What is counted.
+            among: Among how many; the count itself where it is all there are.
+
+        Returns:
+            The cell.
+        """
+        return self.cell(count, of, count if among is None else among, of)
+
+
+def origin_of(record: RunRecord, protocol: str | None) -> Origin:
+    """Where numbers of a run under a protocol come from."""
+    return Origin(protocol, record_name(record))
+
+
+def record_name(*records: RunRecord) -> str:
+    """Content id, planner and split of each record, as cells name them."""
+    return "; ".join(named_record(record.content_id, record.planner, record.run.split) for record in records)
+
+
+def named_record(content_id: str, planner: str, split: str) -> str:
+    """A record in a cell: its content id is the first word."""
+    return f"{content_id} {planner} on {split}"
+
+
+def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str:
+    """A number, or a dash where it does not exist; never "-0.0"."""
+    if value is None:
+        return UNDEFINED
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    text = f"{value:.{digits}f}"
+    if float(text) == 0.0:
+        return text.removeprefix("-")
+    return f"+{text}" if signed and value > 0 else text
+
+
+def interval(low: float | None, high: float | None, *, digits: int = 1) -> str:
+    """An interval as ``[low, high]``, or a dash where there is none to speak of.
+
+    Args:
+        low: Lower end.
+        high: Upper end; may be infinite.
+        digits: Decimals.
+
+    Returns:
+        The text. An interval without width is a dash too: where all scenes agree there is nothing to draw, and
+        "[0.0, 0.0]" would look like certainty.
+    """
+    if low is None or high is None or low == high:
+        return UNDEFINED
+    return f"[{number(low, digits)}, {number(high, digits)}]"
+
+
+def _stored(value: float) -> float | str:
+    if math.isinf(value):
+        return number(value)
+    rounded = float(f"{value:.{_STORED_DIGITS}g}")
+    return int(rounded) if rounded.is_integer() else rounded

@@ -1,0 +1,237 @@
+"""A table as data, and its Markdown, LaTeX, CSV and JSON text. Same table, same bytes."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from benchmark.machine.storage import canonical_json
+from benchmark.report.cells import UNDEFINED, Cell, Shown
+
+Groups = tuple[tuple[str, int], ...]
+"""Labels over neighbouring columns, each with how many it stands over; an empty label is no label."""
+
+_LATEX_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "–": "--",
+    "×": r"$\times$",
+    "±": r"$\pm$",
+    "†": r"$\dagger$",
+    "‡": r"$\ddagger$",
+    "−": "$-$",
+    "→": r"$\to$",
+    "∞": r"$\infty$",
+    "φ": r"$\phi$",
+    "…": r"\ldots{}",
+    # After the end of a row these two would be taken for its options.
+    "[": "{[}",
+    "*": "{*}",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Cells of text under named columns, with the facts behind them.
+
+    Attributes:
+        name: File stem, for example ``collision``.
+        title: One line above the table.
+        columns: Column heads.
+        rows: Cells, one tuple a row, as many as there are columns.
+        notes: Sentences below the table.
+        text_columns: How many leading columns are text (left-aligned); the others are numbers.
+        groups: Labels over columns that cover all of them, or none. Where numbers rest on verdicts the label names the
+            protocol.
+        cells: The facts behind each cell of ``rows``, ``None`` where it is text alone; ``None`` if none has any.
+        sources: Where quoted numbers come from.
+    """
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    text_columns: int = 1
+    groups: Groups = ()
+    cells: tuple[tuple[Cell | None, ...], ...] | None = None
+    sources: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        width = len(self.columns)
+        for row in self.rows:
+            if len(row) != width:
+                raise ValueError(f"table {self.name}: a row has {len(row)} cells for {width} columns")
+        if self.groups and sum(span for _, span in self.groups) != width:
+            raise ValueError(f"table {self.name}: groups do not cover {width} columns")
+        if self.cells is not None and [len(row) for row in self.cells] != [width] * len(self.rows):
+            raise ValueError(f"table {self.name}: cells are not those of {len(self.rows)} rows of {width}")
+
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Column heads that say everything: ``head | group`` where there is a group."""
+        labels = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.columns)
+        return tuple(f"{head} | {label}" if label else head for head, label in zip(self.columns, labels))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes and sources as the sentences below the table."""
+        return (*self.notes, *(f"Source of quoted numbers: {source}." for source in self.sources))
+
+    def markdown(self) -> str:
+        """The table as GitHub Markdown, with its title and notes."""
+        rule = ["---"] * self.text_columns + ["---:"] * (len(self.columns) - self.text_columns)
+        lines = [f"### {escape_markdown(self.title)}", ""]
+        lines += [_markdown_row([escape_markdown(head) for head in self.columns]), _markdown_row(rule)]
+        lines += [_markdown_row([escape_markdown(cell) for cell in row]) for row in self.rows]
+        lines += ["", *(f"- {escape_markdown(note)}" for note in self.remarks)] if self.remarks else []
+        return "\n".join(lines) + "\n"
+
+    def plain(self) -> str:
+        """The table as aligned text for a terminal, with its title and notes."""
+        lines = [self.columns, *self.rows]
+        widths = [max(len(line[column]) for line in lines) for column in range(len(self.columns))]
+        texts = [self.title]
+        for line in lines:
+            cells = [
+                cell.ljust(width) if column < self.text_columns else cell.rjust(width)
+                for column, (cell, width) in enumerate(zip(line, widths))
+            ]
+            texts.append("  ".join(cells).rstrip())
+        return "\n".join([*texts, *self.remarks]) + "\n"
+
+    def latex(self) -> str:
+        """The table as a LaTeX ``table`` environment with booktabs rules, groups over their columns."""
+        alignment = "l" * self.text_columns + "r" * (len(self.columns) - self.text_columns)
+        lines = [r"\begin{table}", r"  \centering", rf"  \begin{{tabular}}{{{alignment}}}", r"    \toprule"]
+        lines += [f"    {line}" for line in _latex_groups(self.groups)]
+        lines += [f"    {_latex_row(self.columns)}", r"    \midrule"]
+        lines += [f"    {_latex_row(row)}" for row in self.rows]
+        lines += [r"    \bottomrule", r"  \end{tabular}"]
+        label = re.sub("[^A-Za-z0-9-]", "-", self.name)
+        caption = " ".join([f"{self.title}.", *self.remarks])
+        lines += [rf"  \caption{{{escape_latex(caption)}}}", rf"  \label{{tab:{label}}}", r"\end{table}"]
+        return "\n".join(lines) + "\n"
+
+    def csv(self) -> str:
+        """The table as CSV, heads with their groups first."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(self.heads)
+        writer.writerows([["" if cell == UNDEFINED else cell for cell in row] for row in self.rows])
+        return stream.getvalue()
+
+    def as_json(self) -> dict[str, Any]:
+        """The table and the facts behind its cells as JSON values."""
+        cells = None
+        if self.cells is not None:
+            cells = [[None if cell is None else cell.as_json() for cell in row] for row in self.cells]
+        return {
+            "name": self.name,
+            "title": self.title,
+            "columns": list(self.columns),
+            "groups": [list(group) for group in self.groups],
+            "text_columns": self.text_columns,
+            "rows": [list(row) for row in self.rows],
+            "cells": cells,
+            "notes": list(self.notes),
+            "sources": list(self.sources),
+        }
+
+    def json(self) -> str:
+        """`as_json` as text, one line for each row of the table and of its facts."""
+        return "{\n" + ",\n".join(_json_members(self.as_json())) + "\n}\n"
+
+
+def table_of(
+    name: str,
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str | Shown]],
+    *,
+    notes: Sequence[str] = (),
+    text_columns: int = 1,
+    groups: Sequence[tuple[str, int]] = (),
+    sources: Sequence[str] = (),
+) -> Table:
+    """A table of texts and of numbers that bring their facts.
+
+    Args:
+        name: See `Table`, as for all that follow.
+        title: One line above the table.
+        columns: Column heads.
+        rows: Text, or a number as its cell shows it.
+        notes: Sentences below the table.
+        text_columns: How many leading columns are text.
+        groups: Labels over columns; those over none are left out.
+        sources: Where quoted numbers come from.
+
+    Returns:
+        The table.
+    """
+    shown = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    return Table(
+        name,
+        title,
+        tuple(columns),
+        tuple(tuple(cell.text for cell in row) for row in shown),
+        tuple(notes),
+        text_columns,
+        tuple((label, span) for label, span in groups if span),
+        tuple(tuple(cell.cell for cell in row) for row in shown),
+        tuple(sources),
+    )
+
+
+def escape_latex(text: str) -> str:
+    """Text on one line in which nothing is LaTeX code."""
+    return "".join(_LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
+
+
+def escape_markdown(text: str) -> str:
+    """Text in which nothing is Markdown or HTML: names come from strangers' records."""
+    safe = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\\", "\\\\")
+    for character in "|`*":
+        safe = safe.replace(character, f"\\{character}")
+    safe = safe.replace("](", "\\](")
+    return " ".join(safe.split())
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
+
+
+def _latex_groups(groups: Groups) -> Iterator[str]:
+    """A row of labels over their columns, and the rules below them."""
+    if not any(label for label, _ in groups):
+        return
+    cells, rules, first = [], [], 1
+    for label, span in groups:
+        cells.append(rf"\multicolumn{{{span}}}{{c}}{{{escape_latex(label)}}}")
+        rules += [rf"\cmidrule(lr){{{first}-{first + span - 1}}}"] if label else []
+        first += span
+    yield " & ".join(cells) + r" \\"
+    yield " ".join(rules)
+
+
+def _json_members(value: dict[str, Any]) -> Iterator[str]:
+    for name in sorted(value):
+        if name in ("rows", "cells") and value[name]:
+            lines = ",\n".join(canonical_json(row) for row in value[name])
+            yield f"{canonical_json(name)}:[\n{lines}\n]"
+        else:
+            yield f"{canonical_json(name)}:{canonical_json(value[name])}"

@@ -1,0 +1,1 @@
+"""A run: plans of every scene, kept and judged, and records judged anew."""

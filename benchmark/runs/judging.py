@@ -1,0 +1,119 @@
+"""Stored plans against what really happened: the part of a run that never needs the planner, for `eval` and `rescore`.
+
+The verdict on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.metrics.diagnosis import diagnose
+from benchmark.metrics.disagreement import EXACT, disagreements
+from benchmark.planning import Forecasts, Plan, PlanFrame
+from benchmark.protocols import Outcomes, protocol
+from benchmark.records.run import SampleRow
+from benchmark.truth import SampleTruth
+
+
+def judge(
+    rows: Sequence[Mapping[str, Any]], truths: Sequence[SampleTruth], protocols: Sequence[str]
+) -> list[SampleRow]:
+    """Put what really happened and the verdicts beside the plans.
+
+    Args:
+        rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
+        truths: One for each sample, in the same order.
+        protocols: Who judges.
+
+    Returns:
+        One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is
+        diagnosed or compared without ``exact`` among the protocols.
+
+    Raises:
+        InputError: If a protocol is unknown or a plan cannot be read.
+        ValueError: If rows and truths are not of the same samples.
+    """
+    if [row["sample_token"] for row in rows] != [truth.sample_token for truth in truths]:
+        raise ValueError(f"plans and truth of {rows[0]['scene'] if rows else 'a scene'} do not have the same samples")
+    planned = [index for index, row in enumerate(rows) if row["plan"] is not None]
+    happened, plans = [truths[index] for index in planned], [plan_of(rows[index]["plan"]) for index in planned]
+    in_lidar = np.array([plan.waypoints_in_lidar(truth.lidar_ahead_m) for plan, truth in zip(plans, happened)]).reshape(
+        -1, PLAN_STEPS, 2
+    )
+    outcomes = {name: protocol(name).evaluate(happened, in_lidar) for name in dict.fromkeys(protocols)}
+    verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
+    causes, differences = _explained(happened, plans, in_lidar, outcomes)
+    findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
+    for place, index in enumerate(planned):
+        findings[index] = {
+            "outcomes": {name: found[place] for name, found in verdicts.items()},
+            "diagnosis": causes[place],
+            "disagreements": differences[place],
+        }
+    return [
+        SampleRow(**row, **_recorded(truth), **found) for row, truth, found in zip(rows, truths, findings, strict=True)
+    ]
+
+
+def plan_of(row: Mapping[str, Any]) -> Plan:
+    """A plan from its JSON object, the inverse of what `benchmark.runs.plan_rows` writes.
+
+    Args:
+        row: Its JSON object.
+
+    Returns:
+        The plan as the planner gave it.
+
+    Raises:
+        InputError: If its lists are not of the lengths that a plan has.
+    """
+    parts, forecasts = ("modes", "mode_scores"), row["forecasts"]
+    try:
+        return Plan(
+            np.array(row["waypoints"], np.float64),
+            PlanFrame(row["frame"]),
+            **{name: None if row[name] is None else np.array(row[name], np.float64) for name in parts},
+            forecasts=None if forecasts is None else _forecasts(forecasts),
+        )
+    except ValueError as error:
+        raise InputError(
+            f"a stored plan cannot be read ({error}); remove the run directory and run challenger-bench eval again"
+        ) from error
+
+
+def _forecasts(row: Mapping[str, Any]) -> Forecasts:
+    """Lists that may be empty have lost the shape of what they do not hold."""
+    agents = len(row["boxes"])
+    modes = len(row["trajectories"][0]) if row["trajectories"] else 0
+    if agents and not modes:
+        raise ValueError("its forecasts have no modes")
+    return Forecasts(
+        boxes=np.array(row["boxes"], np.float64).reshape(agents, 5),
+        trajectories=np.array(row["trajectories"], np.float64).reshape(agents, modes, PLAN_STEPS, 2),
+        scores=np.array(row["scores"], np.float64).reshape(agents, modes),
+    )
+
+
+def _explained(
+    truths: Sequence[SampleTruth], plans: Sequence[Plan], in_lidar: Floats, outcomes: Mapping[str, Outcomes]
+) -> tuple[Sequence[Any], Sequence[dict[str, str]]]:
+    """Diagnosis and disagreements of each sample, from the verdicts of ``exact`` on it."""
+    if EXACT not in outcomes or not truths:
+        return [None] * len(truths), [{} for _ in truths]
+    return diagnose(truths, plans, outcomes[EXACT]), disagreements(truths, in_lidar, outcomes)
+
+
+def _recorded(truth: SampleTruth) -> dict[str, Any]:
+    """What a row says of the recording."""
+    return {
+        "command": int(truth.command),
+        "lidar_ahead_m": truth.lidar_ahead_m,
+        "complete": truth.complete,
+        "recorded_future": [
+            pose.tolist() if valid else None for pose, valid in zip(truth.ego_future, truth.ego_future_valid)
+        ],
+    }

@@ -1,0 +1,318 @@
+"""Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept."""
+
+import contextlib
+import inspect
+import random
+import re
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
+from benchmark.planning import Forecasts, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.protocols import PROTOCOLS
+from benchmark.records.run import PlannerFacts
+from benchmark.scene import Scene
+
+ROW_FORMAT = 2
+"""Raised whenever the rows of an unchanged planner would change."""
+
+
+_FAILURES = (Exception, SystemExit)
+"""What a planner may raise: one that calls `sys.exit` must not end the run as if it had succeeded."""
+
+
+class PlannerFactory(Protocol):
+    """Builds the same planner in any process. Must be picklable.
+
+    Attributes:
+        facts: Which planner it builds; part of the content key of every row.
+    """
+
+    @property
+    def facts(self) -> PlannerFacts:
+        """Identity of the planner."""
+
+    def __call__(self) -> Planner:
+        """Build it."""
+
+
+class SceneSource(Protocol):
+    """The part of a data set that planning needs."""
+
+    def scene(self, name: str) -> Scene:
+        """The whole scene."""
+
+    def observations(self, name: str) -> Any:
+        """One `Observation` for each sample, in time order."""
+
+
+class BrokenImageError(InputError):
+    """An image of the data set cannot be read: the data's fault, not the planner's."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedScene:
+    """Rows of one scene.
+
+    Attributes:
+        rows: One JSON object for each sample.
+        seconds: Time spent inside the planner, or ``None`` where the rows were kept from before.
+    """
+
+    rows: list[dict[str, Any]]
+    seconds: float | None
+
+
+def facts_of(planner: Planner) -> PlannerFacts:
+    """Identity of a planner that was built by hand.
+
+    Args:
+        planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
+            taken over.
+
+    Returns:
+        Its identity, with the hash of its class's source files.
+
+    Raises:
+        InputError: If its settings are not plain values, or its native protocol is not known.
+    """
+    settings = dict(getattr(planner, "settings", {}))
+    try:
+        content_key(settings)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"the settings of planner {planner.name!r} must be plain JSON values ({error}); leave the others out"
+        ) from error
+    return PlannerFacts(
+        name=planner.name,
+        privileged=isinstance(planner, PrivilegedPlanner),
+        weights_sha256=getattr(planner, "weights_sha256", None),
+        code_sha256=code_sha256(type(planner)),
+        settings=settings,
+        seed=int(getattr(planner, "seed", 0)),
+        native_protocol=known_native(getattr(planner, "native_protocol", None), f"planner {planner.name!r}"),
+    )
+
+
+def known_native(name: str | None, whose: str) -> str | None:
+    """Check the name of a planner's native protocol.
+
+    Args:
+        name: Protocol of the repository that the planner comes from, if there is one.
+        whose: The planner, as the message names it.
+
+    Returns:
+        The name.
+
+    Raises:
+        InputError: If there is no such protocol.
+    """
+    if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
+        raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
+    return name
+
+
+@cache
+def code_sha256(planner_class: type) -> str | None:
+    """Hash of the Python files that a planner class lives among, so that changed code is never taken for done work.
+
+    Args:
+        planner_class: The class.
+
+    Returns:
+        Hash of its name and module, and of the rest of its package if it is in one; ``None`` if it has no source file.
+    """
+    try:
+        source = inspect.getsourcefile(planner_class)
+    except TypeError:
+        return None
+    if source is None or not Path(source).is_file():
+        return None
+    file = Path(source)
+    package = file.parent if (file.parent / "__init__.py").is_file() else None
+    files = sorted(package.rglob("*.py")) if package else [file]
+    base = file.parent
+    return content_key(
+        planner_class.__qualname__, [(path.relative_to(base).as_posix(), path.read_text()) for path in files]
+    )
+
+
+def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
+    """Content key of one scene's plan rows. No protocol is part of it: protocols judge kept plans again.
+
+    Args:
+        fingerprint: Of the data set.
+        split: Name of the split.
+        scene: Scene name.
+        facts: Identity of the planner.
+
+    Returns:
+        The key.
+    """
+    who = facts.model_dump(mode="json", exclude={"native_protocol"})
+    return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
+
+
+def rows_path(directory: Path, scene: str) -> Path:
+    """File of one scene's plan rows; scene names may hold slashes."""
+    return directory / "rows" / f"{file_name(scene)}.jsonl"
+
+
+def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key: str, *, fresh: bool) -> PlannedScene:
+    """Plan every sample of a scene, or take the rows that are there already.
+
+    Args:
+        planner: The planner.
+        source: Where the scene comes from.
+        name: Scene name.
+        path: Where the rows are kept.
+        key: Their content key; rows of another key are made again.
+        fresh: Make them again in any case.
+
+    Returns:
+        The rows.
+
+    Raises:
+        InputError: If an image is broken or the rows cannot be written.
+    """
+    kept = None if fresh else _kept_rows(path, key)
+    if kept is not None:
+        return PlannedScene(kept, None)
+    _seed_everything(content_seed(key))
+    started = time.perf_counter()
+    scene, observations = source.scene(name), list(source.observations(name))
+    # Stdout belongs to the command (--json); what a planner prints goes to stderr.
+    with contextlib.redirect_stdout(sys.stderr):
+        rows = _rows(planner, scene, observations)
+    seconds = time.perf_counter() - started
+    write_json_lines(path, [_header(key, rows), *rows])
+    return PlannedScene(rows, seconds)
+
+
+def _kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
+    if not path.exists():
+        return None
+    try:
+        header, *rows = read_json_lines(path)
+    except (InputError, ValueError):
+        # A damaged file is unfinished work: it is made again.
+        return None
+    return rows if header == _header(key, rows) else None
+
+
+def _header(key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """First line of a file of rows: what they are of, and a hash that tells whether they are still those."""
+    return {"key": key, "rows": len(rows), "content": content_key(rows)}
+
+
+def _seed_everything(seed: int) -> None:
+    """Planners that draw from global generators draw the same whatever ran before in this process."""
+    random.seed(seed)
+    np.random.seed(seed % 2**32)
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(seed)
+
+
+def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+    try:
+        planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+        if isinstance(planner, PrivilegedPlanner):
+            planner.reveal(scene)
+    except _FAILURES:
+        error = _traceback()
+        return [_row(observation, None, error) for observation in observations]
+    return [_planned_row(planner, observation) for observation in observations]
+
+
+def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
+    views = {name: replace(view, load=_loud(view.load)) for name, view in observation.views.items()}
+    try:
+        plan = planner.plan(replace(observation, views=views))
+        if not isinstance(plan, Plan):
+            raise TypeError(f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan")
+        return _row(observation, _plan_json(plan), None)
+    except BrokenImageError:
+        raise
+    except _FAILURES:
+        return _row(observation, None, _traceback())
+
+
+def _row(observation: Observation, plan: dict[str, Any] | None, error: str | None) -> dict[str, Any]:
+    return {
+        "scene": observation.scene,
+        "sample_token": observation.sample_token,
+        "index": observation.index,
+        "timestamp_us": observation.timestamp_us,
+        "status": "failed" if plan is None else "ok",
+        "ego_motion": observation.ego.source,
+        "plan": plan,
+        "error": error,
+    }
+
+
+def _plan_json(plan: Plan) -> dict[str, Any]:
+    """The plan as it was given; refuses shapes that `Plan` does not have and numbers that JSON does not have."""
+    modes, scores, forecasts = plan.modes, plan.mode_scores, plan.forecasts
+    count = len(scores if modes is None else modes) if scores is not None else 0
+    return {
+        "frame": plan.frame.value,
+        "waypoints": np.asarray(plan.waypoints, float).tolist(),
+        "modes": None if modes is None else _numbers(modes, (len(modes), PLAN_STEPS, 2), "modes"),
+        "mode_scores": None if scores is None else _numbers(scores, (count,), "mode scores"),
+        "forecasts": None if forecasts is None else _forecasts_json(forecasts),
+    }
+
+
+def _forecasts_json(forecasts: Forecasts) -> dict[str, Any]:
+    parts = {"boxes": forecasts.boxes, "trajectories": forecasts.trajectories, "scores": forecasts.scores}
+    if not any(map(len, parts.values())):
+        # Nobody is expected: arrays of any empty shape say so.
+        return {name: [] for name in parts}
+    agents, modes = len(forecasts.boxes), np.shape(forecasts.trajectories)[1]
+    if not modes:
+        raise ValueError("a plan's forecasts need at least one mode for each agent")
+    shapes = {"boxes": (agents, 5), "trajectories": (agents, modes, PLAN_STEPS, 2), "scores": (agents, modes)}
+    written = {name: _numbers(values, shapes[name], f"forecast {name}") for name, values in parts.items()}
+    if not (np.asarray(forecasts.boxes, float)[:, 2:4] > 0.0).all():
+        raise ValueError("a plan's forecast boxes need a length and a width above zero")
+    return written
+
+
+def _numbers(values: Floats, shape: tuple[int, ...], part: str) -> Any:
+    array = np.asarray(values, float)
+    if array.shape != shape:
+        raise ValueError(f"a plan's {part} have the shape {array.shape}, not {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"a plan's {part} must be finite numbers")
+    return array.tolist()
+
+
+def _loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:
+    """A broken image stops the run; anything else that a planner raises is the planner's failure."""
+
+    def loaded() -> NDArray[np.uint8]:
+        try:
+            return load()
+        except InputError as error:
+            raise BrokenImageError(str(error)) from error
+
+    return loaded
+
+
+def _traceback() -> str:
+    """The traceback being handled, without what differs between machines and runs: folders and addresses."""
+    text = traceback.format_exc()
+    text = re.sub(r'File "([^"]*[/\\])?([^"/\\]+)"', r'File "\2"', text)
+    return re.sub(r"0x[0-9a-f]{4,}", "0x...", text)

@@ -1,0 +1,176 @@
+"""Judge the stored plans of run records anew: after a change of protocols, no planner has to run again."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from benchmark.errors import InputError
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.storage import only_writer
+from benchmark.protocols import protocol
+from benchmark.records.run import SCHEMA, RunRecord, SampleRow, load_record, summarise, write_record
+from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
+from benchmark.runs.judging import judge
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+_OF_THE_PLAN = {"scene", "sample_token", "index", "timestamp_us", "status", "ego_motion", "plan", "error"}
+"""What a row says of the planner: stays as it is."""
+_OF_THE_VERDICTS = {"schema_version", "status", "protocols", "seed", "files"}
+"""What writing a record says of itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rescored:
+    """What became of one record.
+
+    Attributes:
+        directory: Run directory.
+        sentence: ``rescored``, ``current``, that it was left alone, or why it could not be rescored.
+        failed: Whether it could not.
+    """
+
+    directory: Path
+    sentence: str
+    failed: bool = False
+
+
+def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]) -> RunRecord:
+    """Judge the plans of a record anew.
+
+    Plans, errors, the planner and the environment that it ran in stay; everything else is computed from them and from
+    the data set. A record in which nothing would change is not written, so doing it twice changes no byte.
+
+    Args:
+        record_directory: Run directory; a replacement that was stopped half-way is finished first.
+        data: The data set that the planner ran on.
+        protocols: Who judges; the record holds these and no others afterwards.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: If the record is damaged or cannot be written, a protocol is unknown, or the data is another.
+    """
+    return _rescore(record_directory, lambda _: data, protocols)[0]
+
+
+def rescore_all(
+    root: Path, open_split: Callable[[str], "DataSet"], data_name: str, protocols: Sequence[str]
+) -> Iterator[Rescored]:
+    """Judge all records below a folder anew; one that cannot be does not stop the others.
+
+    Args:
+        root: Where to look.
+        open_split: Opens the data set that holds a split; asked once for each split.
+        data_name: Name of the data set; records of others are left alone.
+        protocols: Who judges.
+
+    Yields:
+        What became of each record, by path.
+
+    Raises:
+        InputError: If the folder does not exist or a protocol is unknown.
+    """
+    if not root.is_dir():
+        raise InputError(
+            f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
+        )
+    for name in protocols:
+        protocol(name)
+    opened: dict[str, DataSet] = {}
+
+    def open_for(record: RunRecord) -> "DataSet | None":
+        if record.run.data.name != data_name:
+            return None
+        if record.run.split not in opened:
+            opened[record.run.split] = open_split(record.run.split)
+        return opened[record.run.split]
+
+    for directory in record_directories(root):
+        try:
+            _, sentence = _rescore(directory, open_for, protocols)
+            yield Rescored(directory, sentence)
+        except InputError as error:
+            yield Rescored(directory, str(error), failed=True)
+
+
+def record_directories(root: Path) -> list[Path]:
+    """Folders below a folder that hold a record, or one that was stopped while it was replaced; by path."""
+    return sorted({path.parent for name in (RUN_FILE, pending(Path(), RUN_FILE).name) for path in root.rglob(name)})
+
+
+def _rescore(
+    directory: Path, open_for: Callable[[RunRecord], "DataSet | None"], protocols: Sequence[str]
+) -> tuple[RunRecord, str]:
+    """The record and what became of it; it is left alone where there is no data set for it."""
+    versions = {name: protocol(name).version for name in protocols}
+    if not directory.is_dir():
+        raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
+    with only_writer(directory):
+        settle(directory)
+        old = load_record(directory)
+        data = open_for(old)
+        if data is None:
+            return old, f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
+        require_same_data(old, data)
+        rows = [row for scene in old.run.scenes for row in judged_anew(old, data, scene, tuple(versions))]
+        facts = {
+            **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
+            "scene_facts": data.scene_facts(old.run.scenes),
+            "config": {**old.run.config, "protocols": list(versions)},
+        }
+        if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, versions):
+            return old, "current"
+        facts["rescored"] = environment_facts()
+        return write_record(directory, facts, rows, versions, seed=old.run.seed), "rescored"
+
+
+def require_same_data(record: RunRecord, data: "DataSet") -> None:
+    """Whether a data set is the one that a planner ran on.
+
+    Args:
+        record: Of the run.
+        data: The data set.
+
+    Raises:
+        InputError: If its content is another.
+    """
+    if record.run.data.fingerprint != data.fingerprint():
+        raise InputError(
+            f"{record.directory} ran on other content of {record.run.data.name} than {data.root} holds (the data "
+            "fingerprints differ); open the data set that it ran on with --data, or run challenger-bench eval again"
+        )
+
+
+def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple[str, ...]) -> list[SampleRow]:
+    """Rows of one scene, computed from the stored plans and the data set.
+
+    Args:
+        record: Holds the plans.
+        data: What the planner ran on.
+        scene: One of the record's.
+        protocols: Who judges.
+
+    Returns:
+        One row for each sample.
+
+    Raises:
+        InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
+    """
+    plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows if row.scene == scene]
+    truths = data.truth(scene)
+    if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in truths]:
+        raise InputError(f"{record.directory} does not hold the samples of {scene}; run challenger-bench eval again")
+    return judge(plans, truths, protocols)
+
+
+def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: list[SampleRow], versions: dict[str, int]) -> bool:
+    return (
+        list(record.rows) == rows
+        and record.run.protocols == versions
+        and all(getattr(record.run, name) == value for name, value in facts.items())
+        and record.summary == summarise(rows, versions, seed=record.run.seed, scene_facts=facts["scene_facts"])
+    )

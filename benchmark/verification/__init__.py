@@ -1,0 +1,1 @@
+"""Comparisons with golden numbers: checks, golden files, and networks filled with synthetic weights."""

@@ -1,0 +1,75 @@
+"""Filling a network by the names of its tensors, as every golden set of a network asks."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from benchmark.errors import InputError
+from benchmark.verification.checks import Comparison
+from benchmark.verification.synthetic_weights import WeightsRecipe
+
+NAMES = "names and shapes of tensors"
+WEIGHTS = "SHA-256 of all weights"
+
+
+def same_names_and_shapes(comparison: Comparison, network: nn.Module, shapes: dict[str, tuple[int, ...]]) -> bool:
+    """Compare a network with the list of its official checkpoint.
+
+    Args:
+        comparison: Gets the number of tensors that differ.
+        network: The network.
+        shapes: Shapes by name.
+
+    Returns:
+        Whether a strict load would work.
+    """
+    own = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    names = sorted(own.keys() | shapes.keys())
+    wrong = [name for name in names if own.get(name) != shapes.get(name)]
+    comparison.verdicts(NAMES, np.array([name in wrong for name in names], np.bool_))
+    elements = sum(int(np.prod(shape)) for shape in shapes.values())
+    order = "in the same order" if list(own) == list(shapes) else "in another order"
+    comparison.note(NAMES, f"first: {wrong[0]}" if wrong else f"{elements:,} numbers, {order}")
+    return not wrong
+
+
+def fill(
+    comparison: Comparison,
+    network: nn.Module,
+    recipe: WeightsRecipe,
+    shapes: dict[str, tuple[int, ...]],
+    recorded: str | None,
+    manifest: Path,
+) -> None:
+    """Give a network the weights that a golden set describes.
+
+    Args:
+        comparison: Gets whether they are the ones that the set was made with, where it says.
+        network: Is changed.
+        recipe: How they are made.
+        shapes: Shapes by name, those of the network.
+        recorded: SHA-256 of names and bytes of all weights, where the set says.
+        manifest: Where the recipe is from, for messages.
+
+    Raises:
+        InputError: If the recipe gives other shapes or kinds of numbers than the network has.
+    """
+    digest = hashlib.sha256()
+    try:
+        tensors = {}
+        for name, value in recipe.state(shapes).items():
+            contiguous = np.ascontiguousarray(value).reshape(shapes[name])
+            digest.update(name.encode())
+            digest.update(contiguous.tobytes())
+            tensors[name] = torch.from_numpy(contiguous)
+        network.load_state_dict(tensors, strict=True)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise InputError(
+            f"the weights that {manifest} describes do not fit the network "
+            f"({str(error).splitlines()[-1].strip()}); make the set again"
+        ) from error
+    if recorded is not None:
+        comparison.verdicts(WEIGHTS, np.array([digest.hexdigest() != recorded]))

@@ -1,0 +1,184 @@
+"""Synthetic weights: every tensor of a network is a function of its name, its shape and a salt.
+
+Two implementations of one architecture that agree on names and shapes get the same weights without any weights file,
+and can be compared output by output. All golden sets of networks are filled like this (`challenger-bench verify`).
+"""
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import read_json
+
+_Value = TypeVar("_Value")
+
+
+def _expression(text: str) -> str:
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise ValueError(f"{text!r} is not a regular expression: {error}") from error
+    return text
+
+
+Expression = Annotated[str, AfterValidator(_expression)]
+"""Searched for in the names of tensors; where several are found, the first counts."""
+
+
+class WeightsRecipe(BaseModel):
+    """How the weights of a golden set are made; its ``manifest.json`` may hold more than this.
+
+    Attributes:
+        salt: Tells one set of weights from another.
+        std_rules: Standard deviations, see `synthetic_tensor`.
+        constant_overrides: Entries that are one number throughout.
+        shift_rules: A number or a list that is added to the synthetic entries it is for.
+        kept_buffers: Entries that keep their real values: values by name, or names whose values lie in another file.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    salt: str
+    std_rules: dict[Expression, float] = Field(default_factory=dict)
+    constant_overrides: dict[str, float] = Field(default_factory=dict)
+    shift_rules: dict[Expression, float | list[float]] = Field(default_factory=dict)
+    kept_buffers: dict[str, Any] | list[str] = Field(default_factory=dict)
+
+    def state(
+        self, shapes: Mapping[str, Sequence[int]], kept: Mapping[str, ArrayLike] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """All entries of a state dict.
+
+        Args:
+            shapes: Shape of every entry.
+            kept: Values of the kept buffers, where the recipe has their names only.
+
+        Returns:
+            Values by name: kept, else constant, else synthetic and then shifted.
+        """
+        inline = self.kept_buffers if isinstance(self.kept_buffers, dict) else {}
+        buffers = {**inline, **(kept or {})}
+        state: dict[str, NDArray[Any]] = {}
+        for name, shape in shapes.items():
+            if name in buffers:
+                value = np.asarray(buffers[name]).reshape(tuple(shape))
+                state[name] = value.astype(np.float32) if value.dtype.kind == "f" else value
+            elif name in self.constant_overrides:
+                state[name] = np.full(tuple(shape), self.constant_overrides[name], np.float32)
+            else:
+                value = synthetic_tensor(name, shape, self.salt, self.std_rules)
+                shift = _matching(self.shift_rules, name)
+                state[name] = value if shift is None else value + np.asarray(shift, np.float32)
+        return state
+
+
+def read_recipe(path: Path) -> WeightsRecipe:
+    """The recipe in a golden set.
+
+    Args:
+        path: Its ``manifest.json``.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        InputError: If the file is absent, broken or no such manifest.
+    """
+    try:
+        return WeightsRecipe.model_validate(read_json(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        raise InputError(f"{path} does not say how weights are made: {place}: {first['msg']}") from error
+
+
+def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of a network's tensors.
+
+    Args:
+        path: A ``keys.json``: ``{name: {"shape": [...]}}``, or ``[[name, shape, type], ...]``.
+
+    Returns:
+        Shapes by name, in the order of the file.
+
+    Raises:
+        InputError: If it is absent, broken, or neither of the two.
+    """
+    stored = read_json(path)
+    try:
+        pairs = (
+            [(name, entry["shape"]) for name, entry in stored.items()]
+            if isinstance(stored, dict)
+            else [(entry[0], entry[1]) for entry in stored]
+        )
+        return {str(name): tuple(int(length) for length in shape) for name, shape in pairs}
+    except (TypeError, KeyError, IndexError, ValueError) as error:
+        raise InputError(
+            f"{path} does not list names and shapes of tensors; it must hold {{name: {{shape: [...]}}}} or "
+            "[[name, shape, type], ...]"
+        ) from error
+
+
+def seeded_normal(name: str, shape: Sequence[int], salt: str) -> NDArray[np.float64]:
+    """Standard normal numbers that depend on nothing but the arguments.
+
+    Args:
+        name: Any text, for example a tensor's name.
+        shape: Of the result.
+        salt: Tells one set from another.
+
+    Returns:
+        Numbers of a Philox stream whose key is the first eight bytes, little-endian, of SHA-256 of ``salt:name``.
+    """
+    digest = hashlib.sha256(f"{salt}:{name}".encode()).digest()
+    stream = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:8], "little")))
+    return np.asarray(stream.standard_normal(tuple(shape)))
+
+
+def synthetic_tensor(
+    name: str, shape: Sequence[int], salt: str, std_rules: Mapping[str, float] | None = None
+) -> NDArray[Any]:
+    """The value of one entry of a state dict.
+
+    Args:
+        name: Its name; the last part says what it is.
+        shape: Its shape.
+        salt: Tells one set of weights from another.
+        std_rules: Regular expression, searched for in the name, to a standard deviation that wins over the scaling by
+            fan-in and over what vectors get; the first that is found counts.
+
+    Returns:
+        float32, or an int64 zero for ``num_batches_tracked``. With z from `seeded_normal`, running means are 0.1 z and
+        running variances 1 + 0.1 |z|; where no rule is found, tensors of two or more axes are z / sqrt(product of all
+        but the first), vectors named ``weight`` are 1 + 0.1 z and all others 0.02 z.
+    """
+    kind = name.rpartition(".")[2]
+    if kind == "num_batches_tracked":
+        return np.zeros(tuple(shape), np.int64)
+    noise = seeded_normal(name, shape, salt)
+    if kind == "running_mean":
+        value = 0.1 * noise
+    elif kind == "running_var":
+        value = 1.0 + 0.1 * np.abs(noise)
+    elif (spread := _matching(std_rules or {}, name)) is not None:
+        value = spread * noise
+    elif len(shape) >= 2:
+        value = noise / np.sqrt(math.prod(shape[1:]))
+    elif kind == "weight":
+        value = 1.0 + 0.1 * noise
+    else:
+        value = 0.02 * noise
+    return value.astype(np.float32)
+
+
+def _matching(rules: Mapping[str, _Value], name: str) -> _Value | None:
+    """Value of the first rule whose expression is found in the name."""
+    return next((value for expression, value in rules.items() if re.search(expression, name)), None)

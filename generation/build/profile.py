@@ -1,0 +1,117 @@
+"""Where the time goes: the paper's runtime table, from notes that workers leave beside their results.
+
+Seconds are those of a processor, so that they do not depend on how many workers there were.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from benchmark.machine.storage import read_kept_json
+from benchmark.published import RUNTIME_S
+
+STAGES: Final = ("sampling", "physics", "scoring", "rendering", "other")
+
+
+class _Note(BaseModel):
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimeTable:
+    """Processor seconds of a build.
+
+    Attributes:
+        attempts: Attempts that are timed.
+        scenes: Rendered scenes that are timed.
+        total_s: Seconds in all, by stage.
+    """
+
+    attempts: int
+    scenes: int
+    total_s: dict[str, float]
+
+    def each_s(self, stage: str) -> float | None:
+        """Seconds of one attempt, or of one rendered scene; ``None`` where nothing was timed."""
+        count = self.scenes if stage == "rendering" else self.attempts
+        return self.total_s[stage] / count if count else None
+
+    def as_json(self) -> dict[str, Any]:
+        """The table as JSON values."""
+        return {"attempts": self.attempts, "scenes": self.scenes, "total_s": self.total_s}
+
+    def plain(self) -> str:
+        """The table as text, the paper's beside it."""
+        lines = [
+            f"processor seconds of {self.attempts} attempts and {self.scenes} scenes",
+            f"  {'':<10}{'total':>11}{'each':>11}{'paper':>11}",
+        ]
+        for stage in STAGES:
+            each, paper = self.each_s(stage), RUNTIME_S.get(stage)
+            lines.append(f"  {stage:<10}{self.total_s[stage]:>11.2f}{_cell(each)}{_cell(paper)}")
+        ours = sum(self.each_s(stage) or 0.0 for stage in STAGES)
+        lines.append(f"  {'all':<10}{sum(self.total_s.values()):>11.2f}{_cell(ours)}{_cell(sum(RUNTIME_S.values()))}")
+        lines.append(
+            "  each: one attempt, rendering one scene; paper: quoted, two Xeon 8457C and four L20, rendering by "
+            "MagicDriveDiT"
+        )
+        return "\n".join(lines)
+
+
+def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTable:
+    """Add up notes.
+
+    Args:
+        attempts: Notes of attempts; damaged and absent ones are not counted.
+        scenes: Notes of rendered scenes.
+
+    Returns:
+        The table.
+    """
+    of_attempts, of_scenes = _notes(attempts), _notes(scenes)
+    total = dict.fromkeys(STAGES, 0.0)
+    for note in (*of_attempts, *of_scenes):
+        for stage, seconds in note.seconds.items():
+            total[stage if stage in total else "other"] += seconds
+    return RuntimeTable(len(of_attempts), len(of_scenes), total)
+
+
+def kept_runtime(state: Path) -> RuntimeTable | None:
+    """What a build's folder of finished work still knows of the time that it took.
+
+    Args:
+        state: The folder; it need not exist.
+
+    Returns:
+        All attempts that were timed there, and the scenes that are written now; ``None`` if there are none.
+    """
+    attempts = sorted((state / "timing" / "attempts").glob("*.timing.json"))
+    written = sorted((state / "fragments").glob("*.json"))
+    found = runtime_table(attempts, [state / "timing" / "rendering" / f"{path.stem}.timing.json" for path in written])
+    return found if found.attempts or found.scenes else None
+
+
+def mean_seconds(notes: Sequence[Path]) -> float | None:
+    """Mean over notes of all stages together, ``None`` where there is no note."""
+    found = _notes(notes)
+    return sum(sum(note.seconds.values()) for note in found) / len(found) if found else None
+
+
+def _notes(paths: Iterable[Path]) -> list[_Note]:
+    found = []
+    for path in paths:
+        try:
+            found.append(_Note.model_validate(read_kept_json(path)))
+        except ValidationError:
+            # Times are a convenience; a damaged or absent note says nothing.
+            continue
+    return found
+
+
+def _cell(seconds: float | None) -> str:
+    return f"{'-' if seconds is None else format(seconds, '.2f'):>11}"

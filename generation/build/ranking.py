@@ -1,0 +1,85 @@
+"""Which of the surviving scenes are rendered: the most challenging ones."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from benchmark.scene import Scene
+from generation.labels.labelling import body_gaps, ego_speed, times_to_collision
+
+CLOSE_M = 10.0
+"""Gap at which closeness begins to count."""
+THREAT_S = 3.0
+"""Horizon of a plan: meeting later than that is nobody's mistake yet."""
+MOVING_M_S = 3.0
+"""Speed of the ego from which on a frame counts in full."""
+
+
+class Ranked(Protocol):
+    """What ranking reads of a generated scene: its recording, its adversary and its `challenge_score`."""
+
+    @property
+    def scene_name(self) -> str:
+        """Name of the recorded scene."""
+
+    @property
+    def agent_id(self) -> str:
+        """Instance identifier of the adversary."""
+
+    @property
+    def challenge(self) -> float:
+        """Higher is more challenging."""
+
+
+AnyRanked = TypeVar("AnyRanked", bound=Ranked)
+
+
+def challenge_score(scene: Scene, agent: int, start: int) -> float:
+    """How closely an adversary presses a moving ego over the scene, 0 to 1, higher is more challenging.
+
+    The paper ranks by "adversarial challenge score" without saying how frames are combined. Here: the mean, over the
+    frames from the launch on, of the average of
+
+    * closeness, 1 - gap / 10 m (not negative) between the bodies, and
+    * threat, 1 if the two would meet within 3 s at their present velocities, because a car that follows closely at
+      the ego's own speed is close all the time and asks nothing of the ego,
+
+    weighted by the ego's speed up to 3 m/s, because nothing near a standing ego is a challenge to it.
+
+    Args:
+        scene: The adversarial scene.
+        agent: Index of the adversary.
+        start: Frame of the launch.
+
+    Returns:
+        The score.
+    """
+    closeness = np.clip(1.0 - body_gaps(scene, agent, start) / CLOSE_M, 0.0, 1.0)
+    threat = times_to_collision(scene, agent, start) <= THREAT_S
+    moving = np.clip(ego_speed(scene)[start:] / MOVING_M_S, 0.0, 1.0)
+    return float(np.mean(0.5 * (closeness + threat) * moving))
+
+
+def ranked(results: Sequence[AnyRanked], *, per_scene: int | None, total: int | None) -> list[AnyRanked]:
+    """The most challenging scenes, best first.
+
+    Args:
+        results: Survivors of the filter.
+        per_scene: Most that are kept of one original scene, ``None`` for all.
+        total: Most that are kept at all, ``None`` for all.
+
+    Returns:
+        The kept ones; ties are broken by name, so that the order is always the same.
+    """
+    order = sorted(results, key=lambda result: (-result.challenge, result.scene_name, result.agent_id))
+    taken: Counter[str] = Counter()
+    kept: list[AnyRanked] = []
+    for result in order:
+        if total is not None and len(kept) >= total:
+            break
+        if per_scene is None or taken[result.scene_name] < per_scene:
+            taken[result.scene_name] += 1
+            kept.append(result)
+    return kept

@@ -1,0 +1,112 @@
+"""What a build did: numbers for machines, a short table for people."""
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from generation.build.estimate import Estimate
+from generation.build.profile import RuntimeTable
+from generation.search.chains import Harvest
+
+
+@dataclass(frozen=True, slots=True)
+class BuildReport:
+    """What was done.
+
+    Attributes:
+        split: Split that was built.
+        scenes: Source scenes looked at.
+        tried: Attempts, one per chosen vehicle.
+        finished_before: Attempts that were already on disk (dry run only).
+        survived: Generated scenes that passed verification with the wanted number of adversaries.
+        discarded: Number of attempts that did not pass verification, by reason.
+        written: Names of the scenes written, best first for ``adv``.
+        dropped: Number of attempts that passed verification but are not written, by reason.
+        not_tried: Number of objects that are not tried in the recorded scenes, by reason.
+        adversaries: In each scene written.
+        surrogate: What the surrogate made of the survivors, if there was one.
+        estimate: How much work there is (dry run only).
+        runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
+        dry_run: Whether the work was only counted.
+    """
+
+    split: str
+    scenes: int
+    tried: int = 0
+    finished_before: int = 0
+    survived: int = 0
+    discarded: dict[str, int] = field(default_factory=dict)
+    written: tuple[str, ...] = ()
+    dropped: dict[str, int] = field(default_factory=dict)
+    not_tried: dict[str, int] = field(default_factory=dict)
+    adversaries: int = 1
+    surrogate: dict[str, Any] | None = None
+    estimate: Estimate | None = None
+    runtime: RuntimeTable | None = None
+    dry_run: bool = False
+
+    @classmethod
+    def of(
+        cls, scenes: int, found: Harvest, written: tuple[str, ...], surrogate: dict[str, Any] | None, adversaries: int
+    ) -> "BuildReport":
+        """The report on a finished search for adversaries."""
+        discarded = Counter(tried.stored.discard for tried in found.tried if tried.stored.discard is not None)
+        not_tried: Counter[str] = Counter()
+        for earlier, seen in found.surveys:
+            # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
+            if not earlier:
+                not_tried.update(seen.not_tried())
+        return cls(
+            split="adv",
+            scenes=scenes,
+            tried=len(found.tried),
+            survived=len(found.chains),
+            discarded=dict(discarded),
+            written=written,
+            dropped=dict(Counter(reason.value for reason in found.dropped.values())),
+            not_tried=dict(not_tried),
+            adversaries=adversaries,
+            surrogate=surrogate,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """The report as JSON values."""
+        values = asdict(self)
+        del values["runtime"]
+        return {**values, "written": list(self.written)}
+
+    def sentence(self) -> str:
+        """One sentence for people."""
+        if self.dry_run:
+            work = (
+                "" if self.split == "val-r" else f", {self.tried} vehicles to try ({self.finished_before} of them done)"
+            )
+            about = "" if self.estimate is None else f"; {self.estimate.sentence()}"
+            return f"would build {self.split} from {self.scenes} scenes{work}{about}; nothing was written"
+        if self.split == "val-r":
+            return f"{len(self.written)} scenes rendered again"
+        reasons = ", ".join(f"{count} {reason}" for reason, count in sorted({**self.discarded, **self.dropped}.items()))
+        return (
+            f"{self.scenes} scenes, {self.tried} vehicles tried, {self.survived} scenes passed verification "
+            f"(discarded: {reasons or 'none'}), {len(self.written)} scenes written"
+        )
+
+    def summary(self) -> str:
+        """The sentence, and below it how many vehicles were kept and dropped, by reason."""
+        if self.dry_run or self.split == "val-r":
+            return self.sentence()
+        kept = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
+        rows = [("written", kept, f"in {len(self.written)} scenes")]
+        for what, counts in (("discarded", self.discarded), ("not kept", self.dropped), ("not tried", self.not_tried)):
+            rows += [
+                (what, count, reason) for reason, count in sorted(counts.items(), key=lambda row: (-row[1], row[0]))
+            ]
+        lines = [f"{self.scenes} scenes, {self.tried} vehicles tried, {len(self.written)} scenes written"]
+        lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
+        if self.surrogate is not None:
+            lines.append(
+                f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "
+                f"{self.surrogate['scenes']} scenes, {self.surrogate['colliding_samples']} of "
+                f"{self.surrogate['samples']} samples"
+            )
+        return "\n".join(lines)

@@ -1,0 +1,111 @@
+"""Which generated scenes are written: after the surrogate, if there is one, the most challenging ones."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from benchmark.datasets.roots import DataSet
+from generation.build.ranking import ranked
+from generation.build.surrogate import Judgement, judge, staging_plan, take_over
+from generation.build.writing import WritingJob, write_scenes
+from generation.nuscenes_writer import DataSetPlan
+from generation.search.chains import Chain, Dropped, Harvest
+
+if TYPE_CHECKING:
+    from generation.build.split import BuildSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What is written.
+
+    Attributes:
+        chains: The scenes, best first.
+        jobs: How each of them is written.
+        judgement: What the surrogate said, if there was one.
+        staging: The data set that the surrogate was judged on.
+        staged: Content keys in it by name of the scene.
+    """
+
+    chains: list[Chain]
+    jobs: list[WritingJob]
+    judgement: Judgement | None = None
+    staging: DataSetPlan | None = None
+    staged: dict[str, str] | None = None
+
+    def take_over(self, plan: DataSetPlan) -> None:
+        """Put pictures that were drawn for the surrogate where they belong."""
+        if self.staging is not None and self.staged is not None and self.staging.renderer == plan.renderer:
+            take_over(self.staging, plan, [self.staged[job.name] for job in self.jobs])
+
+
+def select(source: DataSet, plan: DataSetPlan, found: Harvest, settings: "BuildSettings") -> Selection:
+    """Choose the scenes that are written, and note in ``found`` why the others are not.
+
+    Args:
+        source: Recorded scenes.
+        plan: The data set to write.
+        found: What the search found.
+        settings: Surrogate and limits.
+
+    Returns:
+        The selection.
+
+    Raises:
+        InputError: If the surrogate fails on a sample, or its data set cannot be written.
+    """
+    order = ranked(found.chains, per_scene=None, total=None)
+    if settings.surrogate is None or not order:
+        kept = _most_challenging(found, order, settings)
+        return Selection(kept, writing_jobs(kept, plan))
+    staging, jobs = staging_plan(plan, settings.surrogate), writing_jobs(order, plan)
+    keys = write_scenes(
+        staging,
+        jobs,
+        source.scene,
+        settings.where_rendered,
+        timing=settings.timing / "rendering",
+        label="rendering for the surrogate",
+    )
+    runs = staging.root.parent / "runs"
+    judgement = judge(staging, keys, settings.surrogate, runs, name=source.name, seed=settings.seed)
+    failing = []
+    for chain, job in zip(order, jobs, strict=True):
+        if job.name_read(staging) in judgement.failed:
+            failing.append(chain)
+        else:
+            found.drop(chain, Dropped.SURROGATE_COPES)
+    kept = _most_challenging(found, failing, settings)
+    # Variants keep the numbers under which they were judged, and with them their pictures.
+    by_name = {job.name: job for job in jobs}
+    staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
+    return Selection(kept, [by_name[chain.name] for chain in kept], judgement, staging, staged)
+
+
+def _most_challenging(found: Harvest, chains: Sequence[Chain], settings: "BuildSettings") -> list[Chain]:
+    kept = ranked(chains, per_scene=settings.per_scene, total=settings.total)
+    names = {chain.name for chain in kept}
+    for chain in chains:
+        if chain.name not in names:
+            found.drop(chain, Dropped.BEYOND_LIMIT)
+    return kept
+
+
+def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]:
+    """How generated scenes are written: names that do not depend on the rank, variant numbers that do.
+
+    Args:
+        chains: The scenes, best first.
+        plan: The data set.
+
+    Returns:
+        One job for each.
+    """
+    seen: dict[str, int] = {}
+    jobs = []
+    for chain in chains:
+        variant = seen.get(chain.scene_name, 0)
+        seen[chain.scene_name] = variant + 1
+        written_as = chain.scene_name if plan.layout == "per-variant" else chain.name
+        jobs.append(WritingJob(chain.name, written_as, chain.scene_name, variant, chain.adversarial, chain.report()))
+    return jobs

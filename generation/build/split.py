@@ -1,0 +1,297 @@
+"""Building a split: choose vehicles, plan adversaries, keep the most challenging, render and write nuScenes format.
+
+Every step is resumable and gives the same bytes for any executor.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, only_writer
+from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.scene import Scene
+from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
+from generation.build.profile import runtime_table
+from generation.build.report import BuildReport
+from generation.build.selection import select
+from generation.build.surrogate import PlannerUnderTest
+from generation.build.writing import WritingJob, publish_reports, withdraw, write_scenes
+from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.render.contract import Renderer
+from generation.search.attempts import PackagedPrior, PriorFactory, Search, kept_attempt
+from generation.search.chains import Chain, Harvest, first_units, harvest
+from generation.search.hyperparameters import HyperParameters
+from generation.search.search_file import SEARCH_FILE, search_file
+
+Split = Literal["adv", "val-r"]
+
+
+class NothingSurvivedError(InputError):
+    """No adversarial scene came out of a build.
+
+    Attributes:
+        report: What was tried.
+    """
+
+    def __init__(self, sentence: str, report: BuildReport) -> None:
+        super().__init__(sentence)
+        self.report = report
+
+
+@dataclass(frozen=True, slots=True)
+class BuildSettings:
+    """What to build and where.
+
+    Attributes:
+        out: Root of the new data set.
+        source_split: Split of the source that is used.
+        scenes: Names of source scenes to use, ``None`` for all.
+        limit: Use only this many source scenes.
+        seed: Seed of the choice of vehicles and of the search.
+        executor: Where the work is done.
+        rendering: Where scenes are rendered, if elsewhere: GPUs are fewer than processors.
+        together: Attempts that a worker plans side by side, which pays on an accelerator.
+        hyper: Settings of the search.
+        prior: Makes the diffusion model.
+        adversaries: In each scene.
+        surrogate: Keep only scenes in which this planner collides; ``None`` keeps all.
+        per_scene: Most adversarial variants kept of one source scene, ``None`` for all.
+        total: Most adversarial scenes kept, ``None`` for all.
+        renderer: Draws the images, ``None`` for a data set without images.
+        layout: One root with suffixed names, or one root per variant with original names.
+        frames: Which frames get images and rows.
+        version: Version folder that is written.
+        jpeg_quality: 1 to 100.
+        lossless: Beside each JPEG file a PNG file of the same name.
+        dry_run: Only count the work.
+    """
+
+    out: Path
+    source_split: str = "val"
+    scenes: tuple[str, ...] | None = None
+    limit: int | None = None
+    seed: int = 0
+    executor: Executor = field(default_factory=LocalProcesses)
+    rendering: Executor | None = None
+    together: int = 1
+    hyper: HyperParameters = field(default_factory=HyperParameters)
+    prior: PriorFactory = field(default_factory=PackagedPrior)
+    adversaries: int = 1
+    surrogate: PlannerUnderTest | None = None
+    per_scene: int | None = None
+    total: int | None = None
+    renderer: Renderer | None = None
+    layout: Literal["suffixed", "per-variant"] = "suffixed"
+    frames: Literal["all", "keyframes"] = "all"
+    version: str = "v1.0-trainval"
+    jpeg_quality: int = 92
+    lossless: bool = False
+    dry_run: bool = False
+
+    def __post_init__(self) -> None:
+        for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
+            if number is not None and number < 1:
+                raise InputError(f"--{option} must be at least 1, got {number}")
+
+    @property
+    def where_rendered(self) -> Executor:
+        """Where scenes are rendered."""
+        return self.rendering or self.executor
+
+    @property
+    def timing(self) -> Path:
+        """Folder of notes on how long work took; no result depends on them."""
+        return self.out / STATE_FOLDER / "timing"
+
+
+def build_split(source: DataSet, split: Split, settings: BuildSettings) -> BuildReport:
+    """Build one split of a benchmark from recorded scenes.
+
+    Args:
+        source: Recorded scenes.
+        split: ``adv`` (adversarial) or ``val-r`` (the originals, rendered again).
+        settings: What and where.
+
+    Returns:
+        What was done. The same is in ``report.json``, each attempt in ``attempts.jsonl`` and each choice of vehicles in
+        ``candidates.jsonl``, in the output root.
+
+    Raises:
+        InputError: If a scene is unknown, nothing survives, another command is writing there, or the output cannot be
+            written.
+    """
+    names = source_scenes(source, settings)
+    if split == "val-r":
+        return _build_originals(source, names, settings)
+    if split != "adv":
+        raise InputError(f"cannot build split {split!r}, choose adv or val-r")
+    without_map = [name for name in names if not source.has_map(name)]
+    if without_map:
+        raise InputError(
+            f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of {len(names)} scenes), and "
+            "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
+        )
+    search = Search(
+        fingerprint=source.fingerprint(),
+        hyper=settings.hyper,
+        seed=settings.seed,
+        prior=settings.prior,
+        prior_fingerprint=settings.prior().fingerprint,
+        state=settings.out / STATE_FOLDER,
+    )
+    if settings.dry_run:
+        return _counted(source, search, names, settings)
+    with only_writer(settings.out):
+        return _build_adversarial(source, search, names, settings)
+
+
+def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
+    """Names of the recorded scenes that a build uses.
+
+    Args:
+        source: Recorded scenes.
+        settings: Which of them.
+
+    Returns:
+        The names, in order.
+
+    Raises:
+        InputError: If a scene is unknown or there are none.
+    """
+    if settings.scenes is None:
+        names = source.scene_names(settings.source_split)
+    else:
+        known = set(source.scene_names(None))
+        unknown = [name for name in settings.scenes if name not in known]
+        if unknown:
+            raise InputError(
+                f"{source.name} has no scene {', '.join(unknown)}; it has {', '.join(sorted(known)[:8])} ..."
+            )
+        names = tuple(dict.fromkeys(settings.scenes))
+    if not names:
+        raise InputError(f"{source.name} has no scenes in split {settings.source_split}")
+    return names[: settings.limit]
+
+
+def _counted(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    """How much there is to do."""
+    chosen = first_units(search, source, names, keep=False)
+    units = [unit for _, of_scene in chosen for unit in of_scene]
+    left = [unit for unit in units if kept_attempt(search, unit) is None]
+    not_tried: Counter[str] = Counter()
+    for seen, _ in chosen:
+        not_tried.update(seen.not_tried())
+    count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
+    expected = round(KEPT_SHARE * len(units))
+    if settings.per_scene is not None:
+        expected = min(expected, settings.per_scene * len(names))
+    if settings.total is not None:
+        expected = min(expected, settings.total)
+    scene_s = _rendering_seconds(source, names, settings)
+    planners, renderers = workers_of(settings.executor), workers_of(settings.where_rendered)
+    about = Estimate(count, each, expected, scene_s, planners, renderers)
+    return BuildReport(
+        "adv",
+        len(names),
+        len(units),
+        len(units) - len(left),
+        not_tried=dict(not_tried),
+        adversaries=settings.adversaries,
+        estimate=about,
+        dry_run=True,
+    )
+
+
+def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSettings) -> float:
+    timing = settings.timing / "rendering"
+    return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
+
+
+def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    found = harvest(
+        search, source, names, settings.executor, adversaries=settings.adversaries, together=settings.together
+    )
+    plan = _plan(source, "adv", settings)
+    chosen = select(source, plan, found, settings)
+    said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
+    written = tuple(job.name for job in chosen.jobs)
+    report = BuildReport.of(len(names), found, written, said, settings.adversaries)
+    files = _report_files(report, found, chosen.chains) | {SEARCH_FILE: search_file(search)}
+    publish_reports(settings.out, files)
+    if not written:
+        withdraw(settings.out)
+        raise NothingSurvivedError(
+            f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
+            f"(details in {settings.out / 'attempts.jsonl'})",
+            report,
+        )
+    chosen.take_over(plan)
+    notes = _write(source, plan, chosen.jobs, settings)
+    return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+
+
+def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+    jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
+    if settings.dry_run:
+        each = _rendering_seconds(source, names, settings)
+        workers = workers_of(settings.where_rendered)
+        about = Estimate(0, 0.0, len(names), each, workers, workers)
+        return BuildReport("val-r", len(names), estimate=about, dry_run=True)
+    report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
+    with only_writer(settings.out):
+        publish_reports(settings.out, _report_files(report, Harvest(), []))
+        notes = _write(source, _plan(source, "val-r", settings), jobs, settings)
+    return replace(report, runtime=runtime_table([], notes))
+
+
+def _unchanged(scene: Scene) -> Scene:
+    return scene
+
+
+def _plan(source: DataSet, split: str, settings: BuildSettings) -> DataSetPlan:
+    return DataSetPlan(
+        root=settings.out,
+        version=settings.version,
+        split=split,
+        layout=settings.layout,
+        renderer=settings.renderer,
+        frames=settings.frames,
+        jpeg_quality=settings.jpeg_quality,
+        lossless=settings.lossless,
+        source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
+    )
+
+
+def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], settings: BuildSettings) -> list[Path]:
+    """Render, write and finish a data set; returns the notes on how long rendering took."""
+    timing = settings.timing / "rendering"
+    keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
+    finish_data_set(plan, keys)
+    return [timing / f"{key}.timing.json" for key in keys]
+
+
+def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain]) -> dict[str, bytes]:
+    """What a build says of itself, by file name."""
+    name_of = {link.unit: chain.name for chain in written for link in chain.links}
+    attempts = [
+        {
+            **tried.stored.report,
+            "earlier": [link.agent_id for link in tried.unit.earlier],
+            "dropped": found.dropped.get(tried.unit),
+            "written": name_of.get(tried.unit),
+        }
+        for tried in found.tried
+    ]
+    candidates = [seen.row(earlier) for earlier, seen in found.surveys]
+    files = {
+        "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
+        "attempts.jsonl": "".join(canonical_json(row) + "\n" for row in attempts).encode(),
+    }
+    if candidates:
+        files["candidates.jsonl"] = "".join(canonical_json(row) + "\n" for row in candidates).encode()
+    return files

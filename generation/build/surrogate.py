@@ -1,0 +1,198 @@
+"""A planner in the loop: keep only the scenes in which it collides (appendix "Attack Transferability").
+
+The survivors are written as a data set of their own below the output and evaluated like any other. Those that the
+planner fails are taken over from there, pictures included.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from benchmark.datasets.roots import open_data
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine.storage import write_bytes, write_json, writing_to
+from benchmark.records.run import RunRecord, scene_failures
+from generation.nuscenes_writer import DataSetPlan, finish_data_set
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.scenes import read_state, release_claim
+
+if TYPE_CHECKING:
+    from benchmark.runs.plan_rows import PlannerFactory
+
+PROTOCOL = "exact"
+"""Who says what a collision is."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerUnderTest:
+    """A planner that generated scenes are judged with.
+
+    Attributes:
+        factory: Builds it.
+        images: Whether it looks at images; without, none are drawn for it.
+        workers: Processes of its evaluation; no result depends on them.
+    """
+
+    factory: "PlannerFactory"
+    images: bool = True
+    workers: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a planner made of generated scenes.
+
+    Attributes:
+        planner: Its name.
+        failed: Scenes with at least one colliding sample, by the names that the evaluated data set has.
+        scenes: Scenes that were judged.
+        samples: Samples that count.
+        colliding_samples: Those of them with a collision within three seconds.
+        record: Directory of the run record.
+    """
+
+    planner: str
+    failed: frozenset[str]
+    scenes: int
+    samples: int
+    colliding_samples: int
+    record: Path
+
+    def as_json(self, root: Path) -> dict[str, Any]:
+        """The judgement as JSON values, the record's place relative to the root of the build."""
+        return {
+            "planner": self.planner,
+            "protocol": PROTOCOL,
+            "scenes": self.scenes,
+            "scenes_failed": len(self.failed),
+            "samples": self.samples,
+            "colliding_samples": self.colliding_samples,
+            "record": self.record.relative_to(root).as_posix(),
+        }
+
+
+def staging_plan(plan: DataSetPlan, planner: PlannerUnderTest) -> DataSetPlan:
+    """The data set that a planner is judged on: as the final one, but hidden below it.
+
+    Args:
+        plan: The final data set.
+        planner: Who is asked; its folder has no images unless it looks at them.
+
+    Returns:
+        The plan.
+    """
+    renderer = plan.renderer if planner.images else None
+    return replace(plan, root=plan.root / STATE_FOLDER / "surrogate" / "data", renderer=renderer)
+
+
+def judge(
+    plan: DataSetPlan, keys: Sequence[str], planner: PlannerUnderTest, runs: Path, *, name: str, seed: int
+) -> Judgement:
+    """Finish a data set of written scenes and run a planner on it.
+
+    Args:
+        plan: The data set.
+        keys: What `write_scene` returned.
+        planner: Who is asked.
+        runs: Folder of run directories.
+        name: Name of the source, which the record shows.
+        seed: Seed of the record's intervals.
+
+    Returns:
+        The judgement.
+
+    Raises:
+        InputError: If the planner fails on any sample, so that it cannot be said which scenes it copes with.
+    """
+    finish_data_set(plan, keys)
+    data = open_data(plan.root, version=plan.version, name=name)
+    settings = EvalSettings(protocols=(PROTOCOL,), workers=planner.workers, seed=seed)
+    return judged(evaluate(data, plan.split, planner.factory, runs, settings))
+
+
+def judged(record: RunRecord) -> Judgement:
+    """The judgement that a run record holds.
+
+    Args:
+        record: Of a run on generated scenes.
+
+    Returns:
+        The judgement.
+
+    Raises:
+        InputError: If the planner failed on any sample.
+    """
+    require_all_planned(record)
+    outcomes = [row.outcomes[PROTOCOL] for row in record.rows]
+    counted = [outcome for outcome in outcomes if outcome.counted]
+    verdicts = scene_failures(record.rows, PROTOCOL)
+    return Judgement(
+        planner=record.planner,
+        failed=frozenset(scene for scene, failed in verdicts.items() if failed),
+        scenes=len(verdicts),
+        samples=len(counted),
+        colliding_samples=sum(any(outcome.collision) for outcome in counted),
+        record=record.directory,
+    )
+
+
+def require_all_planned(record: RunRecord) -> None:
+    """Refuse a run in which the planner raised: a sample without a plan is neither a collision nor none.
+
+    Raises:
+        InputError: If the planner failed on any sample.
+    """
+    if record.summary.failed:
+        raise InputError(
+            f"{record.planner} raised on {record.summary.failed} of {record.summary.samples} samples, so it cannot be "
+            f"said which scenes it copes with; the tracebacks are in {record.directory / 'samples.jsonl'}, correct the "
+            "planner, or have images drawn if it needs them, and run the same command again"
+        )
+
+
+def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> None:
+    """Put finished scenes of one data set into another without drawing them again; `write_scene` finds them complete.
+
+    Args:
+        staging: Where the scenes are.
+        plan: Where they go; the same in all that the bytes of a scene depend on.
+        keys: Content keys of the scenes.
+
+    Raises:
+        InputError: If the disk refuses.
+    """
+    for key in keys:
+        fragment = read_state(staging.fragment_path(key))
+        if fragment is None:
+            continue
+        claim_path = plan.claim_path(fragment["variant"], fragment["name"])
+        claim = {name: fragment[name] for name in ("key", "variant", "name")} | {"files": sorted(fragment["files"])}
+        earlier = read_state(claim_path)
+        if earlier != claim:
+            if earlier is not None:
+                release_claim(plan, earlier, frozenset(claim["files"]))
+            write_json(claim_path, claim, indent=None)
+        source, target = staging.data_root(fragment["variant"]), plan.data_root(fragment["variant"])
+        for path in claim["files"]:
+            _link(source / path, target / path)
+        write_bytes(plan.map_path(fragment["map"]), staging.map_path(fragment["map"]).read_bytes())
+        write_bytes(plan.fragment_path(key), staging.fragment_path(key).read_bytes())
+
+
+def _link(source: Path, target: Path) -> None:
+    """The same file in two places; a copy where the disk has no links."""
+    if target.exists() and target.samefile(source):
+        return
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    with writing_to(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.unlink(missing_ok=True)
+            temporary.hardlink_to(source)
+        except OSError:
+            write_bytes(target, source.read_bytes(), durable=False)
+            return
+        temporary.replace(target)

@@ -1,0 +1,178 @@
+"""Generated scenes as a data set on disk: shipped to workers one by one, rendered, put together, or withdrawn."""
+
+import functools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.roots import variant_folders
+from benchmark.machine.storage import canonical_json, write_bytes, writing_to
+from benchmark.machine.workers import Executor
+from benchmark.scene import Scene
+from generation.nuscenes_writer import DataSetPlan, write_scene
+from generation.nuscenes_writer.finish import PROVENANCE
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.scenes import read_state
+
+
+@dataclass(frozen=True, slots=True)
+class WritingJob:
+    """One scene to write: a recording, or a variant of it.
+
+    Attributes:
+        name: Its name among all scenes of the build.
+        written_as: Its name in its root.
+        source_scene: Name of the recorded scene.
+        variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
+        make: Turns the recorded scene into what is written.
+        report: What ``challenger.json`` says of it.
+    """
+
+    name: str
+    written_as: str
+    source_scene: str
+    variant: int
+    make: Callable[[Scene], Scene]
+    report: dict[str, Any]
+
+    def name_read(self, plan: DataSetPlan) -> str:
+        """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
+        return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
+
+
+@dataclass(frozen=True, slots=True)
+class _Shipment:
+    """One scene on its way to a worker."""
+
+    scene: Scene
+    name: str
+    source_scene: str
+    variant: int
+    report: dict[str, Any]
+
+
+def write_scenes(
+    plan: DataSetPlan,
+    jobs: Sequence[WritingJob],
+    read: Callable[[str], Scene],
+    executor: Executor,
+    *,
+    timing: Path,
+    label: str = "rendering",
+) -> list[str]:
+    """Render and write scenes; those that are there already are left alone.
+
+    Args:
+        plan: The data set.
+        jobs: The scenes.
+        read: Gives a recorded scene by name; called here, so that workers need not open the source.
+        executor: Where scenes are rendered; the bytes do not depend on it.
+        timing: Folder for notes on how long rendering took; no result depends on them.
+        label: Text beside the progress bar.
+
+    Returns:
+        Content keys in the order of the jobs, for `finish_data_set`.
+
+    Raises:
+        InputError: If a scene cannot be written, or workers are lost.
+    """
+    _leave_other_layout(plan)
+    # Variants of one recording after each other: it is read once.
+    order = sorted(range(len(jobs)), key=lambda index: (jobs[index].source_scene, index))
+
+    def shipments() -> Iterator[_Shipment]:
+        for job in (jobs[index] for index in order):
+            scene = job.make(read(job.source_scene))
+            yield _Shipment(scene, job.written_as, job.source_scene, job.variant, job.report)
+
+    job = functools.partial(_write_one, plan, timing)
+    keys = dict(zip(order, executor.map(job, shipments(), total=len(jobs), label=label), strict=True))
+    return [keys[index] for index in range(len(jobs))]
+
+
+def _write_one(plan: DataSetPlan, timing: Path, shipped: _Shipment) -> str:
+    started = time.process_time()
+    key = write_scene(
+        plan,
+        shipped.scene,
+        name=shipped.name,
+        variant=shipped.variant,
+        source_scene=shipped.source_scene,
+        report=shipped.report,
+    )
+    note = timing / f"{key}.timing.json"
+    # A scene that was complete takes no time: what it took when it was rendered stays.
+    if not note.exists():
+        value = {"scene": shipped.name, "seconds": {"rendering": time.process_time() - started}}
+        write_bytes(note, (canonical_json(value) + "\n").encode(), durable=False)
+    return key
+
+
+def publish_reports(root: Path, files: dict[str, bytes]) -> None:
+    """Write what a build says of itself; a finished data set that something else was said of is not finished any more.
+
+    Args:
+        root: Root of the build.
+        files: Content by file name.
+
+    Raises:
+        InputError: If they cannot be written.
+    """
+    if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
+        return
+    unfinish(root)
+    for name, data in files.items():
+        write_bytes(root / name, data)
+
+
+def _leave_other_layout(plan: DataSetPlan) -> None:
+    """Take away what an earlier build wrote in the other layout: whoever opens the folder would read that one."""
+    if not plan.state.is_dir():
+        return
+    suffixed = plan.layout == "suffixed"
+    roots = [plan.root / name for name in variant_folders(plan.root)] if suffixed else [plan.root]
+    tables = [root / plan.version / f"{table}.json" for root in roots for table in (*NUSCENES_TABLES, "splits")]
+    left = [table for table in tables if table.exists()]
+    if not left:
+        return
+    other = replace(plan, layout="per-variant" if suffixed else "suffixed")
+    claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
+    sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
+    # The tables go last: a killed command finds by them that there is something to take away.
+    for path in (*(root / plan.version / PROVENANCE for root in roots), *sensor_files, *left):
+        with writing_to(path):
+            path.unlink(missing_ok=True)
+
+
+def unfinish(root: Path) -> None:
+    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build."""
+    for mark in _marks(root):
+        with writing_to(mark):
+            mark.unlink()
+
+
+def withdraw(root: Path) -> None:
+    """Take away the tables of an earlier build, so that nobody takes them for the result of one that found nothing.
+
+    Pictures and the writer's notes stay: the next build that succeeds uses or removes them.
+
+    Args:
+        root: Root of the build.
+
+    Raises:
+        InputError: If they cannot be removed.
+    """
+    if not (root / STATE_FOLDER).is_dir():
+        return
+    unfinish(root)
+    for table in (*NUSCENES_TABLES, "splits"):
+        for path in (*root.glob(f"*/{table}.json"), *root.glob(f"v*/*/{table}.json")):
+            with writing_to(path):
+                path.unlink()
+
+
+def _marks(root: Path) -> list[Path]:
+    return [*root.glob(f"*/{PROVENANCE}"), *root.glob(f"v*/*/{PROVENANCE}")]

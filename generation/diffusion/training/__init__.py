@@ -1,0 +1,1 @@
+"""Training of the trajectory model: recordings as windows, the loop, measurements and the model card."""

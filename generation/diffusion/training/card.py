@@ -1,0 +1,149 @@
+"""The model card: what weights were made from and how good they are, written from facts and measurements."""
+
+from pathlib import Path
+from typing import Any, Final
+
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import file_sha256, write_bytes
+from generation.diffusion.bank import bank_beside
+from generation.diffusion.checkpoint import read_tensors
+from generation.diffusion.training.card_measurements import (
+    comparison_sections,
+    full_process_section,
+    table,
+    truncated_process_section,
+)
+from generation.diffusion.training.evaluation import compare_with_held_out, load_held_out
+from generation.diffusion.training.loop import HELD_OUT_SOURCES
+from generation.diffusion.training.sampling_steps import full_process_costs, stride_errors
+from generation.diffusion.training.track_sources import find_track_sources
+
+TITLES: Final = {
+    "argoverse2": "Argoverse 2 (test excerpts of its API)",
+    "comma2k19_example_ego": "comma2k19 (example segment)",
+    "interaction_sample": "INTERACTION",
+    "kitti_odometry_ego": "KITTI odometry (recording car)",
+    "levelx_commonroad": "levelX (inD, highD)",
+    "lyft_l5_prediction": "Lyft Level 5 prediction (one scene)",
+    "ngsim_commonroad": "NGSIM (CommonRoad scenarios)",
+    "ngsim_i80_smarts": "NGSIM I-80",
+    "nuscenes_mini_scenarionet": "nuScenes mini (ScenarioNet)",
+    "womd_gpudrive_nocturne": "Waymo Open Motion",
+    "womd_official_testdata": "Waymo Open Motion",
+    "womd_scenarionet": "Waymo Open Motion",
+}
+
+INTRODUCTION: Final = """\
+# Trajectory denoiser
+
+An unconditional diffusion model of how vehicles move in eight seconds, trained by `challenger-bench train denoiser`
+(`generation/diffusion/training/loop.py`). It stands in for the published checkpoint, which was trained on nuPlan; the
+class is the same and loads that checkpoint too. Use: candidate trajectories for adversarial vehicles in research. Not a
+motion planner: it sees neither road, nor traffic, nor the vehicle's own speed.
+
+{files}
+
+Network: {shape}; {parameters:,} parameters.
+A Gaussian of the training data carries the linear part of the prediction.
+Trained by `challenger-bench train denoiser --tracks DIR --out FILE --seed {seed} --steps {steps}`:
+{batch} windows a step, averaged weights, {levels}, stored in half precision.
+The same command gives the same weights up to rounding on another machine. The length of training and the scaling of
+windows were chosen by the held-out loss; else held-out sources only measure. The bank holds {count} samples of the
+full 100-step process, seed {bank_seed}, float16.
+
+## Data and licence
+
+Windows of 0.5 s of past and 8 s of future at 2 Hz in the rear-axle frame, smoothed by a local quadratic fit (1.7 s,
+rough sources 2.3 s). Left out: paths under 5 m, more than 8 m/s^2 along or across, more than 10 m/s^3, headings against
+the motion, turns tighter than 4.5 m. Half of the windows are mirrored, sizes vary by {jitter:.0%}. A source is drawn
+with chance proportional to the square root of its windows.
+
+{sources}
+
+{terms}
+"""
+SHARE_ALIKE: Final = """\
+Several sources are for non-commercial use, share alike (CC BY-NC-SA), so **the weights and the bank are too: CC
+BY-NC-SA 4.0**, whatever the licence of the code."""
+OTHER_TERMS: Final = "**Weights and bank carry the terms of these sources**, whatever the licence of the code."
+NOTHING_HELD_OUT: Final = """\
+## Against driving it never saw
+
+Not measured: the folder of tracks held none of the held-out sources.
+"""
+
+
+def write_model_card(weights: Path, tracks: Path) -> Path:
+    """Measure a model and write MODEL_CARD.md beside it.
+
+    Args:
+        weights: Written by `train_denoiser`, with a bank beside it.
+        tracks: Folder of recordings that it was trained on; without held-out sources in it the card says that nothing
+            was compared.
+
+    Returns:
+        The card.
+
+    Raises:
+        InputError: If weights, bank or recordings cannot be read, or the weights do not say how they were trained.
+    """
+    tensors, facts = read_tensors(weights)
+    if missing := {"seed", "steps", "batch", "windows", "licences"} - facts.keys():
+        raise InputError(f"{weights} does not say its {', '.join(sorted(missing))}; train it with this program")
+    named = tuple(facts.get("held_out", HELD_OUT_SOURCES))
+    present = [source.name for source in find_track_sources(tracks) if source.name in named]
+    sections = [_introduction(weights, tensors, facts, present)]
+    if present:
+        held_out = load_held_out(tracks, named)
+        titles = sorted({TITLES.get(name, name) for name in present})
+        sections += comparison_sections(compare_with_held_out(weights, held_out), titles)
+        sections.append(full_process_section(full_process_costs(weights, held_out)))
+    else:
+        sections.append(NOTHING_HELD_OUT)
+    sections.append(truncated_process_section(stride_errors(weights)))
+    card = weights.parent / "MODEL_CARD.md"
+    write_bytes(card, "\n".join(sections).encode())
+    return card
+
+
+def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, Any], held_out: list[str]) -> str:
+    bank = bank_beside(weights)
+    _, bank_facts = read_tensors(bank)
+    files = [(path.name, file_sha256(path), path.stat().st_size) for path in (weights, bank)]
+    learnt = [tensor for name, tensor in tensors.items() if not name.startswith("preconditioner.")]
+    sources = [
+        (TITLES.get(name, name), f"{windows:,}", facts["licences"][name])
+        for name, windows in sorted(facts["windows"].items())
+    ]
+    return INTRODUCTION.format(
+        files=table(("file", "SHA-256", "bytes"), files),
+        shape=_shape(facts["denoiser"]),
+        parameters=sum(tensor.numel() for tensor in learnt),
+        levels=_levels(facts.get("level_power", 1.0)),
+        count=bank_facts["count"],
+        bank_seed=bank_facts["seed"],
+        jitter=facts.get("size_jitter", 0.1),
+        sources=table(("source", "windows", "licence"), sources),
+        terms=_terms(facts, held_out),
+        **{name: facts[name] for name in ("seed", "steps", "batch")},
+    )
+
+
+def _shape(network: dict[str, Any]) -> str:
+    width, layers, hidden = network["feature_dim"], network["layers"], network["feedforward_dim"]
+    if network.get("attention", True):
+        return f"transformer, width {width}, {layers} layers, {network['heads']} heads, feed-forward {hidden}"
+    return f"{layers} residual blocks on all 48 numbers at once, width {width}, hidden width {hidden}"
+
+
+def _levels(power: float) -> str:
+    return "uniform noise levels" if power == 1 else f"noise levels 100 u^{power:g} for uniform u"
+
+
+def _terms(facts: dict[str, Any], held_out: list[str]) -> str:
+    share_alike = any("BY-NC-SA" in licence for licence in facts["licences"].values())
+    titles = sorted({TITLES.get(name, name) for name in held_out})
+    checked = f"\nNot trained on, they only check the result: {', '.join(titles)}." if titles else ""
+    return (SHARE_ALIKE if share_alike else OTHER_TERMS) + checked

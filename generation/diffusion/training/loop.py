@@ -1,0 +1,247 @@
+"""Training of the trajectory denoiser on real tracks."""
+
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_key, content_seed, write_json_lines
+from benchmark.machine.workers import progress
+from generation.diffusion.checkpoint import read_tensors, save_denoiser, write_tensors
+from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.schedule import ALPHA_BARS, STEPS
+from generation.diffusion.training.track_sources import find_track_sources
+from generation.diffusion.training.window_pool import WindowPool, load_track_data, window_actions
+
+HELD_OUT_SOURCES: Final = (
+    "interaction_sample",
+    "levelx_commonroad",
+    "womd_gpudrive_nocturne",
+    "womd_official_testdata",
+    "womd_scenarionet",
+)
+"""Sources whose terms do not let weights made from them be passed on; they only check what was learnt."""
+BETAS_ADAM: Final = (0.9, 0.99)
+CHECKED_WINDOWS: Final = 4096
+LEVELS_OF_ROUNDS: Final = 5
+"""Noise levels that refinement uses."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingConfig:
+    """What a training run depends on.
+
+    Attributes:
+        tracks: Folder of recordings (`generation.diffusion.training.track_sources`).
+        out: Weights to write; progress and log lie beside it.
+        held_out: Sources that are never trained on.
+        steps: Gradient steps.
+        batch: Windows per step.
+        learning_rate: Peak, after ``warmup`` steps; falls to zero along a cosine.
+        warmup: Steps of linear rise.
+        weight_decay: Per step, times the learning rate.
+        ema: Share of the averaged weights kept per step.
+        level_power: A training noise level is 100 times a uniform number to this power. Above one, small levels come
+            more often: the rounds of refinement ask at the smallest five, and there is most to learn.
+        size_jitter: Windows are scaled by up to this share, which varies speeds.
+        stride_s: Time between the starts of training windows.
+        checkpoint_every: Steps between resumable checkpoints and log rows.
+        seed: Of weights, windows and noise.
+        denoiser: The network.
+    """
+
+    tracks: Path
+    out: Path
+    held_out: tuple[str, ...] = HELD_OUT_SOURCES
+    steps: int = 15_000
+    batch: int = 512
+    learning_rate: float = 3e-3
+    warmup: int = 300
+    weight_decay: float = 1e-2
+    ema: float = 0.999
+    level_power: float = 2.0
+    size_jitter: float = 0.3
+    stride_s: float = 0.1
+    checkpoint_every: int = 1000
+    seed: int = 0
+    denoiser: DenoiserConfig = field(default=PACKAGED)
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.batch, self.checkpoint_every) < 1:
+            raise InputError("training needs at least one step, one window a step and one step between checkpoints")
+        if not self.level_power > 0:
+            raise InputError(f"the power of the noise levels must be positive, got {self.level_power}")
+
+
+@dataclass(slots=True)
+class _Run:
+    """State of a training run after ``step`` steps."""
+
+    denoiser: TrajectoryDenoiser
+    optimiser: torch.optim.AdamW
+    average: dict[str, Tensor]
+    log: list[dict[str, Any]]
+    step: int = 0
+
+
+def train_denoiser(config: TrainingConfig) -> Path:
+    """Train a trajectory denoiser; the same command resumes.
+
+    Noise prediction (paper, Diffusion Trajectory Generator), averaged weights, stored in half precision. Every step
+    draws from a generator of its own, so an interrupted run ends with the same bytes as an undisturbed one.
+
+    Args:
+        config: See `TrainingConfig`.
+
+    Returns:
+        The weights file. Beside it: ``.progress.safetensors`` while unfinished, ``.log.jsonl``.
+
+    Raises:
+        InputError: If the tracks cannot be used, or the progress file belongs to another run.
+    """
+    data = load_track_data(config.tracks, config.held_out, config.stride_s)
+    pool = WindowPool.of({name: window_actions(windows) for name, windows in data.training.items()})
+    checking = [window_actions(windows) for windows in data.held_out.values()]
+    identity = _identity(config)
+    run = _start(config, pool)
+    unfinished = config.out.with_suffix(".progress.safetensors")
+    if unfinished.exists():
+        _resume(run, unfinished, identity)
+    log_path = config.out.with_suffix(".log.jsonl")
+    run.denoiser.train()
+    losses: list[float] = []
+    for step in progress(range(run.step, config.steps), total=config.steps - run.step, label="training denoiser"):
+        losses.append(_take_step(run, config, pool, step))
+        run.step = step + 1
+        if run.step % config.checkpoint_every == 0 or run.step == config.steps:
+            run.log.append({"step": run.step, "loss": float(np.mean(losses)), **_check(run, checking, config.seed)})
+            losses = []
+            _save_progress(run, unfinished, identity)
+            write_json_lines(log_path, run.log)
+    run.denoiser.load_state_dict(run.average)
+    for parameter in run.denoiser.parameters():
+        parameter.data = parameter.data.half()
+    facts = {
+        "run": identity,
+        **{name: getattr(config, name) for name in ("seed", "steps", "batch", "size_jitter", "level_power")},
+        "held_out": list(config.held_out),
+        "windows": {name: len(windows.previous) for name, windows in data.training.items()},
+        "licences": {name: data.licences[name] for name in data.training},
+    }
+    save_denoiser(config.out, run.denoiser, facts)
+    unfinished.unlink(missing_ok=True)
+    return config.out
+
+
+def _identity(config: TrainingConfig) -> str:
+    """Key of everything the weights depend on, without the places of files."""
+    settings = asdict(config)
+    for place in ("tracks", "out"):
+        del settings[place]
+    contents = {source.name: source.content() for source in find_track_sources(config.tracks)}
+    return content_key(settings, contents)
+
+
+def _start(config: TrainingConfig, pool: WindowPool) -> _Run:
+    torch.manual_seed(content_seed("denoiser weights", config.seed) % 2**63)
+    denoiser = TrajectoryDenoiser(config.denoiser)
+    if denoiser.preconditioner is not None:
+        draw = np.random.default_rng(content_seed("denoiser gaussian", config.seed))
+        denoiser.preconditioner.fit(pool.draw(40_000, config.size_jitter, draw))
+    optimiser = torch.optim.AdamW(
+        denoiser.parameters(), lr=config.learning_rate, betas=BETAS_ADAM, weight_decay=config.weight_decay
+    )
+    average = {name: tensor.clone() for name, tensor in denoiser.state_dict().items()}
+    return _Run(denoiser, optimiser, average, [])
+
+
+def _loss(denoiser: TrajectoryDenoiser, clean: Floats, noise: Floats, timesteps: Floats) -> Tensor:
+    """Mean square error of the predicted noise.
+
+    A preconditioned network is asked in its own unit scale, where axes along which nothing happens would drown the
+    others; they count by the standard deviation that is left along them.
+    """
+    at = torch.from_numpy(timesteps)
+    alpha_bar = torch.from_numpy(ALPHA_BARS[timesteps.astype(np.int64)][:, None, None]).to(torch.float32)
+    eps = torch.from_numpy(noise).to(torch.float32)
+    noisy = alpha_bar.sqrt() * torch.from_numpy(clean).to(torch.float32) + (1 - alpha_bar).sqrt() * eps
+    if denoiser.preconditioner is None:
+        return torch.nn.functional.mse_loss(denoiser(noisy, at), eps)
+    whitened, guess, left = denoiser.preconditioner.split(noisy, at)
+    error = denoiser.preconditioner.residual(eps, guess, left) - denoiser.network(whitened, at)
+    along = error.flatten(1) @ denoiser.preconditioner.axes
+    weight = left / left.amax(dim=1, keepdim=True)
+    return (weight * along.square()).sum() / weight.sum()
+
+
+def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -> float:
+    rng = np.random.default_rng(content_seed("denoiser step", config.seed, step))
+    torch.manual_seed(content_seed("denoiser dropout", config.seed, step) % 2**63)
+    clean = pool.draw(config.batch, config.size_jitter, rng)
+    timesteps = np.floor(STEPS * rng.random(config.batch) ** config.level_power)
+    loss = _loss(run.denoiser, clean, rng.standard_normal(clean.shape), timesteps)
+    rising = min((step + 1) / config.warmup, 1.0)
+    rate = config.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / config.steps))
+    for group in run.optimiser.param_groups:
+        group["lr"] = rate
+    run.optimiser.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(run.denoiser.parameters(), 1.0)
+    run.optimiser.step()
+    # A young average would remember the random start, so it follows faster in the beginning.
+    keep = min(config.ema, (step + 1) / (step + 10))
+    with torch.no_grad():
+        for name, tensor in run.denoiser.state_dict().items():
+            run.average[name].lerp_(tensor, 1.0 - keep)
+    return float(loss.detach())
+
+
+def _check(run: _Run, checking: list[Floats], seed: int) -> dict[str, float | None]:
+    """Losses of the averaged weights on held-out windows, with the same noise every time; ``None`` without any.
+
+    Over all noise levels, and over the smallest five, at which the rounds of refinement ask.
+    """
+    if not checking:
+        return {"held_out_loss": None, "held_out_loss_of_rounds": None}
+    judge = TrajectoryDenoiser(run.denoiser.config).eval()
+    judge.load_state_dict(run.average)
+    rng = np.random.default_rng(content_seed("denoiser check", seed))
+    clean = np.concatenate(checking)
+    clean = clean[rng.permutation(len(clean))[:CHECKED_WINDOWS]]
+    noise, evenly = rng.standard_normal(clean.shape), np.arange(len(clean), dtype=np.float64)
+    with torch.inference_mode():
+        everywhere = float(_loss(judge, clean, noise, evenly % STEPS))
+        of_rounds = float(_loss(judge, clean, noise, evenly % LEVELS_OF_ROUNDS))
+    return {"held_out_loss": everywhere, "held_out_loss_of_rounds": of_rounds}
+
+
+def _save_progress(run: _Run, path: Path, identity: str) -> None:
+    tensors = {f"weights.{name}": tensor for name, tensor in run.denoiser.state_dict().items()}
+    tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
+    for index, moments in run.optimiser.state_dict()["state"].items():
+        tensors |= {f"optimiser.{index}.{name}": torch.as_tensor(tensor) for name, tensor in moments.items()}
+    write_tensors(path, tensors, {"run": identity, "step": run.step, "log": run.log})
+
+
+def _resume(run: _Run, path: Path, identity: str) -> None:
+    tensors, facts = read_tensors(path)
+    if facts.get("run") != identity:
+        raise InputError(
+            f"{path} belongs to a training run with other settings or tracks; remove it or choose another --out"
+        )
+    run.denoiser.load_state_dict({name[8:]: value for name, value in tensors.items() if name.startswith("weights.")})
+    run.average = {name[8:]: value for name, value in tensors.items() if name.startswith("average.")}
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith("optimiser."):
+            _, index, moment = name.split(".", 2)
+            moments.setdefault(int(index), {})[moment] = value
+    state = run.optimiser.state_dict()
+    run.optimiser.load_state_dict({"state": moments, "param_groups": state["param_groups"]})
+    run.step, run.log = int(facts["step"]), list(facts["log"])

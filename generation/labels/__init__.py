@@ -1,0 +1,1 @@
+"""What an adversary does, in the frame of the ego's path, and where."""

@@ -1,0 +1,1 @@
+"""Renderers: a scene in, six images per frame out; pictures of scenes for people."""

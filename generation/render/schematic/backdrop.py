@@ -1,0 +1,223 @@
+"""Sky, skyline and ground of one view, with haze and light."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_seed
+from generation.render.schematic.atmosphere import Atmosphere
+from generation.render.schematic.ground import FINE_UNTIL_M, MIDDLE_UNTIL_M, Plan
+from generation.render.schematic.view import View
+
+_SAMPLES = (1, 2, 4, 6)
+_TEXELS_PER_SAMPLE = 2.5
+_SKYLINE_BLOCKS = 90
+_HORIZON_SLOPE = 1e-4
+"""Lines of sight that fall less than this never meet the ground."""
+_ZENITH_SLOPE = 0.45
+"""Slope above which the sky has its full colour."""
+_STEEPEST, _LEVELS = 0.6, 1 << 12
+"""Range and number of slopes that haze and sky are tabulated for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Rows of an image that look at the ground from similar distances.
+
+    Attributes:
+        first: First row.
+        last: One past the last row.
+        plan: Which plan view they read: 0 fine, 1 middle, 2 coarse.
+        samples: Vertical samples per pixel, averaged.
+    """
+
+    first: int
+    last: int
+    plan: int
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class Backdrop:
+    """What of a view depends only on how the camera stands above the ground.
+
+    Attributes:
+        sky: (h, w, 3) sky; the haze colour below the horizon.
+        fade: (h, w) share of haze over the ground; 1 at and above the horizon.
+        light: (h, w, 3) light on the ground, 255 for white.
+        bands: Rows that show ground, from the horizon down.
+        hazy_until: First row from which haze is invisible.
+    """
+
+    sky: NDArray[np.uint8]
+    fade: NDArray[np.float32]
+    light: NDArray[np.uint8] | None
+    bands: tuple[Band, ...]
+    hazy_until: int
+
+    @classmethod
+    def of(cls, view: View, air: Atmosphere, ego_yaw: float, ego_xy: Floats) -> "Backdrop":
+        """Work out a backdrop.
+
+        Args:
+            view: Camera and its place.
+            air: Light and weather.
+            ego_yaw: Heading of the ego, which its head lamps follow, radians.
+            ego_xy: (2,) rear axle, global.
+        """
+        height = float(view.eye[2] - view.ground_z)
+        x, y, z = view.pixel_rays()
+        slope = z / np.sqrt(np.maximum(x * x + y * y, np.float32(1e-12)))
+        level = np.clip((slope + _STEEPEST) * (_LEVELS / (2 * _STEEPEST)), 0, _LEVELS).astype(np.int32)
+        fade_of, sky_of = _by_slope(air, height)
+        fade, sky = fade_of[level], sky_of[level]
+        below = slope < -_HORIZON_SLOPE
+        light = _ground_light(view, air, height, ego_yaw, ego_xy)
+        bands, hazy_until = _bands(height, below, z[:, z.shape[1] // 2], fade)
+        return cls(sky, fade, light, bands, hazy_until)
+
+    def draw(self, view: View, plans: tuple[Plan, Plan, Plan], skyline: "Skyline") -> NDArray[np.uint8]:
+        """Picture of everything that does not stand on the ground.
+
+        Args:
+            view: The camera.
+            plans: Plan views of the ground.
+            skyline: What stands at the horizon.
+
+        Returns:
+            (h, w, 3) RGB.
+        """
+        image = self.sky.copy()
+        skyline.draw(image, view)
+        if not self.bands:
+            return image
+        first = self.bands[0].first
+        ground = np.empty_like(image[first:])
+        for band in self.bands:
+            ground[band.first - first : band.last - first] = _seen_through(view, plans[band.plan], band)
+        if self.light is not None:
+            cv2.multiply(ground, self.light[first:], dst=ground, scale=1.0 / 255.0)
+        hazy = slice(first, self.hazy_until)
+        share = self.fade[hazy]
+        if len(share):
+            near = np.asarray(1.0 - share, np.float32)
+            image[hazy] = cv2.blendLinear(ground[: len(share)], image[hazy], near, share)
+        image[self.hazy_until :] = ground[len(share) :]
+        return image
+
+
+def _by_slope(air: Atmosphere, height: float) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Haze over the ground (n,) and colour of the sky (n, 3) for rising slopes of the line of sight."""
+    slope = np.linspace(-_STEEPEST, _STEEPEST, _LEVELS + 1)
+    below = slope < -_HORIZON_SLOPE
+    fade = np.where(below, air.fade(height / np.maximum(-slope, _HORIZON_SLOPE)), 1.0)
+    rise = np.clip(slope / _ZENITH_SLOPE, 0.0, 1.0)[:, None] ** 0.75
+    sky = np.array(air.haze) * (1 - rise) + np.array(air.sky) * rise
+    return fade.astype(np.float32), np.rint(sky).astype(np.uint8)
+
+
+def _ground_light(
+    view: View, air: Atmosphere, height: float, ego_yaw: float, ego_xy: Floats
+) -> NDArray[np.uint8] | None:
+    """Light on the ground under each pixel, or ``None`` for plain daylight."""
+    if air.tint == (1.0, 1.0, 1.0) and air.beam == 0.0:
+        return None
+    # Light changes slowly over the picture: every fourth pixel is enough.
+    x, y, z = view.pixel_rays(4).astype(np.float64)
+    reach = height / np.maximum(-z, 1e-4)
+    east, north = view.eye[0] - ego_xy[0] + x * reach, view.eye[1] - ego_xy[1] + y * reach
+    cos, sin = np.cos(ego_yaw), np.sin(ego_yaw)
+    beam = air.beam_at(east * cos + north * sin, north * cos - east * sin)
+    light = np.clip(255.0 * (np.array(air.tint) + beam[..., None]), 0, 255).astype(np.uint8)
+    size = (view.camera.width, view.camera.height)
+    return np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def _bands(
+    height: float, below: NDArray[np.bool_], drop: NDArray[np.float32], fade: NDArray[np.float32]
+) -> tuple[tuple[Band, ...], int]:
+    """Cut the rows that see ground into bands of similar distance, by the middle column and its downward rays."""
+    height_px = len(below)
+    rows = np.flatnonzero(below.any(axis=1))
+    if not len(rows):
+        return (), 0
+    first = int(rows[0])
+    depth = height / np.maximum(-drop.astype(np.float64), 1e-4)
+    step = np.abs(np.gradient(depth)) if height_px > 1 else depth
+    plan = np.where(depth < FINE_UNTIL_M, 0, np.where(depth < MIDDLE_UNTIL_M, 1, 2))
+    texel = np.array([0.05, 0.1, 0.2])[plan]
+    wanted = step / (_TEXELS_PER_SAMPLE * texel)
+    samples = np.array(_SAMPLES)[np.clip(np.searchsorted(_SAMPLES, wanted), 0, len(_SAMPLES) - 1)]
+    bands: list[Band] = []
+    start = first
+    for row in range(first + 1, height_px + 1):
+        if row == height_px or (plan[row], samples[row]) != (plan[start], samples[start]):
+            bands.append(Band(start, row, int(plan[start]), int(samples[start])))
+            start = row
+    visible = np.flatnonzero((fade > 1.0 / 255.0).any(axis=1))
+    return tuple(bands), int(max(visible[-1] + 1 if len(visible) else first, first))
+
+
+def _seen_through(view: View, plan: Plan, band: Band) -> NDArray[np.uint8]:
+    """The ground in some rows of a view."""
+    affine = np.vstack([plan.world_to_pixel, [0.0, 0.0, 1.0]])
+    image_to_plan = affine @ np.linalg.inv(view.ground_to_pixel())
+    # Row r of the finer image looks through row (r + 0.5) / samples - 0.5 of the band.
+    rows = np.array(
+        [[1.0, 0.0, 0.0], [0.0, 1.0 / band.samples, 0.5 / band.samples - 0.5 + band.first], [0.0, 0.0, 1.0]]
+    )
+    size = (view.camera.width, (band.last - band.first) * band.samples)
+    warped = cv2.warpPerspective(
+        plan.pixels,
+        image_to_plan @ rows,
+        size,
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    if band.samples > 1:
+        warped = cv2.resize(warped, (size[0], band.last - band.first), interpolation=cv2.INTER_AREA)
+    return np.asarray(warped, dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Skyline:
+    """Distant blocks around the horizon, fixed to compass directions.
+
+    Attributes:
+        quads: (B, 4, 3) directions of their corners.
+        colour: (B, 3) RGB.
+    """
+
+    quads: Floats
+    colour: Floats
+
+    @classmethod
+    def of(cls, location: str, air: Atmosphere) -> "Skyline":
+        """The skyline of a place."""
+        random = np.random.default_rng(content_seed("skyline", location))
+        edges = np.linspace(0.0, 2 * np.pi, _SKYLINE_BLOCKS + 1)
+        tops = 0.012 + 0.045 * random.random(_SKYLINE_BLOCKS) ** 2
+        shade = 0.80 + 0.14 * random.random(_SKYLINE_BLOCKS)
+        cos, sin = np.cos(edges), np.sin(edges)
+        low = np.full(_SKYLINE_BLOCKS, -0.004)
+        corners = [
+            (cos[1:], sin[1:], low),
+            (cos[:-1], sin[:-1], low),
+            (cos[:-1], sin[:-1], tops),
+            (cos[1:], sin[1:], tops),
+        ]
+        quads = np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1)
+        return cls(quads, shade[:, None] * np.array(air.haze))
+
+    def draw(self, image: NDArray[np.uint8], view: View) -> None:
+        """Draw the part that a view sees, in place."""
+        in_camera = self.quads @ view.rotation.T
+        ahead = (in_camera[..., 2] > 0.05).all(axis=1)
+        pixels = view.to_pixels(in_camera[ahead])
+        seen = (pixels[..., 0].max(axis=1) >= 0) & (pixels[..., 0].min(axis=1) < view.camera.width)
+        fixed = np.rint(pixels[seen] * 16).astype(np.int32)
+        for corners, colour in zip(fixed, self.colour[ahead][seen].tolist()):
+            cv2.fillConvexPoly(image, corners, colour, cv2.LINE_AA, 4)

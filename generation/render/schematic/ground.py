@@ -1,0 +1,145 @@
+"""The painted ground: plan views of the surroundings that cameras look at through a homography."""
+
+import functools
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_seed
+from benchmark.road_map import RoadMap
+from generation.render.schematic.atmosphere import (
+    ASPHALT,
+    CAR_PARK,
+    GRASS,
+    KERB,
+    PAVEMENT,
+    WET_ASPHALT,
+    WHITE_PAINT,
+    YELLOW_PAINT,
+    Atmosphere,
+    Rgb,
+)
+from generation.render.schematic.painting import Coat, PaintedPolygons, paint, painted_polygons
+
+_STEP_M = 20.0
+"""Plan views are centred on a grid of this width, so that what a frame shows does not depend on the frames before."""
+_FINE_M, _COARSE_M = 0.05, 0.2
+_FINE_REACH_M, _COARSE_REACH_M = 40.0, 140.0
+FINE_UNTIL_M, MIDDLE_UNTIL_M = 9.0, 22.0
+"""Depths at which a camera changes to the next coarser plan view."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A plan view.
+
+    Attributes:
+        pixels: (n, n, 3) RGB; rows run along -y.
+        origin: (2,) x of the left and y of the upper edge, metres, global.
+        resolution_m: Size of a pixel.
+    """
+
+    pixels: NDArray[np.uint8]
+    origin: Floats
+    resolution_m: float
+
+    @property
+    def world_to_pixel(self) -> Floats:
+        """(2, 3) affine map from metres to pixels whose integer values are pixel centres."""
+        scale = 1.0 / self.resolution_m
+        return np.array(
+            [[scale, 0.0, -self.origin[0] * scale - 0.5], [0.0, -scale, self.origin[1] * scale - 0.5]], dtype=np.float64
+        )
+
+
+@dataclass(slots=True)
+class Ground:
+    """Plan views around wherever the ego is.
+
+    Attributes:
+        polygons: What is painted.
+        colours: RGB of each coat.
+        base: RGB of what nothing covers.
+    """
+
+    polygons: tuple[PaintedPolygons, ...]
+    colours: dict[Coat, Rgb]
+    base: Rgb
+    _centre: tuple[float, float] | None = field(default=None, init=False)
+    _plans: tuple[Plan, Plan, Plan] | None = field(default=None, init=False)
+
+    @classmethod
+    def of(cls, road_map: RoadMap, air: Atmosphere) -> "Ground":
+        """The ground of a map; a map without roads is one plain of asphalt."""
+        wet = air.wetness
+        road = tuple((1 - wet) * dry + wet * damp for dry, damp in zip(ASPHALT, WET_ASPHALT))
+        asphalt = (road[0], road[1], road[2])
+        colours = {
+            Coat.CAR_PARK: CAR_PARK,
+            Coat.PAVEMENT: PAVEMENT,
+            Coat.KERB: KERB,
+            Coat.ROAD: asphalt,
+            Coat.WHITE: WHITE_PAINT,
+            Coat.YELLOW: YELLOW_PAINT,
+        }
+        base = asphalt if road_map.drivable_area.is_empty else GRASS
+        return cls(painted_polygons(road_map), colours, base)
+
+    def centre_of(self, position: Floats) -> tuple[float, float]:
+        """Grid point that the plan views around a place are centred on."""
+        x, y = np.round(np.asarray(position, np.float64) / _STEP_M) * _STEP_M
+        return float(x), float(y)
+
+    def around(self, position: Floats) -> tuple[Plan, Plan, Plan]:
+        """Fine, middle and coarse plan views around a place.
+
+        Args:
+            position: (2,) metres, global.
+
+        Returns:
+            Three plan views of falling resolution.
+        """
+        centre = self.centre_of(position)
+        if self._plans is None or centre != self._centre:
+            snapped = np.array(centre)
+            fine = self._painted(snapped, _FINE_REACH_M, _FINE_M)
+            half = (fine.pixels.shape[1] // 2, fine.pixels.shape[0] // 2)
+            middle = Plan(
+                np.asarray(cv2.resize(fine.pixels, half, interpolation=cv2.INTER_AREA), np.uint8),
+                fine.origin,
+                2 * _FINE_M,
+            )
+            self._plans = (fine, middle, self._painted(snapped, _COARSE_REACH_M, _COARSE_M))
+            self._centre = centre
+        return self._plans
+
+    def _painted(self, centre: Floats, reach_m: float, resolution_m: float) -> Plan:
+        count = round(2 * reach_m / resolution_m)
+        pixels = np.empty((count, count, 3), dtype=np.uint8)
+        pixels[:] = np.round(self.base).astype(np.uint8)
+        plan = Plan(pixels, centre + np.array([-reach_m, reach_m]), resolution_m)
+        paint(pixels, self.polygons, plan.world_to_pixel, self.colours)
+        return Plan(_with_grain(pixels, resolution_m), plan.origin, resolution_m)
+
+
+def _with_grain(pixels: NDArray[np.uint8], resolution_m: float) -> NDArray[np.uint8]:
+    """Add the roughness of real surfaces; its pattern repeats with the grid of centres."""
+    grain = _grain(resolution_m)
+    repeats = -(-pixels.shape[0] // grain.shape[0])
+    tiled = np.tile(grain, (repeats, repeats, 1))[: pixels.shape[0], : pixels.shape[1]]
+    return np.asarray(cv2.addWeighted(pixels, 1.0, tiled, 1.0, -128.0), dtype=np.uint8)
+
+
+@functools.lru_cache(maxsize=4)
+def _grain(resolution_m: float) -> NDArray[np.uint8]:
+    """(n, n, 3) tile of grey noise around 128: fine grain and soft patches, seamless at its edges."""
+    count = round(_STEP_M / resolution_m)
+    random = np.random.default_rng(content_seed("grain", count))
+    fine = random.normal(0.0, 4.0, (count, count))
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(count, resolution_m), np.fft.fftfreq(count, resolution_m)))
+    patches = np.fft.ifft2(np.fft.fft2(random.normal(size=(count, count))) * np.exp(-((frequency / 0.4) ** 2))).real
+    field_ = 128.0 + fine + 5.0 * patches / max(float(patches.std()), 1e-9)
+    return np.repeat(np.clip(np.rint(field_), 0, 255).astype(np.uint8)[..., None], 3, axis=-1)

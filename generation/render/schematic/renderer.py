@@ -1,0 +1,175 @@
+"""The main path of the schematic renderer: scene and frame to six pictures."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import VEHICLE_CATEGORIES
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, box_corners
+from benchmark.machine.storage import content_seed
+from benchmark.road_map import RoadMap
+from benchmark.scene import Camera, Scene
+from generation.render.contract import Images
+from generation.render.schematic import surroundings
+from generation.render.schematic.atmosphere import ATMOSPHERES, Atmosphere
+from generation.render.schematic.backdrop import Backdrop, Skyline
+from generation.render.schematic.facets import Facets, joined, seen_colours
+from generation.render.schematic.ground import Ground
+from generation.render.schematic.standing import draw_shadows, draw_standing
+from generation.render.schematic.traffic import Traffic
+from generation.render.schematic.view import View
+from generation.sources.rig import default_cameras
+
+_SIGHT_M = 250.0
+"""Farther than the corner of any plan view of the ground."""
+
+
+class SchematicRenderer:
+    """Draws a scene on the CPU with flat shaded solids on a painted ground; see `generation.render.contract.Renderer`.
+
+    Args:
+        width: Image width, pixels.
+        height: Image height, pixels.
+
+    Raises:
+        InputError: If a size is not positive.
+    """
+
+    name = "schematic"
+    version = "1"
+
+    def __init__(self, width: int = 448, height: int = 256) -> None:
+        if width < 1 or height < 1:
+            raise InputError(f"images need a positive size, got {width} x {height}; choose for example 448 x 256")
+        self.width, self.height = width, height
+
+    def cameras(self, scene: Scene) -> tuple[Camera, ...]:
+        """The scene's cameras, or the default rig where it has none, at the size that is rendered."""
+        return tuple(camera.resized(self.width, self.height) for camera in scene.cameras or default_cameras())
+
+    def render(self, scene: Scene, frames: Sequence[int]) -> Iterator[Images]:
+        """Render frames of one scene.
+
+        Args:
+            scene: The scene.
+            frames: Frame indices in ``scene.timestamps_us``.
+
+        Yields:
+            (height, width, 3) RGB by camera name, for each frame in order.
+
+        Raises:
+            InputError: If a frame is not in the scene.
+        """
+        count = len(scene.timestamps_us)
+        for frame in frames:
+            if not 0 <= frame < count:
+                raise InputError(f"{scene.name} has frames 0 to {count - 1}, there is no frame {frame} to render")
+        if not len(frames):
+            return
+        cv2.setNumThreads(1)
+        stage = _Stage.of(scene, self.cameras(scene))
+        for frame in frames:
+            yield stage.pictures(int(frame))
+
+
+@dataclass(slots=True)
+class _Stage:
+    """A scene made ready for drawing: what does not change from frame to frame."""
+
+    scene: Scene
+    cameras: tuple[Camera, ...]
+    air: Atmosphere
+    ground: Ground
+    skyline: Skyline
+    standing: Facets
+    traffic: Traffic
+    casts_shadow: Bools
+    beside: tuple[tuple[float, float], Facets] | None = None
+    backdrops: dict[str, tuple[bytes, Backdrop]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scene: Scene, cameras: tuple[Camera, ...]) -> "_Stage":
+        air = ATMOSPHERES[scene.look]
+        return cls(
+            scene=scene,
+            cameras=cameras,
+            air=air,
+            ground=Ground.of(_along_the_way(scene), air),
+            skyline=Skyline.of(scene.road_map.location, air),
+            standing=surroundings.surroundings(scene, lamps=air.lamps),
+            traffic=Traffic.of(scene),
+            casts_shadow=np.array(
+                [kind in VEHICLE_CATEGORIES or kind.startswith("human") for kind in scene.agents.categories], np.bool_
+            ),
+        )
+
+    def pictures(self, frame: int) -> Images:
+        ego = self.scene.ego
+        position, rotation = ego.position[frame], ego.rotation[frame]
+        pose = ego.pose[frame]
+        plans = self.ground.around(position[:2])
+        facets, colours = self._solids(frame, pose, float(position[2]))
+        shadows = self._shadow_casters(frame)
+        images: Images = {}
+        for number, camera in enumerate(self.cameras):
+            view = View.of(camera, position, rotation)
+            image = self._backdrop(view, pose).draw(view, plans, self.skyline)
+            draw_shadows(image, view, shadows, self.air)
+            draw_standing(image, view, facets, colours)
+            if self.air.rain:
+                _draw_rain(image, content_seed("rain", number, frame))
+            images[camera.name] = image
+        return images
+
+    def _solids(self, frame: int, pose: Floats, ground_z: float) -> tuple[Facets, NDArray[np.uint8]]:
+        """Everything that stands near the ego, and its colours."""
+        around = self.ground.centre_of(pose[:2])
+        if self.beside is None or self.beside[0] != around:
+            offset = self.standing.centre[:, :2] - np.array(around)
+            near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) < surroundings.DRAWN_WITHIN_M)
+            self.beside = (around, self.standing.solids(near)[0])
+        beside, lift = self.beside[1], np.array([0.0, 0.0, ground_z])
+        if ground_z != 0.0:
+            beside = replace(beside, quads=beside.quads + lift, centre=beside.centre + lift)
+        facets = joined([beside, self.traffic.facets(frame, lamps=self.air.lamps)])
+        return facets, seen_colours(facets, self.air, pose)
+
+    def _shadow_casters(self, frame: int) -> Floats:
+        """(N, 4, 2) outlines of the vehicles and people near the ego."""
+        members = self.traffic.near(frame)
+        members = members[self.casts_shadow[members]]
+        agents = self.scene.agents
+        return box_corners(
+            np.column_stack([agents.position[members, frame, :2], agents.size[members, :2], agents.yaw[members, frame]])
+        )
+
+    def _backdrop(self, view: View, pose: Floats) -> Backdrop:
+        """The camera's backdrop, made anew only when the camera stands differently above the ground."""
+        stance = np.concatenate([view.rotation[:, 2], [view.eye[2] - view.ground_z]]).tobytes()
+        known = self.backdrops.get(view.camera.name)
+        if known is None or known[0] != stance:
+            known = (stance, Backdrop.of(view, self.air, float(pose[2]), pose[:2]))
+            self.backdrops[view.camera.name] = known
+        return known[1]
+
+
+def _along_the_way(scene: Scene) -> RoadMap:
+    """The part of a map that can come into sight; whole cities are painted too slowly."""
+    low, high = scene.ego.position[:, :2].min(axis=0) - _SIGHT_M, scene.ego.position[:, :2].max(axis=0) + _SIGHT_M
+    return scene.road_map.near((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
+
+
+def _draw_rain(image: NDArray[np.uint8], seed: int) -> None:
+    """Faint slanted streaks, in place."""
+    height, width = image.shape[:2]
+    random = np.random.default_rng(seed)
+    starts = random.random((90, 2)) * [width, height]
+    ends = starts + np.array([0.012, 0.055]) * height * (0.5 + random.random((90, 1)))
+    layer = image.copy()
+    lines = np.rint(np.stack([starts, ends], axis=1) * 16).astype(np.int32)
+    cv2.polylines(layer, list(lines), False, (214, 220, 226), 1, cv2.LINE_AA, 4)
+    cv2.addWeighted(layer, 0.35, image, 0.65, 0.0, dst=image)

@@ -1,0 +1,228 @@
+"""What the kinds of road users look like, by category and size; coordinates as in `drafting`."""
+
+import functools
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from generation.render.schematic.drafting import Draft, Quad, Role, Shape
+
+
+def _lamps(draft: Draft, faces: dict[str, Quad], *, layer: int, heights: tuple[float, float, float, float]) -> None:
+    """Head lamps on the front, tail lamps on the rear; heights are v ranges on the two faces."""
+    for u in ((0.03, 0.26), (0.74, 0.97)):
+        draft.decal(faces["front"], u, heights[:2], Role.HEAD_LAMP, layer=layer, detail_px=4.0)
+        draft.decal(faces["rear"], u, heights[2:], Role.TAIL_LAMP, layer=layer, detail_px=4.0)
+    draft.decal(faces["front"], (0.28, 0.72), (0.32, 0.72), Role.RUBBER, layer=layer)
+    draft.decal(faces["rear"], (0.36, 0.64), (0.30, 0.52), Role.WHITE, layer=layer)
+    for end in ("front", "rear"):
+        draft.decal(faces[end], (0.0, 1.0), (0.0, 0.16), Role.RUBBER, layer=layer)
+
+
+def _car(cabin: tuple[float, float], inset: tuple[float, float, float], *, bonnet_drop: float, belt: float) -> Shape:
+    """A car: sill and wheels, lower body with lamps, and a cabin with windows."""
+    draft = Draft()
+    draft.box((-0.45, 0.45), (-0.42, 0.42), (0.04, 0.22), Role.RUBBER, layer=0)
+    body = draft.box(
+        (-0.5, 0.5), (-0.5, 0.5), (0.14, belt), Role.PAINT, layer=1, inset=(0.015, 0.03, 0.03), drop=bonnet_drop
+    )
+    _lamps(draft, body, layer=2, heights=(0.58, 0.88, 0.60, 0.90))
+    for side in ("left", "right"):
+        draft.decal(body[side], (0.02, 0.98), (0.0, 0.13), Role.RUBBER, layer=2)
+    draft.wheels((-0.30, 0.31), 0.074, 0.20, layer=3)
+    top = draft.box(cabin, (-0.46, 0.46), (belt - 0.03, 1.0), Role.PAINT, layer=5, inset=inset)
+    draft.decal(top["front"], (0.06, 0.94), (0.10, 0.90), Role.GLASS, layer=6, detail_px=5.0)
+    draft.decal(top["rear"], (0.08, 0.92), (0.18, 0.88), Role.GLASS, layer=6, detail_px=5.0)
+    for side, front_first in (("right", False), ("left", True)):
+        doors = ((0.07, 0.48), (0.53, 0.95))
+        for u in doors:
+            low, high = (1 - u[1], 1 - u[0]) if front_first else u
+            draft.decal(top[side], (low, high), (0.12, 0.86), Role.GLASS, layer=6, detail_px=6.0)
+    return draft.shape()
+
+
+def _bus() -> Shape:
+    draft = Draft()
+    draft.box((-0.48, 0.48), (-0.42, 0.42), (0.02, 0.12), Role.RUBBER, layer=0)
+    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.09, 1.0), Role.PAINT, layer=1, inset=(0.004, 0.01, 0.03))
+    draft.decal(body["front"], (0.05, 0.95), (0.34, 0.86), Role.GLASS, layer=2, detail_px=5.0)
+    draft.decal(body["front"], (0.2, 0.8), (0.89, 0.97), Role.ORANGE, layer=2)
+    draft.decal(body["rear"], (0.12, 0.88), (0.50, 0.84), Role.GLASS, layer=2, detail_px=5.0)
+    for u in ((0.03, 0.2), (0.8, 0.97)):
+        draft.decal(body["front"], u, (0.08, 0.18), Role.HEAD_LAMP, layer=2, detail_px=4.0)
+        draft.decal(body["rear"], u, (0.12, 0.26), Role.TAIL_LAMP, layer=2, detail_px=4.0)
+    for side in ("left", "right"):
+        for pane in range(7):
+            draft.decal(body[side], (0.03 + 0.135 * pane, 0.15 + 0.135 * pane), (0.42, 0.84), Role.GLASS, layer=2)
+        draft.decal(body[side], (0.0, 1.0), (0.14, 0.24), Role.CARGO, layer=2, detail_px=20.0)
+    draft.wheels((-0.28, 0.33), 0.046, 0.16, layer=3)
+    return draft.shape()
+
+
+def _truck() -> Shape:
+    draft = Draft(split=0.24)
+    draft.box((-0.49, 0.49), (-0.38, 0.38), (0.08, 0.20), Role.RUBBER, layer=0)
+    cargo = draft.box((-0.5, 0.22), (-0.5, 0.5), (0.19, 1.0), Role.CARGO, layer=1)
+    draft.decal(cargo["rear"], (0.47, 0.53), (0.04, 0.96), Role.METAL, layer=2)
+    for u in ((0.02, 0.16), (0.84, 0.98)):
+        draft.decal(cargo["rear"], u, (0.02, 0.12), Role.TAIL_LAMP, layer=2, detail_px=4.0)
+    for side in ("left", "right"):
+        draft.decal(cargo[side], (0.0, 1.0), (0.0, 0.07), Role.METAL, layer=2)
+    draft.wheels((-0.34, -0.22), 0.055, 0.16, layer=3)
+    cab = draft.box((0.26, 0.5), (-0.47, 0.47), (0.10, 0.82), Role.PAINT, layer=1, inset=(0.0, 0.035, 0.03), ahead=True)
+    draft.decal(cab["front"], (0.06, 0.94), (0.52, 0.92), Role.GLASS, layer=2, ahead=True, detail_px=5.0)
+    draft.decal(cab["front"], (0.25, 0.75), (0.16, 0.42), Role.RUBBER, layer=2, ahead=True)
+    for u in ((0.03, 0.2), (0.8, 0.97)):
+        draft.decal(cab["front"], u, (0.12, 0.26), Role.HEAD_LAMP, layer=2, ahead=True, detail_px=4.0)
+    for side, u in (("right", (0.35, 0.9)), ("left", (0.1, 0.65))):
+        draft.decal(cab[side], u, (0.55, 0.9), Role.GLASS, layer=2, ahead=True)
+    draft.wheels((0.36,), 0.055, 0.16, layer=3, ahead=True)
+    return draft.shape()
+
+
+def _trailer() -> Shape:
+    draft = Draft()
+    draft.box((-0.48, 0.48), (-0.38, 0.38), (0.08, 0.28), Role.RUBBER, layer=0)
+    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.26, 1.0), Role.CARGO, layer=1)
+    draft.decal(body["rear"], (0.47, 0.53), (0.04, 0.96), Role.METAL, layer=2)
+    for u in ((0.02, 0.16), (0.84, 0.98)):
+        draft.decal(body["rear"], u, (0.02, 0.12), Role.TAIL_LAMP, layer=2, detail_px=4.0)
+    draft.wheels((-0.36, -0.25), 0.05, 0.14, layer=3)
+    return draft.shape()
+
+
+def _construction() -> Shape:
+    draft = Draft(split=0.1)
+    draft.box((-0.5, 0.1), (-0.5, 0.5), (0.0, 0.28), Role.RUBBER, layer=0)
+    draft.box((-0.5, 0.08), (-0.44, 0.44), (0.28, 0.62), Role.ORANGE, layer=1)
+    cabin = draft.box((-0.3, 0.05), (-0.34, 0.34), (0.62, 1.0), Role.ORANGE, layer=2, inset=(0.02, 0.02, 0.02))
+    for side in ("front", "rear", "left", "right"):
+        draft.decal(cabin[side], (0.1, 0.9), (0.15, 0.85), Role.GLASS, layer=3)
+    draft.box((0.12, 0.5), (-0.2, 0.2), (0.2, 0.6), Role.ORANGE, layer=1, inset=(0.0, 0.1, 0.05), drop=0.2, ahead=True)
+    draft.wheels((-0.36, -0.06), 0.1, 0.18, layer=4)
+    return draft.shape()
+
+
+def _cycle(*, motor: bool) -> Shape:
+    """Two wheels, a frame and a rider, who leans a little forward."""
+    draft = Draft()
+    thick = 0.10 if motor else 0.06
+    for x in (-0.33, 0.33):
+        draft.box((x - 0.13, x + 0.13), (-thick, thick), (0.02, 0.34), Role.RUBBER, layer=0, inset=(0.03, 0.03, 0.0))
+    draft.wheels((-0.33, 0.33), 0.17, 0.18, layer=0, side=thick + 0.005)
+    frame = draft.box((-0.36, 0.36), (-1.8 * thick, 1.8 * thick), (0.26, 0.52), Role.PAINT, layer=1)
+    draft.box((0.22, 0.30), (-0.45, 0.45), (0.56, 0.62), Role.METAL, layer=2, detail_px=12.0)
+    draft.decal(frame["front"], (0.1, 0.9), (0.5, 0.95), Role.HEAD_LAMP, layer=2, detail_px=8.0)
+    draft.decal(frame["rear"], (0.1, 0.9), (0.4, 0.8), Role.TAIL_LAMP, layer=2, detail_px=8.0)
+    draft.box((-0.16, 0.10), (-0.26, 0.26), (0.22, 0.52), Role.TROUSERS, layer=2)
+    draft.box((-0.18, 0.14), (-0.40, 0.40), (0.50, 0.84), Role.CLOTH, layer=3, inset=(0.06, -0.02, 0.06))
+    head = draft.box((-0.03, 0.14), (-0.17, 0.17), (0.85, 1.0), Role.HAIR, layer=4, inset=(0.02, 0.02, 0.04))
+    draft.decal(head["front"], (0.1, 0.9), (0.1, 0.7), Role.SKIN, layer=5)
+    return draft.shape()
+
+
+def _pedestrian() -> Shape:
+    draft = Draft()
+    for y in (-0.17, 0.17):
+        draft.box((-0.18, 0.18), (y - 0.13, y + 0.13), (0.0, 0.48), Role.TROUSERS, layer=0)
+    draft.box((-0.24, 0.24), (-0.38, 0.38), (0.45, 0.83), Role.CLOTH, layer=1, inset=(0.03, 0.03, 0.05))
+    for y in (-0.43, 0.43):
+        draft.box((-0.12, 0.12), (y - 0.07, y + 0.07), (0.42, 0.81), Role.CLOTH, layer=1, detail_px=16.0)
+    head = draft.box((-0.19, 0.19), (-0.17, 0.17), (0.86, 1.0), Role.HAIR, layer=2, inset=(0.04, 0.04, 0.03))
+    draft.decal(head["front"], (0.0, 1.0), (0.0, 0.75), Role.SKIN, layer=3, detail_px=8.0)
+    for side, u in (("left", (0.0, 0.6)), ("right", (0.4, 1.0))):
+        draft.decal(head[side], u, (0.0, 0.6), Role.SKIN, layer=3, detail_px=16.0)
+    return draft.shape()
+
+
+def _cone() -> Shape:
+    draft = Draft()
+    draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 0.07), Role.RUBBER, layer=0)
+    inset = 0.15
+    lower = draft.box((-0.36, 0.36), (-0.36, 0.36), (0.07, 1.0), Role.ORANGE, layer=1, inset=(0.27, 0.27, 0.27))
+    for side in ("front", "rear", "left", "right"):
+        draft.decal(lower[side], (0.0, 1.0), (0.45, 0.45 + inset), Role.WHITE, layer=2, detail_px=6.0)
+    return draft.shape()
+
+
+def _barrier() -> Shape:
+    draft = Draft()
+    body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), Role.WHITE, layer=0, inset=(0.1, 0.1, 0.05))
+    for side in ("front", "rear", "left", "right"):
+        for stripe in range(3):
+            u = (0.04 + 0.34 * stripe, 0.20 + 0.34 * stripe)
+            draft.decal(body[side], u, (0.3, 0.9), Role.ORANGE, layer=1, detail_px=6.0)
+    return draft.shape()
+
+
+def _lump(role: Role) -> Shape:
+    draft = Draft()
+    draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), role, layer=0, inset=(0.08, 0.08, 0.08))
+    return draft.shape()
+
+
+def _emergency(base: Shape) -> Shape:
+    draft = Draft()
+    draft.box((-0.14, -0.04), (-0.34, 0.34), (1.0, 1.08), Role.BEACON, layer=8)
+    bar = draft.shape()
+    joined = {name: np.concatenate([getattr(base, name), getattr(bar, name)]) for name in Shape.__slots__[:-1]}
+    return Shape(**joined, split=base.split)
+
+
+@functools.cache
+def _shapes() -> dict[str, Shape]:
+    sedan = _car((-0.38, 0.24), (0.13, 0.17, 0.09), bonnet_drop=0.05, belt=0.60)
+    return {
+        "sedan": sedan,
+        "suv": _car((-0.48, 0.22), (0.05, 0.14, 0.08), bonnet_drop=0.03, belt=0.60),
+        "van": _car((-0.49, 0.36), (0.01, 0.12, 0.05), bonnet_drop=0.06, belt=0.50),
+        "truck": _truck(),
+        "bus": _bus(),
+        "trailer": _trailer(),
+        "construction": _construction(),
+        "emergency": _emergency(sedan),
+        "motorcycle": _cycle(motor=True),
+        "bicycle": _cycle(motor=False),
+        "pedestrian": _pedestrian(),
+        "cone": _cone(),
+        "barrier": _barrier(),
+        "crate": _lump(Role.CARGO),
+        "rack": _lump(Role.METAL),
+        "animal": _lump(Role.HAIR),
+    }
+
+
+def shape_named(name: str) -> Shape:
+    """A shape by the name that `shape_name` gives."""
+    return _shapes()[name]
+
+
+def shape_name(category: str, size: Floats) -> str:
+    """Which shape an object has.
+
+    Args:
+        category: nuScenes category.
+        size: (3,) length, width, height, metres.
+
+    Returns:
+        Name for `shape_named`; an unknown category is a crate.
+    """
+    if category == "vehicle.car":
+        return "van" if size[2] > 2.0 else ("suv" if size[2] > 1.66 else "sedan")
+    if category == "vehicle.emergency.ambulance":
+        return "van"
+    by_prefix = {
+        "vehicle.emergency": "emergency",
+        "vehicle.truck": "truck",
+        "vehicle.bus": "bus",
+        "vehicle.trailer": "trailer",
+        "vehicle.construction": "construction",
+        "vehicle.motorcycle": "motorcycle",
+        "vehicle.bicycle": "bicycle",
+        "human": "pedestrian",
+        "movable_object.trafficcone": "cone",
+        "movable_object.barrier": "barrier",
+        "static_object.bicycle_rack": "rack",
+        "animal": "animal",
+    }
+    return next((name for prefix, name in by_prefix.items() if category.startswith(prefix)), "crate")

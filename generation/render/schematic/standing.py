@@ -1,0 +1,120 @@
+"""Drawing what stands on the ground: shadows, then solids from far to near."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Floats
+from generation.render.schematic.atmosphere import Atmosphere
+from generation.render.schematic.facets import Facets
+from generation.render.schematic.ordering import drawing_order
+from generation.render.schematic.view import NEAR_M, View, clip_near
+
+_SHIFT = 4
+_PART_STEP = 64
+
+
+def draw_standing(image: NDArray[np.uint8], view: View, facets: Facets, colours: NDArray[np.uint8]) -> None:
+    """Draw solids with correct occlusion, in place.
+
+    Args:
+        image: (h, w, 3) RGB backdrop.
+        view: The camera.
+        facets: The solids.
+        colours: (Q, 3) RGB as seen, from `facets.seen_colours`.
+    """
+    in_view = _solids_in_view(view, facets)
+    if not len(in_view):
+        return
+    order = in_view[drawing_order(facets.footprint[in_view], view.eye[:2])]
+    rank = np.full(len(facets.footprint), -1)
+    rank[order] = np.arange(len(order))
+    depth = np.maximum((facets.centre - view.eye) @ view.rotation[2], 1.0)
+    apparent_px = view.camera.intrinsic[1, 1] * facets.height / depth
+    towards = ((view.eye - facets.quads[:, 0]) * facets.normal).sum(axis=-1) > 0.0
+    detailed = apparent_px[facets.solid] * (256.0 / max(view.camera.height, 256)) >= facets.detail_px
+    drawn = np.flatnonzero((rank[facets.solid] >= 0) & towards & detailed)
+    eye_is_ahead = (facets.split[:, :2] @ view.eye[:2]) > facets.split[:, 2]
+    in_front = facets.ahead[drawn] == eye_is_ahead[facets.solid[drawn]]
+    key = (rank[facets.solid[drawn]] * 2 + in_front) * _PART_STEP + facets.layer[drawn]
+    drawn = drawn[np.lexsort((facets.batch[drawn], key))]
+    _fill(image, view, facets, colours, drawn)
+
+
+def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: Atmosphere) -> None:
+    """Darken the ground under and beside vehicles, softly, in place.
+
+    Args:
+        image: (h, w, 3) RGB, nothing standing drawn yet.
+        view: The camera.
+        footprints: (N, 4, 2) outlines on the ground.
+        air: Where the sun is and how deep shadows are.
+    """
+    if not len(footprints) or air.shadow == 0.0:
+        return
+    centre = footprints.mean(axis=1, keepdims=True)
+    lean = -0.35 * np.array(air.sun[:2]) / max(air.sun[2], 0.3)
+    mask: NDArray[np.uint8] | None = None
+    for grow, offset, share in ((1.10, 1.0, 0.45), (1.0, 0.4, 1.0)):
+        outline = centre + (footprints - centre) * grow + lean * offset
+        ground = np.concatenate([outline, np.full((*outline.shape[:2], 1), view.ground_z)], axis=-1)
+        in_camera = view.to_camera(ground)
+        for pixels in _on_image(view, in_camera)[1]:
+            if mask is None:
+                mask = np.full(image.shape[:2], 255, dtype=np.uint8)
+            cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, _SHIFT)
+    if mask is not None:
+        size = max(3, image.shape[0] // 64 | 1)
+        soft = cv2.blur(mask, (size, size))
+        cv2.multiply(image, cv2.merge([soft, soft, soft]), dst=image, scale=1.0 / 255.0)
+
+
+def _solids_in_view(view: View, facets: Facets) -> NDArray[np.int64]:
+    """Indices of solids whose sphere touches the view's pyramid."""
+    if not len(facets.footprint):
+        return np.zeros(0, dtype=np.int64)
+    in_camera = view.to_camera(facets.centre)
+    width, height = view.camera.width, view.camera.height
+    corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=np.float64)
+    rays = corners @ np.linalg.inv(view.camera.intrinsic).T
+    sides = np.cross(rays, np.roll(rays, -1, axis=0))
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    inside = (in_camera @ sides.T > -facets.radius[:, None]).all(axis=1) & (in_camera[:, 2] > NEAR_M - facets.radius)
+    return np.flatnonzero(inside)
+
+
+def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[NDArray[np.int32]]]:
+    """Which quadrilaterals (Q, 4, 3) can touch the image, and their pixels, clipped at the near plane."""
+    depth = in_camera[..., 2]
+    ahead = depth > NEAR_M
+    corners_ahead = ahead.sum(axis=1)
+    cut = (corners_ahead > 0) & (corners_ahead < 4)
+    homogeneous = in_camera @ view.camera.intrinsic.T
+    pixels = homogeneous[..., :2] / np.where(ahead, depth, 1.0)[..., None]
+    x, y = pixels[..., 0], pixels[..., 1]
+    outside = (x < -1).all(axis=1) | (y < -1).all(axis=1)
+    outside |= (x > view.camera.width).all(axis=1) | (y > view.camera.height).all(axis=1)
+    kept = np.flatnonzero(cut | ((corners_ahead == 4) & ~outside))
+    polygons = list(_fixed(pixels[kept]))
+    for index in np.flatnonzero(cut[kept]).tolist():
+        polygons[index] = _fixed(view.to_pixels(clip_near(in_camera[kept[index]])))
+    return kept, polygons
+
+
+def _fixed(pixels: Floats) -> NDArray[np.int32]:
+    return np.asarray(np.rint(np.clip(pixels, -1e6, 1e6) * (1 << _SHIFT)), dtype=np.int32)
+
+
+def _fill(
+    image: NDArray[np.uint8], view: View, facets: Facets, colours: NDArray[np.uint8], drawn: NDArray[np.int64]
+) -> None:
+    kept, polygons = _on_image(view, view.to_camera(facets.quads[drawn]))
+    drawn = drawn[kept]
+    batch = facets.batch[drawn]
+    starts = np.flatnonzero(np.diff(batch, prepend=-1)).tolist()
+    shades = colours[drawn[starts]].tolist() if starts else []
+    for start, stop, shade in zip(starts, [*starts[1:], len(polygons)], shades):
+        if stop - start == 1:
+            cv2.fillConvexPoly(image, polygons[start], shade, cv2.LINE_AA, _SHIFT)
+        else:
+            cv2.fillPoly(image, polygons[start:stop], shade, cv2.LINE_AA, _SHIFT)

@@ -1,0 +1,238 @@
+"""Buildings and trees beside the road, made from the map alone: the same place always looks the same."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import MultiPolygon
+
+from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
+from benchmark.machine.storage import content_seed
+from benchmark.road_map import RoadMap
+from benchmark.scene import Scene
+from generation.render.schematic.atmosphere import facade
+from generation.render.schematic.facets import Facets, joined, unit_normals
+
+DRAWN_WITHIN_M = 110.0
+_BUILDING_CELL_M = 17.0
+_TREE_CELL_M = 9.0
+_STOREY_M = 3.3
+_GLASS = (70, 84, 100)
+_LIT_GLASS = (250, 214, 140)
+_ROOF = (110, 106, 104)
+_TRUNK = (92, 72, 54)
+_FOLIAGE = ((74, 112, 58), (88, 122, 60), (62, 100, 62), (108, 128, 66))
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """Places where something may stand.
+
+    Attributes:
+        boxes: (P, 5) footprints, global.
+        seeds: P seeds, made of the place.
+    """
+
+    boxes: Floats
+    seeds: list[int]
+
+    def where(self, kept: Bools) -> "Plot":
+        """Only some places."""
+        return Plot(self.boxes[kept], [seed for seed, keep in zip(self.seeds, kept) if keep])
+
+
+def surroundings(scene: Scene, *, lamps: bool) -> Facets:
+    """Everything that stands beside the road along the way of the ego.
+
+    Args:
+        scene: Gives the map, the way, and the objects that nothing may stand on.
+        lamps: Whether windows are lit.
+
+    Returns:
+        One solid per building or tree; none where the map has no road.
+    """
+    road_map = scene.road_map
+    if road_map.drivable_area.is_empty:
+        return Facets.none()
+    path = shapely.LineString(scene.ego.position[:, :2]) if len(scene.ego.position) > 1 else None
+    if path is None or path.length == 0.0:
+        path = shapely.Point(scene.ego.position[0, :2])
+    region = path.buffer(DRAWN_WITHIN_M)
+    bounds = region.bounds
+    nearby = road_map.near((bounds[0] - 40, bounds[1] - 40, bounds[2] + 40, bounds[3] + 40))
+    if nearby.drivable_area.is_empty:
+        return Facets.none()
+    paved = shapely.union_all(
+        [nearby.drivable_area, *nearby.walkways.values(), *nearby.ped_crossings.values(), *nearby.carparks.values()]
+    )
+    occupied = _occupied(scene, bounds)
+    buildings = _building_plots(nearby, region, paved)
+    buildings = buildings.where(~_stands_on(buildings.boxes, occupied, 1.0))
+    trees = _tree_plots(nearby, region, paved, buildings.boxes)
+    trees = trees.where(~_stands_on(trees.boxes, occupied, 0.8))
+    parts = [_building(box, seed, lamps=lamps) for box, seed in zip(buildings.boxes, buildings.seeds)]
+    return joined(parts + [_tree(box, seed) for box, seed in zip(trees.boxes, trees.seeds)])
+
+
+def _occupied(scene: Scene, bounds: tuple[float, float, float, float]) -> shapely.MultiPoint:
+    """Every place where an agent or the ego ever is: sources also annotate what is beside their maps."""
+    agents = scene.agents.position[..., :2][scene.agents.valid]
+    points = np.unique(np.round(np.concatenate([agents, scene.ego.position[:, :2]]) * 2) / 2, axis=0)
+    inside = ((points >= np.array(bounds[:2])) & (points <= np.array(bounds[2:]))).all(axis=1)
+    return shapely.MultiPoint(points[inside])
+
+
+def _stands_on(boxes: Floats, occupied: shapely.MultiPoint, margin_m: float) -> Bools:
+    """(P,) whether an occupied point is within a margin of a box."""
+    if not len(boxes):
+        return np.zeros(0, dtype=np.bool_)
+    tree = shapely.STRtree(shapely.get_parts(occupied))
+    hits = tree.query(shapely.polygons(box_corners(boxes)), predicate="dwithin", distance=margin_m)[0]
+    return np.isin(np.arange(len(boxes)), hits)
+
+
+def _cells(region: shapely.Geometry, size_m: float, kind: str, location: str) -> tuple[Floats, Floats, list[int]]:
+    """Cell centres in a region, four random numbers and a seed for each, all made of the place alone."""
+    x_min, y_min, x_max, y_max = region.bounds
+    columns = np.arange(np.floor(x_min / size_m), np.ceil(x_max / size_m)).astype(np.int64)
+    rows = np.arange(np.floor(y_min / size_m), np.ceil(y_max / size_m)).astype(np.int64)
+    cells = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1).reshape(-1, 2)
+    centres = (cells + 0.5) * size_m
+    inside = shapely.intersects_xy(region, centres[:, 0], centres[:, 1])
+    seeds = [content_seed(kind, location, *cell) for cell in cells[inside].tolist()]
+    draws = np.array([np.random.default_rng(seed).random(4) for seed in seeds]).reshape(-1, 4)
+    return centres[inside], draws, seeds
+
+
+def _towards_road(points: Floats, road: MultiPolygon) -> tuple[Floats, Floats]:
+    """Distance to the road and direction towards it, (P,) and (P,) radians."""
+    lines = shapely.shortest_line(shapely.points(points), road)
+    ends = shapely.get_point(lines, -1)
+    offset = np.column_stack([shapely.get_x(ends), shapely.get_y(ends)]) - points
+    return np.asarray(np.hypot(offset[:, 0], offset[:, 1])), np.asarray(np.arctan2(offset[:, 1], offset[:, 0]))
+
+
+def _building_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geometry) -> Plot:
+    centres, draws, seeds = _cells(region, _BUILDING_CELL_M, "building", road_map.location)
+    shapely.prepare(road_map.drivable_area)
+    shapely.prepare(paved)
+    points = centres + (draws[:, :2] - 0.5) * 0.5 * _BUILDING_CELL_M
+    distance, direction = _towards_road(points, road_map.drivable_area)
+    depth, width = 9.0 + 6.0 * draws[:, 2], 10.0 + 9.0 * draws[:, 3]
+    boxes = np.column_stack([points, depth, width, direction])
+    plot = Plot(boxes, seeds).where((distance > 9.0) & (distance < 60.0))
+    footprints = shapely.polygons(box_corners(plot.boxes))
+    if len(plot.boxes):
+        too_close = shapely.dwithin(footprints, paved, 2.5) | shapely.dwithin(footprints, road_map.drivable_area, 6.0)
+        plot = plot.where(~too_close)
+    # Of two that overlap, the one with the smaller seed stands: a rule that no third one can change.
+    first, second = np.triu_indices(len(plot.boxes), 1)
+    near = np.hypot(*(plot.boxes[first, :2] - plot.boxes[second, :2]).T) < 30.0
+    first, second = first[near], second[near]
+    grown = plot.boxes + np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+    overlap = boxes_overlap(grown[first], grown[second])
+    seeds_of = np.array(plot.seeds, dtype=np.int64)
+    loser = np.where(seeds_of[first] > seeds_of[second], first, second)[overlap]
+    return plot.where(~np.isin(np.arange(len(plot.boxes)), loser))
+
+
+def _tree_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geometry, buildings: Floats) -> Plot:
+    centres, draws, seeds = _cells(region, _TREE_CELL_M, "tree", road_map.location)
+    points = centres + (draws[:, :2] - 0.5) * 0.7 * _TREE_CELL_M
+    boxes = np.column_stack([points, np.full((len(points), 2), 0.6), np.zeros(len(points))])
+    plot = Plot(boxes, seeds).where(draws[:, 2] < 0.42)
+    geometry = shapely.points(plot.boxes[:, :2])
+    plot = plot.where(~shapely.dwithin(geometry, paved, 2.6) & shapely.dwithin(geometry, road_map.drivable_area, 45.0))
+    if not len(plot.boxes) or not len(buildings):
+        return plot
+    crowns = plot.boxes * np.array([1, 1, 0, 0, 1]) + np.array([0, 0, 4.0, 4.0, 0])
+    return plot.where(~boxes_overlap(crowns[:, None], buildings[None]).any(axis=1))
+
+
+def _building(box: Floats, seed: int, *, lamps: bool) -> Facets:
+    """A block with rows of windows."""
+    random = np.random.default_rng(seed)
+    draw = random.random(8)
+    storeys = 2 + int(draw[4] ** 2 * 7)
+    height = storeys * _STOREY_M + 0.8
+    corners = box_corners(box)
+    walls, windows, side_of = [], [], []
+    for side in range(4):
+        a, b = corners[side], corners[(side + 1) % 4]
+        walls.append(_upright(a[None], b[None], np.zeros(1), np.full(1, height)))
+        windows.append(_windows(a, b, storeys))
+        side_of.append(np.full(len(windows[-1]), side))
+    roof = np.column_stack([corners, np.full(4, height)])[None]
+    panes = sum(map(len, windows))
+    lit = random.random(panes) < 0.3 if lamps else np.zeros(panes, dtype=np.bool_)
+    wall_colour = np.array(facade(seed), dtype=np.float64) * (0.9 + 0.2 * draw[5])
+    glass = np.where(lit[:, None], np.array(_LIT_GLASS), np.array(_GLASS))
+    return _standing(
+        np.concatenate([*walls, roof, *windows]),
+        np.concatenate([np.tile(wall_colour, (4, 1)), [_ROOF], glass]),
+        glows=np.concatenate([np.zeros(5, np.bool_), lit]),
+        layer=np.repeat([0, 1], [5, panes]),
+        # The panes of one wall that look alike are filled together.
+        batch=np.concatenate([np.arange(5), 5 + 2 * np.concatenate(side_of) + lit]),
+        detail=np.repeat([0.0, 14.0], [5, panes]),
+        footprint=corners,
+        height=height,
+    )
+
+
+def _windows(a: Floats, b: Floats, storeys: int) -> Floats:
+    """(W, 4, 3) panes of the wall from a to b."""
+    columns = max(int(np.linalg.norm(b - a) // 3.2), 1)
+    column, row = (part.ravel() for part in np.meshgrid(np.arange(columns), np.arange(storeys)))
+    start, end = (column + 0.24) / columns, (column + 0.76) / columns
+    low = row * _STOREY_M + 1.0
+    return _upright(a + start[:, None] * (b - a), a + end[:, None] * (b - a), low, low + 1.7)
+
+
+def _upright(start: Floats, end: Floats, low: Floats, high: Floats) -> Floats:
+    """(W, 4, 3) upright rectangles over ground segments (W, 2) to (W, 2)."""
+    rows = [(start, low), (end, low), (end, high), (start, high)]
+    return np.stack([np.column_stack(corner) for corner in rows], axis=1)
+
+
+def _tree(box: Floats, seed: int) -> Facets:
+    """A trunk and a crown of flat facets."""
+    draw = np.random.default_rng(seed).random(8)
+    height, crown = 5.0 + 5.0 * draw[4], 1.7 + 0.8 * draw[5]
+    angle = 2 * np.pi * draw[6] + np.arange(6) * np.pi / 3
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    conifer = draw[7] < 0.25
+    levels = [(0.22, 0.9), (0.99, 0.06)] if conifer else [(0.30, 0.55), (0.52, 1.0), (0.80, 0.78), (1.0, 0.25)]
+    after = np.roll(ring, -1, axis=0)
+    level = np.zeros(len(ring))
+    trunk = _upright(0.16 * ring, 0.16 * after, level, level + 0.34 * height)
+    bands = [trunk]
+    for (z0, r0), (z1, r1) in itertools.pairwise(levels):
+        rows = [(ring * r0, z0), (after * r0, z0), (after * r1, z1), (ring * r1, z1)]
+        bands.append(np.stack([np.column_stack([crown * at, level + z * height]) for at, z in rows], axis=1))
+    solid = np.concatenate(bands)
+    solid[..., :2] += box[:2]
+    green = np.array(_FOLIAGE[seed % len(_FOLIAGE)], dtype=np.float64)
+    bark, leaves = len(trunk), len(solid) - len(trunk)
+    colour = np.concatenate([np.tile(_TRUNK, (bark, 1)), np.tile(green * (0.8 if conifer else 1.0), (leaves, 1))])
+    return _standing(
+        solid, colour, glows=np.zeros(len(solid), np.bool_), layer=np.repeat([0, 1], [bark, leaves]),
+        batch=np.arange(len(solid)), detail=np.zeros(len(solid)), footprint=box_corners(box), height=height,
+    )  # fmt: skip
+
+
+def _standing(
+    quads: Floats, colour: Floats, *, glows: Bools, layer: NDArray[np.int64], batch: NDArray[np.int64],
+    detail: Floats, footprint: Floats,
+    height: float,
+) -> Facets:  # fmt: skip
+    """One solid that stands on the ground and has one part."""
+    middle = footprint.mean(axis=0)
+    reach = np.linalg.norm(quads - np.array([*middle, height / 2]), axis=-1).max()
+    return Facets(
+        quads, unit_normals(quads), colour, glows, np.zeros(len(quads), np.int64), layer,
+        np.zeros(len(quads), np.bool_), detail, batch, footprint[None],
+        np.array([[*middle, height / 2]]), np.array([height]), np.array([reach]), np.array([[1.0, 0.0, 1e9]]),
+    )  # fmt: skip

@@ -1,5 +1,0 @@
-"""The CPU renderer: six calibrated views of a scene as a driver would recognise it."""
-
-from generation.schematic.renderer import SchematicRenderer
-
-__all__ = ["SchematicRenderer"]

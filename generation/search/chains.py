@@ -1,0 +1,262 @@
+"""Scenes with one or more adversaries, each planned in the scene that the ones before it made.
+
+Appendix "Extending to Multiple Adversarial Vehicles": the generated scene is fed in again with another vehicle; earlier
+adversaries are environment.
+"""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+from benchmark.datasets.roots import DataSet
+from benchmark.machine.storage import token
+from benchmark.machine.workers import Executor, progress
+from benchmark.scene import Scene
+from generation.build.ranking import ranked
+from generation.search.attempts import Earlier, Search, StoredAttempt, Unit, attempts, surveyed
+from generation.search.eligibility import Survey
+
+
+class Dropped(StrEnum):
+    """Why an attempt that passed verification is not written."""
+
+    TOO_FEW_ADVERSARIES = "too-few-adversaries"
+    OUTRANKED = "another-vehicle-ranked-higher"
+    SURROGATE_COPES = "surrogate-does-not-fail"
+    BEYOND_LIMIT = "beyond-the-number-kept"
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One attempt that was kept.
+
+    Attributes:
+        unit: What was tried.
+        key: Content key of the attempt.
+        stored: What came of it.
+    """
+
+    unit: Unit
+    key: str
+    stored: StoredAttempt
+
+    @property
+    def scene_name(self) -> str:
+        """Name of the recorded scene."""
+        return self.unit.scene_name
+
+    @property
+    def agent_id(self) -> str:
+        """Instance identifier of the adversary."""
+        return self.unit.agent_id
+
+    @property
+    def challenge(self) -> float:
+        """Its `ranking.challenge_score`."""
+        return self.stored.challenge
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A recorded scene and the adversaries that were put into it, one after the other.
+
+    Attributes:
+        scene_name: Name of the recorded scene.
+        links: The adversaries in the order in which they were planned; none for the recording itself.
+    """
+
+    scene_name: str
+    links: tuple[Link, ...] = ()
+
+    @property
+    def agent_ids(self) -> tuple[str, ...]:
+        """Instance identifiers of the adversaries, in order."""
+        return tuple(link.agent_id for link in self.links)
+
+    @property
+    def agent_id(self) -> str:
+        """The same as one text, for the order of equally challenging scenes."""
+        return " ".join(self.agent_ids)
+
+    @property
+    def challenge(self) -> float:
+        """Mean of the adversaries' scores; each of them is about its own vehicle and the ego alone."""
+        return sum(link.challenge for link in self.links) / len(self.links)
+
+    @property
+    def earlier(self) -> tuple[Earlier, ...]:
+        """What the next adversary finds."""
+        return tuple(
+            Earlier(link.key, link.unit.agent, link.agent_id, link.stored.start)
+            for link in self.links
+            if link.stored.start is not None
+        )
+
+    @property
+    def name(self) -> str:
+        """Name of the generated scene; it does not depend on the rank."""
+        suffix = token("adversary", self.scene_name, *self.agent_ids)[:8]
+        return f"{self.scene_name.replace('/', '-')}-{suffix}"
+
+    def adversarial(self, scene: Scene) -> Scene:
+        """The generated scene.
+
+        Args:
+            scene: The recorded scene.
+
+        Returns:
+            The scene with all adversaries.
+
+        Raises:
+            InputError: If the stored attempts do not fit the scene.
+        """
+        for link in self.links:
+            scene = link.stored.adversarial(scene)
+        return scene
+
+    def report(self) -> dict[str, Any]:
+        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several."""
+        reports = [{key: value for key, value in link.stored.report.items() if key != "plans"} for link in self.links]
+        if len(reports) == 1:
+            return reports[0]
+        return {"challenge": self.challenge, "adversaries": reports}
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """One attempt, kept or not."""
+
+    unit: Unit
+    stored: StoredAttempt
+
+
+@dataclass(slots=True)
+class Harvest:
+    """What came of a search.
+
+    Attributes:
+        surveys: Every look at the vehicles of a scene, after the instances that were adversaries already.
+        tried: Every attempt, in the order of stages and scenes.
+        chains: Generated scenes with the wanted number of adversaries.
+        dropped: Why attempts that passed verification are not written.
+    """
+
+    surveys: list[tuple[tuple[str, ...], Survey]] = field(default_factory=list)
+    tried: list[Tried] = field(default_factory=list)
+    chains: list[Chain] = field(default_factory=list)
+    dropped: dict[Unit, Dropped] = field(default_factory=dict)
+
+    def drop(self, chain: Chain, reason: Dropped) -> None:
+        """Note that the adversaries of a chain are not written."""
+        self.dropped.update({link.unit: reason for link in chain.links})
+
+
+def first_units(
+    search: Search, source: DataSet, names: Sequence[str], *, keep: bool
+) -> list[tuple[Survey, list[Unit]]]:
+    """Vehicles that are tried first in each recorded scene.
+
+    Args:
+        search: What decides the choice.
+        source: Recorded scenes.
+        names: Which of them.
+        keep: Whether the choice is written.
+
+    Returns:
+        The survey and the units of each scene.
+    """
+    scenes = _Scenes(source)
+    return [_chosen(search, Chain(name), scenes, keep=keep) for name in names]
+
+
+def harvest(
+    search: Search,
+    source: DataSet,
+    names: Sequence[str],
+    executor: Executor,
+    *,
+    adversaries: int = 1,
+    together: int = 1,
+) -> Harvest:
+    """Search for scenes with a number of adversaries in each.
+
+    Every vehicle that is chosen in a recorded scene and passes verification begins a chain. In each chain, vehicles
+    are chosen again and tried; the one that challenges most goes on, and a chain in which none passes is dropped.
+
+    Args:
+        search: What decides the results.
+        source: Recorded scenes.
+        names: Which of them.
+        executor: Where attempts are computed.
+        adversaries: Wanted in each scene.
+        together: See `attempts.attempts`.
+
+    Returns:
+        What came of it; the same whatever the executor.
+
+    Raises:
+        InputError: If workers are lost, or results cannot be written.
+    """
+    found, scenes = Harvest(), _Scenes(source)
+    chains = [Chain(name) for name in names]
+    for stage in range(adversaries):
+        looking = (_chosen(search, chain, scenes, keep=True) for chain in chains)
+        chosen = list(progress(looking, total=len(chains), label="choosing vehicles"))
+        found.surveys += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
+        owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}
+        scene_of = functools.partial(_scene_of, scenes, owner)
+        label = "planning adversaries" if stage == 0 else f"planning adversary {stage + 1} of {adversaries}"
+        results = attempts(search, list(owner), scene_of, executor, together=together, label=label)
+        found.tried += map(Tried, owner, results)
+        links = [Link(unit, search.key(unit), stored) for unit, stored in zip(owner, results) if stored.kept]
+        chains = _begun(links) if stage == 0 else _extended(found, chains, links)
+    found.chains = chains
+    return found
+
+
+def _begun(links: Sequence[Link]) -> list[Chain]:
+    """Every first adversary is a chain of its own."""
+    return [Chain(link.scene_name, (link,)) for link in links]
+
+
+def _extended(found: Harvest, chains: Sequence[Chain], links: Sequence[Link]) -> list[Chain]:
+    """Each chain with the most challenging of its new adversaries; chains without any are dropped."""
+    of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Link]] = {}
+    for link in links:
+        of_chain.setdefault((link.scene_name, link.unit.earlier), []).append(link)
+    longer = []
+    for chain in chains:
+        new = of_chain.get((chain.scene_name, chain.earlier))
+        if new is None:
+            found.drop(chain, Dropped.TOO_FEW_ADVERSARIES)
+            continue
+        best, *others = ranked(new, per_scene=None, total=None)
+        found.dropped.update({link.unit: Dropped.OUTRANKED for link in others})
+        longer.append(replace(chain, links=(*chain.links, best)))
+    return longer
+
+
+def _scene_of(scenes: "_Scenes", owner: Mapping[Unit, Chain], unit: Unit) -> Scene:
+    return scenes.of(owner[unit])
+
+
+def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Survey, list[Unit]]:
+    """The survey of a scene, and the vehicles to try in it."""
+    seen = surveyed(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
+    return seen, [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in seen.chosen]
+
+
+class _Scenes:
+    """Scenes of chains; the one asked for last is kept, because its vehicles are tried one after the other."""
+
+    def __init__(self, source: DataSet) -> None:
+        self._source = source
+        self._last: tuple[Chain, Scene] | None = None
+
+    def of(self, chain: Chain) -> Scene:
+        """The recorded scene with the chain's adversaries in it."""
+        if self._last is None or self._last[0] is not chain:
+            self._last = (chain, chain.adversarial(self._source.scene(chain.scene_name)))
+        return self._last[1]

@@ -1,0 +1,202 @@
+"""Multi-round trajectory refinement: sample, score, resample, renew with a little diffusion noise, repeat.
+
+Paper section 3 "Multi-round Trajectory Refinement", Algorithm 1 lines 4-18 and appendix of the same name.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.geometry import Floats
+from generation.search.hyperparameters import HyperParameters
+from generation.search.proposals import Diversify, Mutation, Sampling, Search
+from generation.search.scoring import Terms, final_scores, normalised
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated:
+    """One simulated and scored batch.
+
+    Attributes:
+        motion: What the candidates do.
+        terms: Their score terms.
+    """
+
+    motion: SimulatedMotion
+    terms: Terms
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """What one round found.
+
+    Attributes:
+        scores: (B,) final scores, normalised within the round.
+        collision_free: Candidates without contact over the horizon.
+    """
+
+    scores: Floats
+    collision_free: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """Result of one planning frame.
+
+    Attributes:
+        waypoints: (16, 3) chosen trajectory.
+        motion: Batch that the chosen one belongs to.
+        chosen: Its index in ``motion``.
+        round: Its round, 0 is the initial batch.
+        score: Its final score, normalised over all rounds together.
+        rounds: Trace, one entry per round.
+    """
+
+    waypoints: Floats
+    motion: SimulatedMotion
+    chosen: int
+    round: int
+    score: float
+    rounds: tuple[Round, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """One round as it was searched.
+
+    Attributes:
+        waypoints: (B, 16, 3) candidates before the simulation.
+        evaluated: What they do and their score terms.
+        start: (B,) random initial scores.
+    """
+
+    waypoints: Floats
+    evaluated: Evaluated
+    start: Floats
+
+
+Watch = Callable[[Sequence[Batch], Refinement], None]
+"""Is shown all rounds of a planning frame and what came of them; must not change them."""
+
+
+class NothingToDraw(ArithmeticError):
+    """Every weight of the resampling underflowed, as can happen without `HyperParameters.stable_softmax`."""
+
+
+def refine(
+    diversify: Diversify,
+    evaluate: Callable[[Floats], Evaluated],
+    previous: Floats,
+    hyper: HyperParameters,
+    rng: np.random.Generator,
+    *,
+    watch: Watch | None = None,
+) -> Search[Refinement]:
+    """Search one planning frame.
+
+    Args:
+        diversify: Applied to the initial batch.
+        evaluate: Simulates and scores (B, 16, 3) waypoints.
+        previous: (3,) pose half a second ago in the local frame.
+        hyper: Settings.
+        rng: Source of every random number.
+        watch: Is shown the rounds at the end; no result depends on it.
+
+    Yields:
+        Requests to the diffusion model (`generation.search.proposals`).
+
+    Returns:
+        The best candidate of all rounds, or of the last one (``hyper.best_of_all_rounds``).
+
+    Raises:
+        NothingToDraw: If the resampling underflows.
+    """
+    waypoints = diversify((yield Sampling(hyper.candidates, previous, rng)), rng)
+    batches: list[Batch] = []
+    rounds: list[Round] = []
+    for level in (*hyper.noise_levels(), 0):
+        start = rng.uniform(0.0, hyper.init_scale, len(waypoints))
+        evaluated = evaluate(waypoints)
+        scores = final_scores(evaluated.terms, start, hyper)
+        batches.append(Batch(waypoints, evaluated, start))
+        rounds.append(_summary(scores, evaluated.terms, hyper))
+        if level:
+            drawn = resample(scores, hyper, rng)
+            waypoints = yield Mutation(waypoints[drawn], level, previous, rng)
+    number, chosen, score = _best(batches, hyper, rng)
+    best = batches[number]
+    found = Refinement(best.waypoints[chosen], best.evaluated.motion, chosen, number, score, tuple(rounds))
+    if watch is not None:
+        watch(batches, found)
+    return found
+
+
+def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draw a batch with replacement with probability softmax(-score x temperature).
+
+    Args:
+        scores: (B,) lower is better; infinite ones are never drawn.
+        hyper: Temperature and ablation.
+        rng: Randomness.
+
+    Returns:
+        (B,) indices. Uniform over the finite ones without scoring, over all where none is finite.
+
+    Raises:
+        NothingToDraw: If every weight underflows, which only an unstable softmax can do.
+    """
+    finite = np.isfinite(scores)
+    if not finite.any():
+        return np.arange(len(scores))
+    sharpness = hyper.temperature if hyper.scored else 0.0
+    known = np.where(finite, scores, 0.0)
+    if hyper.stable_softmax:
+        weight = np.where(finite, np.exp(-sharpness * (known - scores[finite].min())), 0.0)
+    else:
+        single = np.exp(np.float32(-sharpness) * known.astype(np.float32))
+        weight = np.where(finite, single, np.float32(0.0)).astype(np.float64)
+    total = weight.sum()
+    if total == 0.0:
+        raise NothingToDraw(f"the smallest of {int(finite.sum())} scores is {scores[finite].min():.1f}")
+    return np.asarray(rng.choice(len(scores), size=len(scores), p=weight / total), dtype=np.int64)
+
+
+def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
+    """Final scores by which rounds compare, the challenge normalised over all of them together.
+
+    Args:
+        batches: R rounds of as many candidates each.
+        hyper: Weights.
+
+    Returns:
+        (R, B) scores, lower is better; infinite where a candidate must never be chosen.
+    """
+    terms = [batch.evaluated.terms for batch in batches]
+    finite = np.stack([each.finite for each in terms])
+    challenge = normalised(np.stack([each.challenge for each in terms]), finite)
+    safety = np.stack(
+        [batch.start + hyper.dac_weight * each.dac + hyper.cr_weight * each.cr for batch, each in zip(batches, terms)]
+    )
+    return np.where(finite, safety + hyper.ac_weight * challenge, np.inf)
+
+
+def _best(batches: Sequence[Batch], hyper: HyperParameters, rng: np.random.Generator) -> tuple[int, int, float]:
+    """Round, index and score of the best candidate of all rounds that count."""
+    skipped = 0 if hyper.best_of_all_rounds else len(batches) - 1
+    score = scores_together(batches[skipped:], hyper)
+    if hyper.scored:
+        number, chosen = np.unravel_index(int(np.argmin(score)), score.shape)
+        return skipped + int(number), int(chosen), float(score[number, chosen])
+    last = len(score) - 1
+    finite = np.isfinite(score[last])
+    options = np.flatnonzero(finite) if finite.any() else np.arange(score.shape[1])
+    chosen = rng.choice(options)
+    return skipped + last, int(chosen), float(score[last, chosen])
+
+
+def _summary(scores: Floats, terms: Terms, hyper: HyperParameters) -> Round:
+    free = terms.finite & ~terms.collision[:, : hyper.horizon].any(axis=1)
+    return Round(scores, int(free.sum()))

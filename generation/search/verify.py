@@ -1,0 +1,247 @@
+"""Whether an adversarial scene is kept: challenging, drivable, and solvable by the recorded ego.
+
+Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from benchmark.constants import FRAME_HZ
+from benchmark.datasets.annotated import tracks_between
+from benchmark.dynamics.bicycle import DriverLimits, rear_axle
+from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local, wrap_angle
+from benchmark.scene import Scene
+from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
+from generation.search.candidates import in_canvas
+from generation.search.hyperparameters import HyperParameters
+from generation.search.recorded_ego import log_replay_contacts
+
+
+class Discard(StrEnum):
+    """Why a scene is not kept."""
+
+    NEVER_LAUNCHED = "never-launched"
+    ORIGINAL_COLLIDES = "original-scene-collides"
+    NO_SAFE_CANDIDATE = "no-candidate-without-collision"
+    NOTHING_TO_DRAW = "scores-underflow"
+    HITS_OBJECT = "hits-an-object"
+    HITS_EGO = "hits-the-ego"
+    EGO_BLOCKED = "blocks-the-ego-at-the-end"
+    LEAVES_AREA = "leaves-the-area-around-the-ego"
+    LEAVES_ROAD = "leaves-the-drivable-area"
+    NEVER_CLOSE = "never-gets-close"
+    UNDRIVEABLE = "motion-no-driver-could-drive"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A reason to discard a scene, and what shows it.
+
+    Attributes:
+        reason: The reason.
+        frame: First frame at which it shows, where there is one.
+        other: Instance identifier of what was touched, or ``ego``.
+        quantity: What was measured, with its unit.
+        value: How much it was.
+        limit: How much was allowed, or needed.
+    """
+
+    reason: Discard
+    frame: int | None = None
+    other: str | None = None
+    quantity: str | None = None
+    value: float | None = None
+    limit: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields that say something."""
+        fields: dict[str, Any] = {"frame": self.frame, "other": self.other, "quantity": self.quantity}
+        fields |= {"value": self.value, "limit": self.limit}
+        return {"reason": self.reason.value, **{name: value for name, value in fields.items() if value is not None}}
+
+
+EGO = "ego"
+"""Stands for the recording car where an instance identifier would stand."""
+LIMIT_TOLERANCE = 1.05
+"""Finite differences at 12 Hz overshoot the simulator's own limits by less than this factor."""
+SIDEWAYS_M_S = 0.3
+"""Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
+
+
+def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits) -> Finding | None:
+    """Check one adversarial scene.
+
+    Args:
+        scene: The adversarial scene.
+        agent: Index of the adversary.
+        start: First frame of the adversarial track.
+        hyper: Limits of the filter.
+        limits: Limits of the driver.
+
+    Returns:
+        The first reason to discard it, or ``None`` to keep it.
+    """
+    boxes = agent_boxes(scene, agent)[start:]
+    if not np.isfinite(boxes).all():
+        return Finding(Discard.UNDRIVEABLE)
+    broken = broken_limit(boxes, limits)
+    if broken is not None:
+        quantity, value, limit = broken
+        return Finding(Discard.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
+    return (
+        _contact(scene, agent, start, boxes)
+        or (Finding(Discard.EGO_BLOCKED) if _blocks_ego(scene, boxes, hyper) else None)
+        or _out_of_area(scene, agent, start, hyper)
+        or _off_road(scene, start, boxes, hyper)
+        or _never_close(scene, agent, start, hyper)
+    )
+
+
+def _contact(scene: Scene, agent: int, start: int, boxes: Floats) -> Finding | None:
+    """Contact with an object or the ego, at 12 Hz and as a reader of the data set sees it."""
+    read = _as_read(scene)
+    stretches = ((scene, np.arange(start, start + len(boxes))), (read, np.arange(start, read.agents.yaw.shape[1])))
+    for seen, at in stretches:
+        step, other = contacts(agent_boxes(seen, agent)[at], seen, agent, at)
+        if len(step):
+            return Finding(Discard.HITS_OBJECT, int(at[step[0]]), seen.agents.ids[other[0]])
+    touched = np.flatnonzero(boxes_overlap(boxes, scene.ego.boxes[start:]))
+    if len(touched) or log_replay_contacts(scene, np.array([agent]))[agent]:
+        return Finding(Discard.HITS_EGO, start + int(touched[0]) if len(touched) else None, EGO)
+    return None
+
+
+def _out_of_area(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> Finding | None:
+    out = np.flatnonzero(~in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)[start:])
+    return Finding(Discard.LEAVES_AREA, start + int(out[0])) if len(out) else None
+
+
+def _never_close(scene: Scene, agent: int, start: int, hyper: HyperParameters) -> Finding | None:
+    moving = ego_speed(scene)[start:] >= hyper.moving_ego_m_s
+    if not moving.any():
+        return Finding(Discard.NEVER_CLOSE, quantity="speed of the ego, m/s", value=0.0, limit=hyper.moving_ego_m_s)
+    gap = float(body_gaps(scene, agent, start)[moving].min())
+    if gap <= hyper.close_gap_m:
+        return None
+    return Finding(Discard.NEVER_CLOSE, quantity="smallest gap, m", value=gap, limit=hyper.close_gap_m)
+
+
+def _as_read(scene: Scene) -> Scene:
+    """The scene as a reader of the data set gets it: 2 Hz annotations and straight lines, which cut corners."""
+    tracks = tracks_between(scene.agents.ids, scene.agents.categories, scene.annotations, scene.keyframes)
+    return replace(scene, agents=tracks)
+
+
+def contacts(
+    boxes: Floats, scene: Scene, agent: int, frames: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Contacts of a track with any other present agent.
+
+    Args:
+        boxes: (F, 5) boxes of the track.
+        scene: The scene.
+        agent: Index of the track's own agent, which is left out.
+        frames: (F,) frame indices.
+
+    Returns:
+        Step of each contact, ascending, and index of the other agent.
+    """
+    at = frames
+    present = scene.agents.valid[:, at].copy()
+    present[agent] = False
+    center = scene.agents.position[:, at, :2]
+    reach = 0.5 * (np.hypot(*scene.agents.size[:, :2].T)[:, None] + np.hypot(boxes[:, 2], boxes[:, 3]))
+    near = present & (np.hypot(center[..., 0] - boxes[:, 0], center[..., 1] - boxes[:, 1]) <= reach)
+    step, other = np.nonzero(near.T)
+    others = np.column_stack([center[other, step], scene.agents.size[other, :2], scene.agents.yaw[other, at[step]]])
+    hit = boxes_overlap(boxes[step], others)
+    return step[hit], other[hit]
+
+
+def _blocks_ego(scene: Scene, boxes: Floats, hyper: HyperParameters) -> bool:
+    """Whether the ego would hit the adversary after the last frame although it brakes hard on its heading.
+
+    The recorded ego needs no way out while the recording lasts; this asks for one where it ends. An adversary behind
+    the ego is itself the one to brake.
+    """
+    ego = scene.ego.boxes
+    if to_local(boxes[-1, :2], ego[-1, [0, 1, 4]])[0] <= 0.0:
+        return False
+    seconds = scene.seconds
+    span = float(seconds[-1] - seconds[-2])
+    velocity = (ego[-1, :2] - ego[-2, :2]) / span
+    speed = float(np.hypot(*velocity))
+    time = np.arange(0.0, speed / hyper.stopping_m_s2 + 0.1, 0.1)
+    braking = np.minimum(time, speed / hyper.stopping_m_s2)
+    travelled = speed * braking - 0.5 * hyper.stopping_m_s2 * braking**2
+    stopping = np.repeat(ego[-1:], len(time), axis=0)
+    stopping[:, :2] += travelled[:, None] * np.array([np.cos(ego[-1, 4]), np.sin(ego[-1, 4])])
+    other = np.repeat(boxes[-1:], len(time), axis=0)
+    other[:, :2] += time[:, None] * (boxes[-1, :2] - boxes[-2, :2]) / span
+    return bool(boxes_overlap(stopping, other).any())
+
+
+def _off_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -> Finding | None:
+    shapely.prepare(scene.road_map.drivable_area)
+    center_off = ~scene.road_map.is_drivable(boxes[:, :2])
+    corner_off = ~scene.road_map.is_drivable(box_corners(boxes)).all(axis=-1)
+    for what, off, most in (
+        ("share of frames with the centre off the road", center_off, hyper.most_off_road_share),
+        ("share of frames with a corner off the road", corner_off, hyper.most_corner_off_road_share),
+    ):
+        if off.mean() > most:
+            first = start + int(np.argmax(off))
+            return Finding(Discard.LEAVES_ROAD, first, quantity=what, value=float(off.mean()), limit=most)
+    return None
+
+
+def is_drivable_motion(boxes: Floats, limits: DriverLimits) -> bool:
+    """Whether a 12 Hz track stays inside what the driver can do, see `broken_limit`.
+
+    Args:
+        boxes: (F, 5) boxes.
+        limits: Limits.
+
+    Returns:
+        The verdict; tracks of fewer than three frames pass.
+    """
+    return broken_limit(boxes, limits) is None
+
+
+def broken_limit(boxes: Floats, limits: DriverLimits) -> tuple[str, float, float] | None:
+    """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
+
+    Args:
+        boxes: (F, 5) boxes.
+        limits: Limits.
+
+    Returns:
+        Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
+    """
+    if len(boxes) < 3:
+        return None
+    axle = rear_axle(boxes[:, [0, 1, 4]], float(boxes[0, 2]))
+    step = np.diff(axle[:, :2], axis=0) * FRAME_HZ
+    yaw = axle[:-1, 2]
+    along = step[:, 0] * np.cos(yaw) + step[:, 1] * np.sin(yaw)
+    across = step[:, 1] * np.cos(yaw) - step[:, 0] * np.sin(yaw)
+    yaw_rate = wrap_angle(np.diff(axle[:, 2])) * FRAME_HZ
+    acceleration = np.diff(along) * FRAME_HZ
+    measured = (
+        ("speed sideways, m/s", np.abs(across).max(), SIDEWAYS_M_S),
+        ("speed backwards, m/s", -along.min(), SIDEWAYS_M_S),
+        ("acceleration, m/s^2", acceleration.max(), limits.acceleration_m_s2 * LIMIT_TOLERANCE),
+        ("braking, m/s^2", -acceleration.min(), limits.braking_m_s2 * LIMIT_TOLERANCE),
+        ("yaw rate, rad/s", np.abs(yaw_rate).max(), limits.yaw_rate_rad_s * LIMIT_TOLERANCE),
+        (
+            "lateral acceleration, m/s^2",
+            np.abs(yaw_rate * along).max(),
+            limits.lateral_acceleration_m_s2 * LIMIT_TOLERANCE,
+        ),
+    )
+    return next(((name, float(value), limit) for name, value, limit in measured if not value <= limit), None)

@@ -1,0 +1,74 @@
+"""Bringing foreign recordings into nuScenes format."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
+from benchmark.errors import InputError
+from benchmark.machine.storage import only_writer
+from benchmark.machine.workers import map_ordered
+from benchmark.scene import Scene
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.render.schematic import SchematicRenderer
+from generation.sources.rig import default_cameras
+
+VERSION_FOLDER = "v1.0-trainval"
+
+
+@dataclass(frozen=True, slots=True)
+class ImportSettings:
+    """How ScenarioNet scenes, which have no images, become a data set.
+
+    Attributes:
+        width: Image width, pixels.
+        height: Image height, pixels.
+        frames: Which frames get images.
+        images: Whether to draw images at all (schematic ones: the recordings have none).
+    """
+
+    width: int = 448
+    height: int = 256
+    frames: Literal["all", "keyframes"] = "all"
+    images: bool = True
+
+
+def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, workers: int) -> tuple[str, ...]:
+    """Write ScenarioNet recordings as a nuScenes-format data set with one split, ``val``.
+
+    Args:
+        source: A ScenarioNet pickle or a folder of them.
+        root: Root to write; the same command resumes.
+        settings: Image settings.
+        workers: Number of processes.
+
+    Returns:
+        The scene names.
+
+    Raises:
+        InputError: If a file is refused, two files hold the same scene, or the disk refuses.
+    """
+    files = find_scenarionet(source)
+    renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
+    plan = DataSetPlan(
+        root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames, source=None
+    )
+    with only_writer(root):
+        written = list(map_ordered(partial(_import_one, plan), files, workers=workers, label="importing scenes"))
+        names = [name for name, _ in written]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise InputError(f"{source} holds more than one file of scene {twice[0]}; keep one of them")
+        finish_data_set(plan, [key for _, key in written])
+    return tuple(names)
+
+
+def _import_one(plan: DataSetPlan, path: Path) -> tuple[str, str]:
+    scene = with_default_rig(read_scenarionet(path))
+    return scene.name, write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
+
+
+def with_default_rig(scene: Scene) -> Scene:
+    """The scene with six cameras where its source has none."""
+    return scene if scene.cameras else replace(scene, cameras=default_cameras())

@@ -1,0 +1,87 @@
+"""The embedded data set ``mini``: the procedural town, rendered and written in nuScenes format."""
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
+from benchmark.machine.workers import map_ordered
+from benchmark.machine.workspace import is_finished
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.render.schematic import SchematicRenderer
+from generation.sources.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names
+
+VERSION_FOLDER = "v1.0-mini"
+
+Split = Literal["val", "train"]
+
+
+@dataclass(frozen=True, slots=True)
+class TownSettings:
+    """What the town data set depends on.
+
+    Attributes:
+        val_scenes: Number of evaluation scenes.
+        train_scenes: Number of training scenes.
+        seed: Seed of maps and traffic.
+        width: Image width, pixels.
+        height: Image height, pixels.
+        frames: Which frames get images: all 12 Hz frames or the 2 Hz keyframes.
+        images: Whether there are cameras at all; without them a thousand scenes are written in minutes.
+    """
+
+    val_scenes: int = DEFAULT_VAL_SCENES
+    train_scenes: int = 0
+    seed: int = 0
+    width: int = 448
+    height: int = 256
+    frames: Literal["all", "keyframes"] = "all"
+    images: bool = True
+
+    def folder_name(self, name: str) -> str:
+        """Folder in the cache, named by everything the bytes depend on."""
+        renderer = SchematicRenderer(self.width, self.height)
+        return f"{name}-{content_key(asdict(self), TOWN_VERSION, renderer.version)[:12]}"
+
+
+def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
+    """Write the town data set, or finish writing it; nothing is done when it is there with these settings.
+
+    Args:
+        root: Root of the data set.
+        settings: What to write.
+        workers: Number of processes.
+
+    Returns:
+        ``root``.
+
+    Raises:
+        InputError: If no scene is asked for or the disk refuses.
+    """
+    if settings.val_scenes < 1 or settings.train_scenes < 0:
+        raise InputError("the town needs at least one evaluation scene (--town-scenes) and no negative numbers")
+    note, made_of = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
+    if is_finished(root) and read_kept_json(note) == made_of:
+        return root
+    renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
+    plan = DataSetPlan(
+        root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames, source=None
+    )
+    work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
+    work += [("train", index) for index in range(settings.train_scenes)]
+    job = partial(_write_one, plan, settings.seed)
+    train = list(town_scene_names("train", settings.train_scenes)) if settings.train_scenes else []
+    with only_writer(root):
+        keys = list(map_ordered(job, work, workers=workers, label="building the town"))
+        finish_data_set(plan, keys, extra_splits={"train": train} if train else None)
+        write_json(note, made_of)
+    return root
+
+
+def _write_one(plan: DataSetPlan, seed: int, work: tuple[Split, int]) -> str:
+    split, index = work
+    scene = town_scene(split, index, seed=seed)
+    return write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})

@@ -1,0 +1,256 @@
+"""From a chain of lanes to the motion of a car's body: routes, and paths that a wheeled vehicle can follow exactly."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sin
+
+import numpy as np
+
+from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M, EGO_WIDTH_M
+from benchmark.geometry import Floats
+from generation.sources.town.curves import (
+    at_lengths,
+    between_grid,
+    headings,
+    joined,
+    lengths_along,
+    offset,
+    resampled,
+    smoothed,
+)
+from generation.sources.town.network import Role, Town, TownLane
+
+STATION_M = 0.5
+LEAD_M = 14.0
+_SMOOTHING_M = 2.0
+_COMFORTABLE_LATERAL_MPS2 = 2.2
+_COMFORTABLE_BRAKING_MPS2 = 1.2
+_LANE_CHANGE_M = (32.0, 46.0)
+_ROOM_FOR_LANE_CHANGE_M = 75.0
+
+_EGO_WHEELBASE_M = 2.588
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Size and wheels of a vehicle.
+
+    Attributes:
+        category: nuScenes category.
+        length: Metres.
+        width: Metres.
+        height: Metres.
+        wheelbase: Rear to front axle, metres.
+        center_ahead: Box centre ahead of the rear axle, metres.
+    """
+
+    category: str
+    length: float
+    width: float
+    height: float
+    wheelbase: float
+    center_ahead: float
+
+
+EGO_BODY = Body("vehicle.car", EGO_LENGTH_M, EGO_WIDTH_M, EGO_HEIGHT_M, _EGO_WHEELBASE_M, EGO_CENTER_FROM_REAR_AXLE_M)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One lane of a route.
+
+    Attributes:
+        lane: Name of the lane.
+        changes_to: Name of the sibling lane that it ends in, or ``None``.
+        change_from_m: Where a lane change begins, along the lane.
+        change_length_m: How long it takes.
+    """
+
+    lane: str
+    changes_to: str | None = None
+    change_from_m: float = 0.0
+    change_length_m: float = 0.0
+
+    @property
+    def leaves_by(self) -> str:
+        """The lane at the end of the leg."""
+        return self.lane if self.changes_to is None else self.changes_to
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Where a vehicle goes, station by station (`STATION_M` apart), whatever its speed.
+
+    Attributes:
+        rear: (M, 3) x, y, yaw of the rear axle.
+        speed_limit: (M,) m/s by sign and by curvature.
+        body: Who drives it.
+    """
+
+    rear: Floats
+    speed_limit: Floats
+    body: Body
+
+    def boxes(self, stations: Floats) -> Floats:
+        """(K, 5) boxes at fractional stations."""
+        return body_boxes(between_grid(self.rear, stations), self.body)
+
+
+def body_boxes(rear: Floats, body: Body) -> Floats:
+    """Boxes of a vehicle from (..., 3) rear-axle poses."""
+    heading = rear[..., 2]
+    x = rear[..., 0] + body.center_ahead * np.cos(heading)
+    y = rear[..., 1] + body.center_ahead * np.sin(heading)
+    size = np.broadcast_to([body.length, body.width], (*heading.shape, 2))
+    return np.concatenate([np.stack([x, y], -1), size, heading[..., None]], axis=-1)
+
+
+def lane_length(lane: TownLane) -> float:
+    """Metres along a lane."""
+    return float(lengths_along(lane.line)[-1])
+
+
+def dead_end(town: Town, name: str) -> bool:
+    """Whether a lane leads out of the map, itself or after its junction."""
+    after = town.successors[name]
+    return not after or (town.lanes[name].role is not Role.ROAD and all(not town.successors[lane] for lane in after))
+
+
+def find_route(
+    town: Town,
+    lane: str,
+    start_m: float,
+    length_m: float,
+    rng: np.random.Generator,
+    *,
+    likes: Callable[[TownLane], float],
+    change_chance: float = 0.0,
+) -> tuple[list[Leg], float] | None:
+    """A random chain of lanes around a start.
+
+    Args:
+        town: Where.
+        lane: Lane of the start.
+        start_m: Front axle at the start, along the lane; may be negative, then the route begins further back.
+        length_m: Least length ahead of the start.
+        rng: Chance.
+        likes: Weight of each possible next lane; zero forbids it.
+        change_chance: Chance of a lane change on each road that has room for it.
+
+    Returns:
+        The legs and the start's arc length on the first one, at least `LEAD_M`; ``None`` where there is no such route.
+    """
+    before: list[str] = []
+    first = lane
+    while start_m < LEAD_M:
+        options = town.predecessors[first]
+        if not options:
+            return None
+        first = options[int(rng.integers(len(options)))]
+        before.insert(0, first)
+        start_m += lane_length(town.lanes[first])
+    legs = [Leg(name) for name in before]
+    # A change of lane ahead of the start is possible on the start's own lane too.
+    passed = start_m - sum(lane_length(town.lanes[name]) for name in before)
+    current: str | None = lane
+    ahead = -passed
+    while current is not None:
+        leg = _leg(town, current, rng, change_chance, max(passed, 0.0))
+        passed = 0.0
+        legs.append(leg)
+        ahead += lane_length(town.lanes[current])
+        if ahead > length_m:
+            return legs, start_m
+        options = tuple(name for name in town.successors[leg.leaves_by] if not dead_end(town, name))
+        weights = np.array([likes(town.lanes[name]) for name in options])
+        if not options or weights.sum() <= 0:
+            return None
+        current = options[int(rng.choice(len(options), p=weights / weights.sum()))]
+    return None
+
+
+def _leg(town: Town, name: str, rng: np.random.Generator, change_chance: float, passed: float) -> Leg:
+    lane = town.lanes[name]
+    room = lane_length(lane) - passed
+    if len(lane.siblings) < 2 or room < _ROOM_FOR_LANE_CHANGE_M or rng.random() >= change_chance:
+        return Leg(name)
+    others = [other for other in lane.siblings if abs(town.lanes[other].index - lane.index) == 1]
+    length = float(rng.uniform(*_LANE_CHANGE_M))
+    begin = passed + float(rng.uniform(6.0, room - length - 20.0))
+    return Leg(name, others[int(rng.integers(len(others)))], begin, length)
+
+
+def build_path(town: Town, legs: list[Leg], start_m: float, body: Body, *, lateral_m: float = 0.0) -> Path:
+    """The path of a vehicle along a route; its front axle follows the smoothed centrelines exactly.
+
+    The rear axle is towed by the front axle, which is the kinematic bicycle with the front wheels along the path:
+    the rear axle moves along the heading and never sideways.
+
+    Args:
+        town: Where.
+        legs: The route.
+        start_m: Front axle at station 0, along the first leg.
+        body: The vehicle.
+        lateral_m: Constant offset to the left of the centrelines.
+
+    Returns:
+        The path from the start on.
+    """
+    lines, limits, along = [], [], 0.0
+    for leg in legs:
+        line = _leg_line(town, leg)
+        limits.append((along, town.lanes[leg.lane].speed_mps))
+        along += float(lengths_along(line)[-1])
+        lines.append(line)
+    line = resampled(joined(lines), STATION_M)
+    spacing = float(np.hypot(*(line[1] - line[0])))
+    if lateral_m:
+        line = offset(line, lateral_m)
+    front = smoothed(line, spacing_m=spacing, deviation_m=_SMOOTHING_M)
+    walked = lengths_along(front)
+    skipped = round((start_m - LEAD_M) / spacing)
+    front = at_lengths(front, np.arange(walked[max(skipped, 0)], walked[-1], STATION_M))
+    rear = _towed(front, body.wheelbase)
+    curvature = np.gradient(headings(front)) / STATION_M
+    stations = np.arange(len(front)) * STATION_M + start_m - LEAD_M
+    starts, speeds = np.array(limits).T
+    limit = speeds[np.clip(np.searchsorted(starts, stations, side="right") - 1, 0, len(speeds) - 1)]
+    bend = np.sqrt(_COMFORTABLE_LATERAL_MPS2 / np.maximum(np.abs(curvature), 1e-3))
+    lead = round(LEAD_M / STATION_M)
+    return Path(rear[lead:], np.minimum(limit, bend)[lead:], body)
+
+
+def fastest_start(path: Path) -> float:
+    """Speed at the start from which gentle braking meets every speed limit ahead, m/s."""
+    stations = np.arange(len(path.speed_limit)) * STATION_M
+    return float(np.sqrt(path.speed_limit**2 + 2 * _COMFORTABLE_BRAKING_MPS2 * stations).min())
+
+
+def _leg_line(town: Town, leg: Leg) -> Floats:
+    line = town.lanes[leg.lane].line
+    if leg.changes_to is None:
+        return line
+    # Siblings are parallels of one reference: equal stations lie side by side.
+    u = np.clip((lengths_along(line) - leg.change_from_m) / leg.change_length_m, 0.0, 1.0)
+    blend = (u**3 * (10 - 15 * u + 6 * u**2))[:, None]
+    return np.asarray((1 - blend) * line + blend * town.lanes[leg.changes_to].line)
+
+
+def _towed(front: Floats, wheelbase: float) -> Floats:
+    """(M, 3) rear-axle poses behind a (M, 2) front-axle path.
+
+    Kinematic bicycle with the front wheels along the path: d yaw / d s = sin(path heading - yaw) / wheelbase, by the
+    midpoint rule.
+    """
+    tangent = headings(front)
+    steps = np.diff(lengths_along(front)).tolist()
+    middle = (0.5 * (tangent[1:] + tangent[:-1])).tolist()
+    yaw = float(tangent[0])
+    yaws = [yaw]
+    for step, before, between in zip(steps, tangent.tolist(), middle):
+        halfway = yaw + 0.5 * step * sin(before - yaw) / wheelbase
+        yaw += step * sin(between - halfway) / wheelbase
+        yaws.append(yaw)
+    heading = np.array(yaws)
+    rear = front - wheelbase * np.column_stack([np.cos(heading), np.sin(heading)])
+    return np.column_stack([rear, heading])

@@ -1,0 +1,236 @@
+"""Scenes of the embedded town: a pure function of split, index and seed."""
+
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, OFFICIAL_LOCATIONS
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, quaternion_from_yaw, wrap_angle
+from benchmark.machine.storage import content_seed, token
+from benchmark.scene import Agents, EgoTrack, Scene
+from generation.sources.rig import default_cameras, default_lidar
+from generation.sources.town.annotations import annotate
+from generation.sources.town.bystanders import add_crossing_pedestrians, add_parked, add_walkers
+from generation.sources.town.network import Town
+from generation.sources.town.paths import EGO_BODY, Leg, build_path, fastest_start, lane_length
+from generation.sources.town.speed import FRAMES
+from generation.sources.town.themes import PROGRAMME, Programme, ego_route, leader_pace, route_points
+from generation.sources.town.towns import TOWN_VERSION, build_town
+from generation.sources.town.traffic import (
+    BUS,
+    SEDAN,
+    LanePoints,
+    Start,
+    add_companions,
+    add_cycles,
+    add_passing,
+    add_vehicle,
+    following,
+    natural_pace,
+)
+from generation.sources.town.world import World
+
+Split = Literal["val", "train"]
+DEFAULT_VAL_SCENES = 10
+
+_NUMBERS: dict[str, tuple[range, ...]] = {"val": (range(8000, 9000),), "train": (range(9000, 10000), range(2000, 8000))}
+_LOCATIONS: dict[str, tuple[str, str]] = {"val": OFFICIAL_LOCATIONS[:2], "train": OFFICIAL_LOCATIONS[2:]}
+_FIRST_DAY_US = 1_767_254_400_000_000
+_DAY_US = 86_400_000_000
+_SCENE_SPACING_US = 30_000_000
+_DIGITS = 6
+_TRIES = 24
+_TRIES_PER_TOWN = 2
+_LEADER_TRIES = 6
+_LEAST_NEIGHBOURS = 3
+_NEIGHBOUR_REACH_M = 20.0
+_LEAST_SECONDS_NEAR = 3
+_LEAST_SECONDS_PRESENT = 10
+_LEAST_EGO_DISTANCE_M = 60.0
+
+
+def town_scene_names(split: Split, count: int) -> tuple[str, ...]:
+    """Names of the first scenes of a split: four digits, none of them a scene of nuScenes.
+
+    Args:
+        split: ``val`` or ``train``.
+        count: How many.
+
+    Returns:
+        ``scene-8000``... for val, ``scene-9000``... for train.
+
+    Raises:
+        InputError: If the split is unknown or four digits cannot name so many scenes.
+    """
+    if split not in get_args(Split):
+        raise InputError(f"the embedded town has no split {split!r}; choose val or train")
+    numbers = [number for block in _NUMBERS[split] for number in block]
+    if not 0 <= count <= len(numbers):
+        raise InputError(f"the embedded town has between 0 and {len(numbers)} {split} scenes, not {count}")
+    return tuple(f"scene-{number:04d}" for number in numbers[:count])
+
+
+def town_scene(split: Split, index: int, *, seed: int = 0) -> Scene:
+    """One scene of the embedded town, 20 s at 12 Hz; nothing but the arguments decides its bytes.
+
+    Args:
+        split: ``val`` or ``train``; the two have different towns.
+        index: Number of the scene in its split, from 0.
+        seed: Different seeds give different towns and traffic.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: If the split is unknown or the index has no name.
+    """
+    if index < 0:
+        raise InputError(f"the number of a town scene starts at 0, got {index}")
+    name = town_scene_names(split, index + 1)[-1]
+    programme = PROGRAMME[index % len(PROGRAMME)]
+    place = (index + index // len(PROGRAMME)) % 2
+    for attempt in range(_TRIES):
+        # Not every town has a place for every theme: after some attempts the other town of the split is tried.
+        location = _LOCATIONS[split][(place + attempt // _TRIES_PER_TOWN) % 2]
+        town = build_town(location, seed)
+        rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt))
+        world = _populate(town, location, seed, programme, rng)
+        if world is not None and _worth_attacking(world):
+            return _scene(world, programme, split, index, seed, name)
+    raise InputError(f"the embedded town finds no traffic for {split} scene {index} with seed {seed}; use another seed")
+
+
+@lru_cache(maxsize=8)
+def _lane_points(location: str, seed: int) -> LanePoints:
+    return LanePoints.of(build_town(location, seed))
+
+
+def _populate(town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator) -> World | None:
+    """One attempt at a scene: a route, then everybody in the order in which they have the right of way."""
+    theme = programme.theme
+    route = ego_route(town, theme, rng)
+    if route is None:
+        return None
+    legs, start_m = route
+    points = _lane_points(location, seed)
+    way = route_points(town, legs, start_m, 200.0)
+    world = World(town)
+    add_parked(world, way, rng, share=0.7, most=theme.parked)
+    pace = natural_pace(rng) if theme.leader == "none" else leader_pace(theme, rng)
+    if theme.leader != "none" and not _add_leader(world, programme, legs, start_m, pace, rng):
+        return None
+    add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
+    path = build_path(town, legs, start_m, EGO_BODY)
+    eagerness = float(rng.uniform(0.82, 0.98))
+    start = int(min(eagerness * float(path.speed_limit[0]), fastest_start(path)) + 0.3)
+    if theme.leader == "slow":
+        start = min(start, 9)
+    elif theme.leader == "stop-and-go":
+        # The search knows the leader's future and would creep; a driver does what the car ahead did a second ago.
+        start, pace = min(start, 6), np.concatenate([pace[:1], pace[:-1]])
+    rear = world.drive(
+        path, start_mps=start, eagerness=eagerness, pace=natural_pace(rng) if theme.leader == "slow" else pace
+    )
+    if rear is None:
+        return None
+    world.place_ego(rear)
+    add_companions(world, points, legs, rng, wanted=theme.companions)
+    add_passing(world, points, rng, wanted=theme.passing, attempts=3 * theme.passing)
+    add_cycles(world, points, rng, wanted=1 + int(rng.integers(2)), attempts=8)
+    add_walkers(world, rear[:, :2], rng, wanted=theme.pedestrians)
+    return world
+
+
+def _add_leader(
+    world: World, programme: Programme, legs: list[Leg], start_m: float, pace: Floats, rng: np.random.Generator
+) -> bool:
+    """A vehicle ahead of the ego on its route, slow or stopping."""
+    slow = programme.theme.leader == "slow"
+    ahead, index = start_m + float(rng.uniform(24.0, 30.0) if slow else rng.uniform(15.0, 19.0)), 0
+    while ahead > lane_length(world.town.lanes[legs[index].lane]):
+        ahead -= lane_length(world.town.lanes[legs[index].lane])
+        index += 1
+    start, body = Start(legs[index].lane, ahead, 6.0), BUS if slow else SEDAN
+    likes = following(world.town, legs)
+    return any(
+        add_vehicle(world, start, body, rng, likes=likes, pace=pace, change_chance=0.0) for _ in range(_LEADER_TRIES)
+    )
+
+
+def _worth_attacking(world: World) -> bool:
+    """Whether the ego moves and enough cars are near it for some seconds and there for long."""
+    assert world.ego_rear is not None
+    if float(np.hypot(*np.diff(world.ego_rear[:, :2], axis=0).T).sum()) < _LEAST_EGO_DISTANCE_M:
+        return False
+    enough = 0
+    for track in world.tracks:
+        if track.category == "vehicle.car" and len(track.boxes) > 1:
+            near = world.distance_to_ego(track.boxes) < _NEIGHBOUR_REACH_M
+            enough += bool(
+                near.sum() >= _LEAST_SECONDS_NEAR * FRAME_HZ
+                and world.present(track.boxes).sum() >= _LEAST_SECONDS_PRESENT * FRAME_HZ
+            )
+    return enough >= _LEAST_NEIGHBOURS
+
+
+def _scene(world: World, programme: Programme, split: str, index: int, seed: int, name: str) -> Scene:
+    assert world.ego_rear is not None
+    rear = np.round(world.ego_rear, _DIGITS)
+    ego = EgoTrack(np.column_stack([rear[:, :2], np.zeros(FRAMES)]), quaternion_from_yaw(rear[:, 2]))
+    agents, parked = _agents(world, (split, index, seed))
+    keyframes = np.arange(0, FRAMES, FRAMES_PER_KEYFRAME)
+    location = world.town.road_map.location
+    day = OFFICIAL_LOCATIONS.index(location)
+    first = _FIRST_DAY_US + day * _DAY_US + index * _SCENE_SPACING_US
+    return Scene(
+        name=name,
+        token=token("town scene", TOWN_VERSION, split, index, seed),
+        description=f"{programme.theme.title}, {programme.look.value}",
+        log=f"n000-2026-01-{day + 1:02d}-08-00-00+0000",
+        vehicle="n000",
+        date=f"2026-01-{day + 1:02d}",
+        timestamps_us=first + np.round(np.arange(FRAMES) * 1e6 / FRAME_HZ).astype(np.int64),
+        keyframes=keyframes.astype(np.int64),
+        ego=ego,
+        agents=agents,
+        annotations=annotate(agents, parked, ego, keyframes),
+        cameras=default_cameras(),
+        lidar=default_lidar(),
+        road_map=world.town.road_map,
+    )
+
+
+def _agents(world: World, key: tuple[str, int, int]) -> tuple[Agents, Bools]:
+    """Everybody who is seen at a keyframe, in the order of placement; where absent, the nearest pose is held."""
+    rows: list[tuple[str, Floats, Bools, list[float], bool]] = []
+    for track in world.tracks:
+        boxes = np.broadcast_to(track.boxes, (FRAMES, 5))
+        valid = world.present(boxes)
+        if valid[::FRAMES_PER_KEYFRAME].any():
+            size = [float(boxes[0, 2]), float(boxes[0, 3]), track.height]
+            rows.append((track.category, boxes[_nearest(valid)], valid, size, track.parked))
+    held = np.stack([row[1] for row in rows])
+    size = np.round(np.array([row[3] for row in rows]), 3)
+    height = np.broadcast_to(size[:, None, 2] / 2, held.shape[:2])
+    agents = Agents(
+        ids=tuple(token("town agent", TOWN_VERSION, *key, row) for row in range(len(rows))),
+        categories=tuple(row[0] for row in rows),
+        position=np.round(np.concatenate([held[..., :2], height[..., None]], axis=-1), _DIGITS),
+        yaw=np.round(wrap_angle(held[..., 4]), _DIGITS),
+        size=size,
+        valid=np.stack([row[2] for row in rows]),
+    )
+    return agents, np.array([row[4] for row in rows], dtype=np.bool_)
+
+
+def _nearest(valid: Bools) -> NDArray[np.int64]:
+    """(T,) index of the nearest valid frame, the earlier of two."""
+    there = np.flatnonzero(valid)
+    frames = np.arange(len(valid))
+    after = np.clip(np.searchsorted(there, frames), 0, len(there) - 1)
+    before = np.maximum(after - 1, 0)
+    choice = np.where(frames - there[before] <= there[after] - frames, before, after)
+    return np.asarray(there[np.where(valid, after, choice)])

@@ -1,0 +1,253 @@
+"""Other vehicles: who starts where, so that the ego has neighbours, oncoming and crossing traffic all the time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.constants import FRAME_HZ
+from benchmark.geometry import Floats, to_local, wrap_angle
+from generation.sources.town.curves import headings, lengths_along
+from generation.sources.town.network import Role, Town, TownLane
+from generation.sources.town.paths import Body, Leg, body_boxes, build_path, fastest_start, find_route, lane_length
+from generation.sources.town.speed import FRAMES, SECONDS
+from generation.sources.town.world import Track, World
+
+_ROUTE_AHEAD_M = 270.0
+_LEAST_SECONDS_SEEN = 4
+_COMPANION_REACH_M = (38.0, 5.5)
+_HEAVY_ROLES = (Role.ROAD, Role.STRAIGHT, Role.LEFT)
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """What drives around and how often.
+
+    Attributes:
+        bodies: Kinds of vehicles.
+        shares: Their shares, adding up to one.
+    """
+
+    bodies: tuple[Body, ...]
+    shares: tuple[float, ...]
+
+    def draw(self, rng: np.random.Generator) -> Body:
+        """A vehicle of the fleet with its own size."""
+        body = self.bodies[int(rng.choice(len(self.bodies), p=np.array(self.shares)))]
+        scale = float(rng.uniform(0.95, 1.05))
+        return Body(
+            body.category,
+            round(body.length * scale, 2),
+            round(body.width * float(rng.uniform(0.97, 1.03)), 2),
+            round(body.height * float(rng.uniform(0.95, 1.06)), 2),
+            body.wheelbase * scale,
+            body.center_ahead * scale,
+        )
+
+
+COMPACT = Body("vehicle.car", 4.1, 1.78, 1.5, 2.55, 1.35)
+SEDAN = Body("vehicle.car", 4.75, 1.88, 1.5, 2.8, 1.4)
+SUV = Body("vehicle.car", 4.8, 1.98, 1.78, 2.85, 1.42)
+VAN = Body("vehicle.car", 5.2, 2.02, 2.1, 3.1, 1.5)
+TRUCK = Body("vehicle.truck", 7.2, 2.4, 3.0, 4.1, 2.3)
+BUS = Body("vehicle.bus.rigid", 11.0, 2.55, 3.2, 5.6, 2.6)
+MOTORCYCLE = Body("vehicle.motorcycle", 2.1, 0.8, 1.5, 1.4, 0.7)
+BICYCLE = Body("vehicle.bicycle", 1.75, 0.65, 1.6, 1.05, 0.52)
+
+CARS = Fleet((COMPACT, SEDAN, SUV, VAN), (0.25, 0.4, 0.27, 0.08))
+MIXED = Fleet((COMPACT, SEDAN, SUV, VAN, TRUCK, BUS, MOTORCYCLE), (0.21, 0.33, 0.22, 0.07, 0.08, 0.04, 0.05))
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a vehicle begins.
+
+    Attributes:
+        lane: Name of the lane.
+        along_m: Front axle along the lane; negative begins on a lane before it.
+        speed_mps: Speed there.
+        lateral_m: Offset to the left of the lane's middle.
+    """
+
+    lane: str
+    along_m: float
+    speed_mps: float
+    lateral_m: float = 0.0
+
+
+def add_vehicle(
+    world: World,
+    start: Start,
+    body: Body,
+    rng: np.random.Generator,
+    *,
+    likes: Callable[[TownLane], float],
+    eagerness: float = 1.0,
+    pace: Floats | None = None,
+    change_chance: float = 0.15,
+) -> bool:
+    """Plan a vehicle and add it if it can drive there and is seen for some seconds.
+
+    Args:
+        world: Who is there already.
+        start: Where it begins.
+        body: What it is.
+        rng: Chance.
+        likes: Weight of each lane for its route.
+        eagerness: Factor on the speed limit.
+        pace: (SECONDS,) factor on the speed in each second.
+        change_chance: Chance of a lane change per road.
+
+    Returns:
+        Whether it was added.
+    """
+    heavy = body.length > 6.0
+
+    def weight(lane: TownLane) -> float:
+        return 0.0 if heavy and lane.role not in _HEAVY_ROLES else likes(lane)
+
+    route = find_route(
+        world.town, start.lane, start.along_m, _ROUTE_AHEAD_M, rng, likes=weight, change_chance=change_chance
+    )
+    if route is None or (heavy and any(world.town.lanes[leg.lane].role not in _HEAVY_ROLES for leg in route[0])):
+        return False
+    path = build_path(world.town, *route, body, lateral_m=start.lateral_m)
+    speed = min(start.speed_mps, fastest_start(path))
+    rear = world.drive(
+        path,
+        start_mps=int(speed + 0.3),
+        eagerness=eagerness,
+        pace=natural_pace(rng) if pace is None else pace,
+    )
+    if rear is None:
+        return False
+    boxes = body_boxes(rear, path.body)
+    if world.ego_rear is not None and world.present(boxes).sum() < _LEAST_SECONDS_SEEN * FRAME_HZ:
+        return False
+    world.tracks.append(Track(body.category, body.height, boxes, parked=False))
+    return True
+
+
+def natural_pace(rng: np.random.Generator) -> Floats:
+    """(SECONDS,) factors near one: nobody keeps a speed exactly."""
+    period, phase = float(rng.uniform(7.0, 16.0)), float(rng.uniform(0.0, 2 * np.pi))
+    return np.asarray(1.0 + float(rng.uniform(0.03, 0.12)) * np.sin(2 * np.pi * np.arange(SECONDS) / period + phase))
+
+
+def indifferent(lane: TownLane) -> float:
+    """Weight of a lane for somebody who goes anywhere but rarely to the car park."""
+    return 0.1 if lane.role is Role.CAR_PARK else 1.0
+
+
+def following(town: Town, legs: list[Leg]) -> Callable[[TownLane], float]:
+    """Weights for somebody who prefers to go where a route goes."""
+    turns = {(town.lanes[leg.lane].road, town.lanes[leg.lane].role) for leg in legs}
+
+    def likes(lane: TownLane) -> float:
+        return indifferent(lane) * (8.0 if (lane.road, lane.role) in turns else 1.0)
+
+    return likes
+
+
+@dataclass(frozen=True, slots=True)
+class LanePoints:
+    """All points of all lanes of a town, to find the lanes near a place.
+
+    Attributes:
+        names: Name of the lane of each point.
+        poses: (N, 3) x, y, heading.
+        along: (N,) arc length on the lane.
+    """
+
+    names: tuple[str, ...]
+    poses: Floats
+    along: Floats
+
+    @classmethod
+    def of(cls, town: Town) -> "LanePoints":
+        """Collect them."""
+        names, poses, along = [], [], []
+        for name, lane in town.lanes.items():
+            names += [name] * len(lane.line)
+            poses.append(np.column_stack([lane.line, headings(lane.line)]))
+            along.append(lengths_along(lane.line))
+        return cls(tuple(names), np.concatenate(poses), np.concatenate(along))
+
+
+def add_companions(
+    world: World, points: LanePoints, legs: list[Leg], rng: np.random.Generator, *, wanted: int, fleet: Fleet = CARS
+) -> int:
+    """Vehicles beside, ahead of and behind the ego at the start, which tend to go where it goes.
+
+    Returns:
+        How many were added.
+    """
+    assert world.ego_rear is not None
+    local = to_local(points.poses[:, :2], world.ego_rear[0])
+    turned = np.abs(wrap_angle(points.poses[:, 2] - world.ego_rear[0, 2]))
+    near = (np.abs(local[:, 0]) < _COMPANION_REACH_M[0]) & (np.abs(local[:, 1]) < _COMPANION_REACH_M[1])
+    choices = np.flatnonzero(near & (turned < 0.5))
+    added = 0
+    likes = following(world.town, legs)
+    ego_speed = float(np.hypot(*(world.ego_rear[2, :2] - world.ego_rear[0, :2]))) * FRAME_HZ / 2
+    for choice in rng.permutation(choices)[: 5 * wanted].tolist():
+        if added >= wanted:
+            break
+        start = Start(points.names[choice], float(points.along[choice]), max(ego_speed, 3.0))
+        eagerness = float(rng.uniform(0.85, 1.1))
+        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=likes, eagerness=eagerness, change_chance=0.3)
+    return added
+
+
+def add_passing(
+    world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int, fleet: Fleet = MIXED
+) -> int:
+    """Vehicles that would be near the ego at some moment of the scene: oncoming, crossing, merging.
+
+    Returns:
+        How many were added.
+    """
+    assert world.ego_rear is not None
+    added = 0
+    for _ in range(attempts):
+        if added >= wanted:
+            break
+        frame = int(rng.integers(FRAMES))
+        distance = np.hypot(*(points.poses[:, :2] - world.ego_rear[frame, :2]).T)
+        choices = np.flatnonzero((distance > 3.0) & (distance < 40.0))
+        if not len(choices):
+            continue
+        choice = int(choices[int(rng.integers(len(choices)))])
+        lane = world.town.lanes[points.names[choice]]
+        speed = 0.8 * lane.speed_mps
+        back = speed * frame / FRAME_HZ * float(rng.uniform(0.6, 1.0))
+        if back > 130.0 or (lane.role is Role.CAR_PARK and rng.random() < 0.6):
+            continue
+        start = Start(lane.name, float(points.along[choice]) - back, speed)
+        eagerness = float(rng.uniform(0.8, 1.05))
+        added += add_vehicle(world, start, fleet.draw(rng), rng, likes=indifferent, eagerness=eagerness)
+    return added
+
+
+def add_cycles(world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int) -> int:
+    """Cyclists at the right edge of single-lane roads near the ego's way.
+
+    Returns:
+        How many were added.
+    """
+    assert world.ego_rear is not None
+    added = 0
+    slow = np.full(SECONDS, 0.45)
+    for _ in range(attempts):
+        if added >= wanted:
+            break
+        frame = int(rng.integers(FRAMES))
+        distance = np.hypot(*(points.poses[:, :2] - world.ego_rear[frame, :2]).T)
+        choice = int(rng.choice(np.flatnonzero(distance < 45.0)))
+        lane = world.town.lanes[points.names[choice]]
+        if lane.role is not Role.ROAD or lane_length(lane) < 40.0 or lane.index != len(lane.siblings) - 1:
+            continue
+        start = Start(lane.name, float(points.along[choice]), 4.0, lateral_m=-1.05)
+        body = Fleet((BICYCLE,), (1.0,)).draw(rng)
+        added += add_vehicle(world, start, body, rng, likes=indifferent, pace=slow, change_chance=0.0)
+    return added

@@ -1,0 +1,124 @@
+"""Who is in a scene: tracks accepted so far, and the rule that nothing is added that would touch them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+
+from benchmark.constants import FRAME_HZ
+from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
+from generation.sources.town.curves import between_grid
+from generation.sources.town.network import Town
+from generation.sources.town.paths import EGO_BODY, Body, Path, body_boxes
+from generation.sources.town.speed import CHECKS_PER_SECOND, FRAMES, blocked_stations, plan_speed, reachable_stations
+
+ANNOTATION_RANGE_M = 65.0
+_CHECK_FRAMES = FRAME_HZ // CHECKS_PER_SECOND
+_SMALLEST_GAP_M = 0.25
+_KERB_TOLERANCE_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One participant's motion.
+
+    Attributes:
+        category: nuScenes category.
+        height: Metres.
+        boxes: (FRAMES, 5) boxes, or (1, 5) for things that stand still.
+        parked: Whether it stands there without a driver.
+    """
+
+    category: str
+    height: float
+    boxes: Floats
+    parked: bool
+
+
+@dataclass(slots=True)
+class World:
+    """Everything placed so far.
+
+    Attributes:
+        town: Where.
+        ego_rear: (FRAMES, 3) rear-axle poses of the ego, once it is planned.
+        ego_boxes: (FRAMES, 5) its metric footprint.
+        tracks: The others.
+    """
+
+    town: Town
+    ego_rear: Floats | None = None
+    ego_boxes: Floats | None = None
+    tracks: list[Track] = field(default_factory=list)
+
+    def drive(self, path: Path, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
+        """Plan a vehicle among those already there.
+
+        Args:
+            path: Where it goes.
+            start_mps: Its speed at the start.
+            eagerness: Factor on the speed limit that it likes to drive.
+            pace: (SECONDS,) factor on that in each second.
+
+        Returns:
+            (FRAMES, 3) rear-axle poses, or ``None`` if it cannot drive without touching somebody.
+        """
+        count = reachable_stations(path)
+        blocked = np.zeros((FRAMES // _CHECK_FRAMES + 1, count), dtype=np.bool_)
+        for boxes in self._obstacles():
+            checks = boxes[:, ::_CHECK_FRAMES]
+            if boxes.shape[1] > 1:
+                checks = np.concatenate([checks, checks[:, -1:]], axis=1)
+            blocked |= blocked_stations(path, checks, np.ones(checks.shape[:2], dtype=np.bool_))
+        stations = plan_speed(path, blocked, start_mps=start_mps, desired_mps=eagerness * path.speed_limit, pace=pace)
+        if stations is None:
+            return None
+        rear = between_grid(path.rear, stations)
+        return rear if self.is_free(body_boxes(rear, path.body), path.body) else None
+
+    def is_free(self, boxes: Floats, body: Body | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
+        """Whether a track touches nobody and, for vehicles, stays on the road where it is seen.
+
+        Args:
+            boxes: (FRAMES, 5) or (1, 5) boxes.
+            body: The vehicle, or ``None`` for those who may leave the road.
+            gap_m: Free space demanded around it.
+        """
+        grown = boxes + np.array([0.0, 0.0, gap_m, gap_m, 0.0])
+        for others in self._obstacles():
+            apart = np.hypot(others[..., 0] - grown[:, 0], others[..., 1] - grown[:, 1])
+            close = apart < 0.5 * (np.hypot(others[..., 2], others[..., 3]) + np.hypot(grown[:, 2], grown[:, 3]))
+            if not close.any():
+                continue
+            own = np.broadcast_to(grown, (*close.shape, 5))[close]
+            if boxes_overlap(np.broadcast_to(others, (*close.shape, 5))[close], own).any():
+                return False
+        return body is None or self._on_road(boxes)
+
+    def _obstacles(self) -> list[Floats]:
+        """Boxes of everybody: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
+        moving = [track.boxes for track in self.tracks if len(track.boxes) > 1]
+        if self.ego_boxes is not None:
+            moving.append(self.ego_boxes)
+        standing = [track.boxes for track in self.tracks if len(track.boxes) == 1]
+        return [np.stack(group) for group in (moving, standing) if group]
+
+    def _on_road(self, boxes: Floats) -> bool:
+        seen = boxes[::_CHECK_FRAMES]
+        if self.ego_rear is not None and len(boxes) > 1:
+            seen = seen[self.distance_to_ego(boxes)[::_CHECK_FRAMES] < ANNOTATION_RANGE_M]
+        corners = box_corners(seen + np.array([0.0, 0.0, -2 * _KERB_TOLERANCE_M, -2 * _KERB_TOLERANCE_M, 0.0]))
+        return bool(shapely.contains_xy(self.town.road_map.drivable_area, corners[..., 0], corners[..., 1]).all())
+
+    def distance_to_ego(self, boxes: Floats) -> Floats:
+        """(FRAMES,) metres between box centres and the ego's rear axle."""
+        assert self.ego_rear is not None
+        return np.asarray(np.hypot(boxes[:, 0] - self.ego_rear[:, 0], boxes[:, 1] - self.ego_rear[:, 1]))
+
+    def present(self, boxes: Floats) -> Bools:
+        """(FRAMES,) whether somebody is near enough to be annotated."""
+        return np.asarray(self.distance_to_ego(boxes) < ANNOTATION_RANGE_M)
+
+    def place_ego(self, rear: Floats) -> None:
+        """Fix the ego's motion, (FRAMES, 3) rear-axle poses."""
+        self.ego_rear, self.ego_boxes = rear, body_boxes(rear, EGO_BODY)

@@ -1,0 +1,271 @@
+"""Figures from run records: collision rate over the horizon, disagreement of protocols, who fails which manoeuvre."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from benchmark.constants import HORIZON_STEPS
+from benchmark.drawing.figures import drawable, new_figure, picture
+from benchmark.metrics.confusion import EXACT, comparisons
+from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
+from leaderboard.tables.collision import SPLIT_ORDER, in_table_order, judges, marked
+
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d31")
+"""Told apart with and without colour-blindness (Okabe and Ito's, the yellow replaced); they repeat after eight."""
+MARKERS: Final = "osD^vPX*"
+"""Told apart in print; with colours they repeat after 64 planners."""
+PANELS: Final = 5
+"""Planners beside each other; more go into further lines."""
+UNLABELLED: Final = "unlabelled"
+_OK, _FAIL = "#b9d3e8", "#c1442e"
+
+
+@dataclass(frozen=True, slots=True)
+class NamedFigure:
+    """One picture.
+
+    Attributes:
+        name: File stem.
+        title: What it shows.
+        png: For screens.
+        svg: For print.
+    """
+
+    name: str
+    title: str
+    png: bytes
+    svg: bytes
+
+
+def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[NamedFigure, ...]:
+    """Every figure that the records of one data set allow, beside the heat maps of transfer.
+
+    Args:
+        data_name: Its name.
+        records: At most one for each planner and split.
+
+    Returns:
+        The figures, in the order in which they are looked at.
+    """
+    own = any(run.run.planner.native_protocol is not None for run in records)
+    splits = [*SPLIT_ORDER, *sorted({run.run.split for run in records} - set(SPLIT_ORDER))]
+    drawn = [
+        (
+            f"rates-{judge}",
+            f"Collision rate over the horizon, {judges(judge)}",
+            partial(rates_over_horizon, data_name, judge, records),
+        )
+        for judge in (EXACT, *((NATIVE,) if own else ()))
+    ]
+    title = "Adversarial scenes failed by manoeuvre, protocol exact"
+    drawn.append(("manoeuvres-exact", title, partial(manoeuvre_figure, data_name, EXACT, records)))
+    for split in splits:
+        title = f"Protocols against exact, split {split}"
+        drawn.append((f"disagreement-{split}", title, partial(disagreement_figure, data_name, split, records)))
+    found = []
+    for name, title, draw in drawn:
+        png, svg = draw(".png"), draw(".svg")
+        if png is not None and svg is not None:
+            found.append(NamedFigure(name, title, png, svg))
+    return tuple(found)
+
+
+def rates_over_horizon(data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str) -> bytes | None:
+    """Collision rate at 1, 2 and 3 s of every planner, a panel a split, with 95 % bands.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        protocol: Whose verdicts, or ``native``.
+        records: Runs on this data set.
+        suffix: ``.png`` or ``.svg``.
+
+    Returns:
+        The picture, or ``None`` where no record has verdicts of the protocol.
+    """
+    runs = [run for run in in_table_order(records) if protocol_of(run, protocol) in run.summary.protocols]
+    if not runs:
+        return None
+    return picture(lambda: _horizon_figure(data_name, protocol, runs), suffix)
+
+
+def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord], suffix: str) -> bytes | None:
+    """How much of what ``exact`` sees each protocol misses, and how much of what it reports is false.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        split: The split.
+        records: Runs on this data set.
+        suffix: ``.png`` or ``.svg``.
+
+    Returns:
+        The picture, or ``None`` where no record of the split was judged by ``exact`` and another protocol.
+    """
+    runs = [run for run in in_table_order(records) if run.run.split == split and EXACT in run.run.protocols]
+    found = [(run, comparisons(run)) for run in runs]
+    if not any(compared for _, compared in found):
+        return None
+    return picture(lambda: _disagreement(data_name, split, found), suffix)
+
+
+def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str) -> bytes | None:
+    """How many adversarial scenes there are of each manoeuvre, and how many of them each planner fails.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        protocol: Whose verdicts, or ``native``.
+        records: Runs on this data set; those of split ``adv`` whose records say what the adversaries do are drawn.
+        suffix: ``.png`` or ``.svg``.
+
+    Returns:
+        The picture, or ``None`` where there is no such record.
+    """
+    runs = [
+        run
+        for run in in_table_order(records)
+        if run.run.split == "adv" and protocol_of(run, protocol) in run.run.protocols and _manoeuvres(run)
+    ]
+    if not runs:
+        return None
+    return picture(lambda: _manoeuvre_panels(data_name, protocol, runs), suffix)
+
+
+def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord]) -> Figure:
+    splits = [*SPLIT_ORDER, *sorted({run.run.split for run in runs} - set(SPLIT_ORDER))]
+    shown = [split for split in splits if any(run.run.split == split for run in runs)]
+    planners = list(dict.fromkeys(run.planner for run in runs))
+    privileged = {run.planner: run.run.planner.privileged for run in runs}
+    style = {name: _style(place) for place, name in enumerate(planners)}
+    figure = new_figure(1.2 + 2.6 * len(shown) + 2.6, max(3.2, 0.9 + 0.24 * len(planners)))
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, split in zip(panels, shown):
+        for run in runs:
+            if run.run.split == split:
+                _band(axes, run, protocol_of(run, protocol), style[run.planner])
+        axes.set_title(drawable(split), parse_math=False)
+        axes.set_xticks([float(name.removesuffix("s")) for name in HORIZON_STEPS], list(HORIZON_STEPS))
+        axes.grid(axis="y", color="#dddddd", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("collision rate (%)")
+    # Panels share this axis: its end is known once all are drawn.
+    panels[0].set_ylim(bottom=0)
+    lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
+    names = [drawable(marked(name, privileged=privileged[name])) for name in planners]
+    figure.tight_layout(rect=(0, 0, 1 - 2.5 / figure.get_figwidth(), 0.93))
+    legend = figure.legend(lines, names, loc="center right", frameon=False, fontsize="small")
+    _plain_text(legend.get_texts())
+    _heading(figure, f"{drawable(data_name)}: collision rate over the horizon, {judges(protocol)}")
+    return figure
+
+
+def _band(axes: Axes, run: RunRecord, judge: str, style: dict[str, Any]) -> None:
+    rates = run.summary.protocols[judge].columns["collision"]
+    drawn = [
+        (float(horizon.removesuffix("s")), rates[horizon])
+        for horizon in HORIZON_STEPS
+        if rates[horizon].value is not None
+    ]
+    if not drawn:
+        return
+    seconds = [at for at, _ in drawn]
+    axes.plot(seconds, [100 * (rate.value or 0.0) for _, rate in drawn], **style)
+    if all(rate.low is not None and rate.high is not None for _, rate in drawn):
+        low, high = (
+            [100 * (end or 0.0) for end in ends] for ends in zip(*((rate.low, rate.high) for _, rate in drawn))
+        )
+        axes.fill_between(seconds, low, high, color=style["color"], alpha=0.12, linewidth=0)
+
+
+def _disagreement(data_name: str, split: str, found: Sequence[tuple[RunRecord, dict[str, Any]]]) -> Figure:
+    protocols = list(dict.fromkeys(name for _, compared in found for name in compared))
+    figure = new_figure(8.2, 1.3 + (0.3 + 0.09 * len(found)) * len(protocols) + 0.11 * len(found))
+    panels = figure.subplots(1, 2, sharey=True)
+    height = 0.8 / len(found)
+    for place, (_, compared) in enumerate(found):
+        for row, protocol in enumerate(protocols):
+            if protocol not in compared:
+                continue
+            samples = compared[protocol].samples
+            at = row - 0.4 + height * (place + 0.5)
+            for axes, share in zip(panels, (samples.missed_share, samples.false_share)):
+                if share is None:
+                    axes.plot(0.0, at, marker="|", color=_style(place)["color"], markersize=5)
+                else:
+                    axes.barh(at, 100 * share, height * 0.9, color=_style(place)["color"])
+    for axes, title in zip(panels, ("missed, % of what exact sees", "false, % of what is reported")):
+        axes.set_xlim(0, 100)
+        axes.set_title(title, fontsize="medium")
+        axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_yticks(range(len(protocols)), [drawable(name) for name in protocols], parse_math=False)
+    panels[0].set_ylim(len(protocols) - 0.5, -0.5)
+    figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
+    patches = [Patch(color=_style(place)["color"]) for place in range(len(found))]
+    names = [drawable(marked(run.planner, privileged=run.run.planner.privileged)) for run, _ in found]
+    legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
+    _plain_text(legend.get_texts())
+    _heading(figure, f"{drawable(data_name)}, split {drawable(split)}: protocols against exact (a tick: undefined)")
+    return figure
+
+
+def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord]) -> Figure:
+    total = Counter(name for run in runs for name in _manoeuvres(run).values())
+    order = sorted(total, key=lambda name: (-total[name], name))
+    lines = -(-len(runs) // PANELS)
+    figure = new_figure(2.2 + 2.3 * min(len(runs), PANELS), 0.5 + (0.8 + 0.3 * len(order)) * lines)
+    grid = figure.subplots(lines, min(len(runs), PANELS), sharey=True, sharex=True, squeeze=False)
+    panels = list(grid.flat)
+    for axes in panels[len(runs) :]:
+        axes.set_axis_off()
+    for axes, run in zip(panels, runs):
+        manoeuvres, failures = _manoeuvres(run), scene_failures(run.rows, protocol_of(run, protocol))
+        scenes = Counter(manoeuvres.values())
+        failed = Counter(manoeuvres[scene] for scene, fails in failures.items() if fails and scene in manoeuvres)
+        rows = range(len(order))
+        axes.barh(rows, [scenes[name] for name in order], 0.72, color=_OK)
+        axes.barh(rows, [failed[name] for name in order], 0.72, color=_FAIL)
+        for row, name in enumerate(order):
+            axes.text(scenes[name], row, f" {failed[name]}/{scenes[name]}", va="center", fontsize="small")
+        name = drawable(marked(run.planner, privileged=run.run.planner.privileged))
+        axes.set_title(name, fontsize="medium", parse_math=False)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_xlabel("scenes")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panels[0].set_xlim(0, 1.25 * max(total[name] / len(runs) for name in order) + 1)
+    panels[0].set_yticks(range(len(order)), [drawable(name) for name in order], parse_math=False)
+    panels[0].set_ylim(len(order) - 0.5, -0.5)
+    figure.tight_layout(rect=(0, 0, 1, 0.93))
+    _heading(figure, f"{drawable(data_name)}: adversarial scenes failed (red), {judges(protocol)}")
+    return figure
+
+
+def _manoeuvres(run: RunRecord) -> dict[str, str]:
+    """What the adversary of each scene does; empty where the record says nothing of any."""
+    facts = run.run.scene_facts
+    found = {scene: facts[scene].manoeuvre for scene in run.run.scenes if scene in facts}
+    if not any(found.values()):
+        return {}
+    return {scene: name or UNLABELLED for scene, name in found.items()}
+
+
+def _style(place: int) -> dict[str, Any]:
+    marker = MARKERS[(place + place // len(COLOURS)) % len(MARKERS)]
+    return {"color": COLOURS[place % len(COLOURS)], "marker": marker, "markersize": 4.5, "linewidth": 1.4}
+
+
+def _heading(figure: Figure, text: str) -> None:
+    figure.text(0.5, 0.98, text, ha="center", va="top", fontsize="large", parse_math=False)
+
+
+def _plain_text(texts: Sequence[Any]) -> None:
+    """Names of strangers are text, not formulas."""
+    for text in texts:
+        text.set_parse_math(False)

@@ -1,0 +1,202 @@
+"""One round of refinement on the map: the road, who is where, and the candidates by their score."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Colormap, LogNorm
+from matplotlib.patches import PathPatch, Polygon
+from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
+
+from benchmark.drawing.palette import (
+    ADVERSARY,
+    CAR_PARK,
+    CROSSING,
+    EGO,
+    INK,
+    LAND,
+    PAINT,
+    ROAD,
+    VEHICLE,
+    WALKWAY,
+    Rgb,
+)
+from benchmark.drawing.placing import agent_box, ego_box
+from benchmark.geometry import Floats, box_corners, to_local
+from benchmark.records.scenes import Sheet, TraceFrame
+
+FRAMES_AHEAD: Final = 36
+"""Of the ego's recorded way: 3 s, as candidates are drawn."""
+_MARGIN_M, _LEAST_WIDTH_M, _MOST_WIDTH_M = 4.0, 26.0, 120.0
+_NO_SCORE: Final = "#777777"
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the panels show: the adversary drives to the right from (0, 0).
+
+    Attributes:
+        pose: (3,) its pose now, in the sheet's metres.
+        left: Edge, metres in the adversary's frame.
+        right: Likewise.
+        bottom: Likewise.
+        top: Likewise.
+    """
+
+    pose: Floats
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    def here(self, points: Floats) -> Floats:
+        """Points (..., 2) of the sheet in the adversary's frame."""
+        return to_local(np.asarray(points, dtype=np.float64), self.pose)
+
+
+def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> View:
+    """The part of the map that holds all candidates and, where it is near, the ego.
+
+    Args:
+        sheet: The scene.
+        agent_id: Instance identifier of the adversary.
+        at: A planning frame with at least one candidate.
+        shape: Width by height.
+
+    Returns:
+        The view.
+    """
+    lines = [np.array(line) for entry in at.rounds for line in entry.candidates if line]
+    boxes = (agent_box(agent, at.frame) for agent in sheet.agents if agent.id == agent_id)
+    box = next((each for each in boxes if each is not None), None)
+    pose = np.array([*lines[0][0], 0.0 if box is None else box[4]])
+    points = to_local(np.concatenate(lines), pose)
+    ego = to_local(_ego_way(sheet, at.frame)[:1], pose)
+    near = np.hypot(*ego.T) < _MOST_WIDTH_M / 2
+    points = np.vstack([points, ego[near]])
+    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+    wanted = max(high[0] - low[0], (high[1] - low[1]) * shape)
+    half = float(np.clip(wanted, _LEAST_WIDTH_M, _MOST_WIDTH_M)) / 2
+    x, y = ((low + high) / 2).tolist()
+    return View(pose, x - half, x + half, y - half / shape, y + half / shape)
+
+
+def draw_road(axes: Axes, sheet: Sheet, view: View) -> None:
+    """Draw the map of a sheet.
+
+    Args:
+        axes: Where to.
+        sheet: The scene.
+        view: What is seen of it.
+    """
+    axes.set_facecolor(rgb(LAND))
+    window = shapely.box(view.left - 1, view.bottom - 1, view.right + 1, view.top + 1)
+    road = sheet.road
+    for areas, colour in (
+        (road.walkways, WALKWAY), (road.drivable, ROAD), (road.carparks, CAR_PARK), (road.crossings, CROSSING)
+    ):  # fmt: skip
+        for area in areas:
+            rings = [view.here(np.array(ring)) for ring in area if len(ring) > 3]
+            if rings:
+                seen = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
+                _fill(axes, seen, rgb(colour))
+    for line in road.dividers:
+        name = next((each for each in PAINT if line.paint.endswith(f"-{each}")), None)
+        if name is None or len(line.points) < 2:
+            continue
+        seen = shapely.LineString(view.here(np.array(line.points))).intersection(window)
+        pattern = (0, (5, 4)) if line.paint.startswith("dashed") else "solid"
+        paths = [shapely.get_coordinates(part) for part in shapely.get_parts(seen)]
+        axes.add_collection(
+            LineCollection(paths, colors=[rgb(PAINT[name])], linewidths=1.0, linestyles=[pattern], zorder=1)
+        )
+
+
+def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: View) -> None:
+    """Draw who is where at a planning frame, and the ego's recorded way from there.
+
+    Args:
+        axes: Where to.
+        sheet: The scene.
+        agent_id: Instance identifier of the adversary.
+        frame: The planning frame.
+        view: What is seen.
+    """
+    for agent in sheet.agents:
+        box = agent_box(agent, frame)
+        if box is not None:
+            own = agent.id == agent_id
+            _draw_box(axes, box, view, ADVERSARY if own else VEHICLE, "A" if own else "")
+    way = view.here(_ego_way(sheet, frame))
+    if len(way):
+        axes.plot(*way.T, color="white", linewidth=3.2, zorder=4)
+        axes.plot(*way.T, color=rgb(EGO), linewidth=1.8, linestyle=(0, (3, 1.5)), zorder=4)
+        axes.plot(*way[-1], marker="o", markersize=4, color=rgb(EGO), markeredgecolor="white", zorder=4)
+        _draw_box(axes, ego_box(sheet, frame), view, EGO, "E")
+
+
+def draw_candidates(axes: Axes, at: TraceFrame, number: int, view: View, scale: LogNorm, colours: Colormap) -> None:
+    """Draw the candidates of one round, the better over the worse, and the executed one if it is of this round.
+
+    Args:
+        axes: Where to.
+        at: The planning frame.
+        number: The round.
+        view: What is seen.
+        scale: From scores to shares of the colours.
+        colours: The colours.
+    """
+    entry = at.rounds[number]
+    scores = np.array([np.inf if score is None else score for score in entry.scores])
+    order = [index for index in np.argsort(scores, kind="stable")[::-1] if len(entry.candidates[index]) > 1]
+    paths = [view.here(np.array(entry.candidates[index])) for index in order]
+    tints = [_NO_SCORE if np.isinf(scores[index]) else colours(scale(scores[index])) for index in order]
+    axes.add_collection(LineCollection(paths, colors=tints, linewidths=1.0, zorder=3))
+    if paths:
+        ends = np.array([path[-1] for path in paths])
+        axes.scatter(ends[:, 0], ends[:, 1], s=5, c=tints, linewidths=0, zorder=3)
+    if number == at.chosen_round and at.chosen < len(entry.candidates):
+        path = view.here(np.array(entry.candidates[at.chosen]))
+        for colour, width in (("white", 5.0), (rgb(INK), 3.2)):
+            axes.plot(*path.T, color=colour, linewidth=width, zorder=5, solid_capstyle="round")
+        axes.plot(*path[-1], marker="*", markersize=13, color="white", markeredgecolor=rgb(INK), zorder=8)
+
+
+def rgb(colour: Rgb) -> tuple[float, float, float]:
+    """A colour as Matplotlib takes it."""
+    red, green, blue = colour
+    return red / 255, green / 255, blue / 255
+
+
+def _ego_way(sheet: Sheet, frame: int) -> Floats:
+    """(F, 2) centres of the ego's body from a frame on; none where the sheet has no such frame."""
+    frames = range(frame, min(frame + FRAMES_AHEAD + 1, len(sheet.ego.x_m)))
+    return np.array([ego_box(sheet, each)[:2] for each in frames]).reshape(-1, 2)
+
+
+def _fill(axes: Axes, area: shapely.Geometry, colour: tuple[float, ...]) -> None:
+    for part in shapely.get_parts(area):
+        if part.geom_type == "MultiPolygon":
+            _fill(axes, part, colour)
+        elif part.geom_type == "Polygon":
+            rings = (part.exterior, *part.interiors)
+            outline = Path.make_compound_path(*(Path(shapely.get_coordinates(ring), closed=True) for ring in rings))
+            # Seams between neighbouring areas of one road would show without an edge of the same colour.
+            axes.add_patch(PathPatch(outline, facecolor=colour, edgecolor=colour, linewidth=0.4, zorder=0.5))
+
+
+def _draw_box(axes: Axes, box: Floats, view: View, colour: Rgb, letter: str) -> None:
+    corners = view.here(box_corners(box))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if high[0] < view.left or low[0] > view.right or high[1] < view.bottom or low[1] > view.top:
+        return
+    axes.add_patch(Polygon(corners, facecolor=rgb(colour), edgecolor="white", linewidth=0.8, zorder=2))
+    if letter:
+        x, y = view.here(box[:2])
+        outline = withStroke(linewidth=2.0, foreground=rgb(colour))
+        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7, "fontweight": "bold", "color": "white"}
+        axes.text(x, y, letter, zorder=7, clip_on=True, path_effects=[outline], **style)

@@ -1,0 +1,123 @@
+"""Films of scenes on disk: from the sheets and run records of a workspace to files."""
+
+from collections.abc import Callable, Iterable, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from benchmark.drawing.lettering import Picture
+from benchmark.errors import InputError
+from benchmark.machine.storage import file_name, write_bytes
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, read_sheet, scene_folder, split_folder
+from leaderboard.films.encoding import animated_webp, png, require_webm, webm
+from leaderboard.films.film import Film, FilmSettings
+
+LONGEST_WEBP: Final = 400
+"""Frames of an animated WebP, which is made in memory."""
+Watch = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
+"""Passes frames on and shows how far the work is: frames, how many, of what."""
+
+
+class FilmFormat(StrEnum):
+    """What is written."""
+
+    WEBM = "webm"
+    PNG = "png"
+    WEBP = "webp"
+
+
+def data_set_name(data: str) -> str:
+    """The name under which sheets and records know what ``--data`` names: that of its folder."""
+    return Path(data).resolve().name
+
+
+def planner_folder(root: Path, data: str, split: str) -> Path:
+    """Folder of the run records of a split, below the folder of all run records."""
+    return root / file_name(data_set_name(data)) / file_name(split)
+
+
+def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | None) -> list[Path]:
+    """Folders of the sheets of some scenes.
+
+    Args:
+        root: Folder of all sheets.
+        data: Name or root of the data set.
+        split: Its split.
+        scenes: Scene names; all that have a sheet by default.
+
+    Returns:
+        Folders, by scene.
+
+    Raises:
+        InputError: If a scene has no sheet.
+    """
+    data_name = data_set_name(data)
+    make = f"make it with: challenger-bench sheets --data {data} --split {split} --out {root.parent}"
+    if scenes is None:
+        found = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
+        if not found:
+            raise InputError(f"split {split} of {data_name} has no scene sheet below {root}; {make}")
+        return [path.parent for path in found]
+    folders = [scene_folder(root, data_name, split, scene) for scene in scenes]
+    for scene, folder in zip(scenes, folders):
+        if not (folder / SHEET_FILE).is_file():
+            raise InputError(f"scene {scene} of split {split} of {data_name} has no sheet at {folder}; {make}")
+    return folders
+
+
+def write_film(
+    folder: Path,
+    records: Sequence[RunRecord],
+    models: Sequence[str],
+    to: Path,
+    form: FilmFormat,
+    settings: FilmSettings,
+    *,
+    watch: Watch = lambda frames, _total, _label: frames,
+) -> Path:
+    """Write one scene's film.
+
+    Args:
+        folder: Of the scene's sheet.
+        records: Run records that have the planners' plans.
+        models: Planners to show, as tables name them.
+        to: Folder to write to.
+        form: What is written: ``<scene>.webm``, ``<scene>.webp``, or a folder ``<scene>`` of PNG files that are
+            numbered from 0.
+        settings: How the film is made.
+        watch: Shows how far the work is.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If something that the film shows is missing or damaged, the film is too long for its format, WebM
+            cannot be written here, or the folder of PNG files has other frames.
+    """
+    if form is FilmFormat.WEBM:
+        require_webm()
+    film = Film(read_sheet(folder), records, models, settings)
+    scene = film.stored.sheet.scene
+    frames = watch(film, len(film), "frames")
+    if form is FilmFormat.PNG:
+        return _write_frames(to / file_name(scene), frames, len(film))
+    if form is FilmFormat.WEBP and len(film) > LONGEST_WEBP:
+        raise InputError(
+            f"an animated WebP has {LONGEST_WEBP} frames at most, this one would have {len(film)}; choose a part with "
+            "--from and --until, a smaller --fps, or --format webm"
+        )
+    encode = webm if form is FilmFormat.WEBM else animated_webp
+    path = to / f"{file_name(scene)}.{form.value}"
+    write_bytes(path, encode(frames, settings.fps))
+    return path
+
+
+def _write_frames(target: Path, frames: Iterable[Picture], count: int) -> Path:
+    names = [f"{number:06d}.png" for number in range(count)]
+    others = sorted({path.name for path in target.glob("*.png")} - set(names)) if target.is_dir() else []
+    if others:
+        raise InputError(f"{target} has other frames ({others[0]}); delete them or choose another folder with --to")
+    for name, frame in zip(names, frames, strict=True):
+        write_bytes(target / name, png(frame), durable=False)
+    return target

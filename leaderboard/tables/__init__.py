@@ -1,0 +1,1 @@
+"""Tables from records, one module a table."""

@@ -1,0 +1,285 @@
+"""Table 1 of the paper: collision rate over 1, 2 and 3 seconds, by planner and split, ours and the published ones."""
+
+from collections.abc import Callable, Sequence
+
+from benchmark.metrics.rates import HORIZONS
+from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.run import NATIVE, RunRecord
+from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.published import SOURCE, is_variant, published_cells, published_rate
+
+SPLIT_ORDER = ("val", "val-r", "adv")
+PRIVILEGED_MARK = "†"
+PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
+STALE_MARK = "‡"
+FEW_SCENES = 20
+"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
+FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
+RATES_NOTE = (
+    "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
+    "agree. Increase: (adv − val) / val of the averages, as the paper computes it; beside it the same over val-r."
+)
+BEFORE_MASK = "collision_before_mask"
+
+
+def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table:
+    """Collision rates and L2 of our runs under one protocol.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        protocol: Protocol of every number in the table.
+        records: Runs on this data set; those without the protocol are named below the table.
+
+    Returns:
+        One row per planner and split: rates with the 95 % scene-bootstrap interval of their average, what the
+        protocol's exclusion of recorded collisions removed (where it has one), the paper's increases of the averages,
+        L2, and what was counted.
+    """
+    runs = [record for record in in_table_order(records) if protocol in record.summary.protocols]
+    versions = sorted({record.summary.protocols[protocol].version for record in runs})
+    return _table(
+        f"collision-{protocol}",
+        f"{data_name}: collision rate (%) and L2 (m), protocol {protocol} "
+        f"(version {', '.join(str(version) for version in versions)})",
+        in_table_order(records),
+        lambda record: protocol,
+        notes=(RATES_NOTE,),
+    )
+
+
+def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
+    """The paper's Table 1: every planner under the protocol of its own repository.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        records: Runs on this data set.
+
+    Returns:
+        One row per planner and split that says whose protocol it is; planners without one of their own come after the
+        others, under ``exact``.
+    """
+    ordered = sorted(in_table_order(records), key=lambda record: record.run.planner.native_protocol is None)
+    without = any(record.run.planner.native_protocol is None for record in records)
+    said = " The last rows, under exact, are planners without a repository of their own." if without else ""
+    return _table(
+        "collision-native",
+        f"{data_name}: collision rate (%) and L2 (m), each planner under its own protocol",
+        ordered,
+        lambda record: record.native_protocol,
+        notes=(
+            "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
+            f"protocols are not comparable.{said}",
+            RATES_NOTE,
+        ),
+        names_protocol=True,
+    )
+
+
+def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
+    """Records by planner (privileged ones last), then split."""
+
+    def place(record: RunRecord) -> tuple[bool, str, int, str]:
+        split = record.run.split
+        known = SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER)
+        return record.run.planner.privileged, record.planner, known, split
+
+    return sorted(records, key=place)
+
+
+def marked(planner: str, *, privileged: bool) -> str:
+    """The planner's name; a mark tells that it saw what no car sees."""
+    return f"{planner} {PRIVILEGED_MARK}" if privileged else planner
+
+
+def row_name(record: RunRecord, judge: str) -> str:
+    """The planner's name with its marks: privileged, and judged by an earlier version of the protocol."""
+    name = marked(record.planner, privileged=record.run.planner.privileged)
+    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
+
+
+def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
+    """One sentence for each of the protocols that judged a run in another version than the present one."""
+    return [
+        f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
+        f"protocol {name}, now {registered_version(name)}; run challenger-bench rescore."
+        for name in protocols
+        if name in record.stale_protocols
+    ]
+
+
+def judges(protocol: str) -> str:
+    """Who judges, as titles say it."""
+    return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
+
+
+def increase_over(baseline: float | None, rate: float | None) -> float | None:
+    """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
+    if baseline is None or rate is None or baseline == 0:
+        return None
+    return (rate - baseline) / baseline
+
+
+def recordings(record: RunRecord) -> int:
+    """How many recorded scenes a run's scenes come from: what its intervals rest on."""
+    return len(set(source_of_scenes(record).values()))
+
+
+def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
+    """What has to be said of runs that are not whole.
+
+    Args:
+        records: Runs.
+
+    Returns:
+        One sentence for each run with failed samples and each run of a part of its split.
+    """
+    notes = []
+    for record in records:
+        who = f"{record.planner} on {record.run.split}"
+        if not record.complete:
+            summary = record.summary
+            notes.append(
+                f"{who}: {summary.failed} samples failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{summary.samples} samples."
+            )
+        if not record.covers_split:
+            notes.append(f"{who}: {len(record.run.scenes)} of {record.run.scenes_in_split} scenes of the split.")
+    return notes
+
+
+def _table(
+    name: str,
+    title: str,
+    records: Sequence[RunRecord],
+    judge_of: Callable[[RunRecord], str],
+    *,
+    notes: Sequence[str],
+    names_protocol: bool = False,
+) -> Table:
+    """Rows of all records that have their judge's verdicts, in the order given."""
+    runs = [record for record in records if judge_of(record) in record.summary.protocols]
+    run_of = {(run.planner, run.run.split): run for run in runs}
+    has_mask = any(BEFORE_MASK in run.summary.protocols[judge_of(run)].columns for run in runs)
+    has_paper = any(published_rate(run, judge_of(run)) is not None for run in runs)
+    rows: list[tuple[str | Shown, ...]] = []
+    for run in runs:
+        judge = judge_of(run)
+        baselines = [run_of.get((run.planner, split)) for split in ("val", "val-r")]
+        rows.append(
+            (
+                *(row_name(run, judge), run.run.split, *((judge,) if names_protocol else ())),
+                *_numbers(run, judge, has_mask=has_mask),
+                *(_increase(run, baseline, judge_of).shown(1, after="×") for baseline in baselines),
+                *_distances_and_counts(run, judge),
+                *(published_cells(published_rate(run, judge)) if has_paper else ()),
+            )
+        )
+    who = "own protocol" if names_protocol else next((judge_of(run) for run in runs), "")
+    return table_of(
+        name,
+        title,
+        (
+            *("planner", "split", *(("protocol",) if names_protocol else ())),
+            *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
+            *(("avg before mask", "steps masked") if has_mask else ()),
+            *("increase", "over val-r"),
+            *(f"L2 {horizon}" for horizon in HORIZONS),
+            *("samples", "scenes", "scenes failed", "coverage"),
+            *((*(f"paper {horizon}" for horizon in HORIZONS), "paper increase") if has_paper else ()),
+        ),
+        rows,
+        notes=(*notes, *_notes(records, judge_of, has_mask=has_mask, has_paper=has_paper)),
+        text_columns=3 if names_protocol else 2,
+        groups=(
+            ("", 3 if names_protocol else 2),
+            (f"collision rate in %, {who}", 5),
+            (f"mask, {who}", 2 if has_mask else 0),
+            (f"increase of the average, {who}", 2),
+            (f"L2 in m, {who}", 4),
+            (f"counted, {who}", 4),
+            (f"paper, collision rate in %, {who}", 5 if has_paper else 0),
+        ),
+        sources=(SOURCE,) if has_paper else (),
+    )
+
+
+def _increase(record: RunRecord, baseline: RunRecord | None, judge_of: Callable[[RunRecord], str]) -> Cell:
+    """From a baseline to an adversarial run; no value unless both are of whole splits and judged alike."""
+    judge = judge_of(record)
+    compared = (
+        baseline is not None
+        and record.run.split == "adv"
+        and judge_of(baseline) == judge
+        and baseline.covers_split
+        and record.covers_split
+        and baseline.summary.protocols[judge].version == record.summary.protocols[judge].version
+    )
+    if baseline is None or not compared:
+        return origin_of(record, judge).cell(None, "×", 0)
+    summaries = [run.summary.protocols[judge] for run in (baseline, record)]
+    value = increase_over(*(summary.columns["collision"]["avg"].value for summary in summaries))
+    origin = Origin(judge, record_name(baseline, record))
+    return origin.cell(value, "×", sum(summary.counted for summary in summaries))
+
+
+def _numbers(record: RunRecord, judge: str, *, has_mask: bool) -> tuple[Shown, ...]:
+    """Collision rates, the interval of their average, and what a mask takes away."""
+    origin, summary = origin_of(record, judge), record.summary.protocols[judge]
+    collision = {horizon: origin.percent(rate) for horizon, rate in summary.columns["collision"].items()}
+    shown = (*(collision[horizon].shown(2) for horizon in HORIZONS), collision["avg"].interval())
+    if not has_mask:
+        return shown
+    if BEFORE_MASK not in summary.columns:
+        return (*shown, Shown(UNDEFINED), Shown(UNDEFINED))
+    before = origin.percent(summary.columns[BEFORE_MASK]["avg"])
+    return (*shown, before.shown(2), origin.count(summary.mask_removed_steps, "steps").shown())
+
+
+def _distances_and_counts(record: RunRecord, judge: str) -> tuple[Shown, ...]:
+    origin, summary, run = origin_of(record, judge), record.summary.protocols[judge], record.run
+    return (
+        *(origin.amount(summary.columns["l2"][horizon], "m").shown(2) for horizon in HORIZONS),
+        origin.count(summary.counted, "samples", record.summary.samples).shown(),
+        origin.count(len(run.scenes), "scenes", run.scenes_in_split).shown(),
+        origin.count(summary.scenes_failed, "scenes", summary.scenes_decided).shown(after=f"/{summary.scenes_decided}"),
+        origin.cell(record.summary.coverage, "%", record.summary.samples, scale=100.0).shown(1),
+    )
+
+
+def _notes(
+    records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_mask: bool, has_paper: bool
+) -> list[str]:
+    notes = _paper_notes(records, judge_of, has_paper=has_paper)
+    if has_mask:
+        notes.append(
+            "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
+            "average without that exclusion; masked: how many colliding steps it removed."
+        )
+    if any(record.run.planner.privileged for record in records):
+        notes.append(PRIVILEGED_NOTE)
+    if any(recordings(record) < FEW_SCENES for record in records):
+        notes.append(FEW_NOTE)
+    for record in records:
+        judge, who = judge_of(record), f"{record.planner} on {record.run.split}"
+        if judge not in record.summary.protocols:
+            notes.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
+        notes += stale_notes(record, (judge,))
+    return [*notes, *completeness_notes(records)]
+
+
+def _paper_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_paper: bool) -> list[str]:
+    """What the paper's numbers beside ours are, and beside whom they do not stand."""
+    notes = []
+    if has_paper:
+        notes.append(
+            "Paper: what it prints for the model of that name under the same protocol on nuScenes-val, nuScenes-val-R "
+            "and Adv-nuSc; on other data it is a reference and no target."
+        )
+    variants = sorted({record.run.planner.name for record in records if is_variant(record, judge_of(record))})
+    if variants:
+        notes.append(
+            f"No published row stands beside {', '.join(variants)}: a miniature or a variant is not the model that the "
+            "paper ran."
+        )
+    return notes

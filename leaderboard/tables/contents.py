@@ -1,0 +1,167 @@
+"""Which tables and figures the records of one data set give."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from benchmark.errors import InputError
+from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.scores import require_current
+from benchmark.metrics.transfer import TransferMatrix, transfer
+from benchmark.records.ablation import AblationReport
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.scenes import Sheets
+from benchmark.report.table import Table
+from leaderboard.tables.ablation import ablation_tables
+from leaderboard.tables.collision import SPLIT_ORDER, collision_table, in_table_order, native_table
+from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
+from leaderboard.tables.diagnosis import diagnosis_tables
+from leaderboard.tables.disagreement import disagreement_table
+from leaderboard.tables.manoeuvres import manoeuvre_tables
+from leaderboard.tables.runtime import runtime_tables
+from leaderboard.tables.seeds import seed_spread_table
+from leaderboard.tables.statistics import statistics_tables
+from leaderboard.tables.transfer import agreement_table, transfer_table
+
+
+@dataclass(frozen=True, slots=True)
+class DataSetTables:
+    """Tables of one data set, in the order in which they are read.
+
+    Attributes:
+        data_name: Name of the data set.
+        front: Under ``exact`` and under the planners' own protocols, then diagnosis and disagreement.
+        others: Under each other protocol; the collision table comes first.
+        matrices: Transfer matrices that get a picture, by the name of their table.
+        records: What they are made from.
+        notes: Sentences on what records lack.
+    """
+
+    data_name: str
+    front: tuple[Table, ...]
+    others: dict[str, tuple[Table, ...]]
+    matrices: dict[str, TransferMatrix]
+    records: tuple[RunRecord, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """All of them."""
+        return (*self.front, *(table for tables in self.others.values() for table in tables))
+
+
+def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTables:
+    """Every table that the records of one data set allow.
+
+    Args:
+        data_name: Its name.
+        records: At most one for each planner and split.
+
+    Returns:
+        The tables.
+    """
+    protocols = {name for record in records for name in record.summary.protocols}
+    splits, verdicts = _splits(records), Verdicts()
+    front: list[Table | None] = []
+    matrices: dict[str, TransferMatrix] = {}
+    names = [name for name in (EXACT, NATIVE) if name in protocols or (name == NATIVE and _has_native(records))]
+    front += [
+        native_table(data_name, records) if name == NATIVE else collision_table(data_name, name, records)
+        for name in names
+    ]
+    front += [seed_spread_table(data_name, name, records) for name in names]
+    front += [split_table(data_name, name, records, verdicts) for name in names]
+    for split in splits:
+        front += [planner_table(data_name, split, name, records, verdicts) for name in names if name != NATIVE]
+        for name in names:
+            matrix, of_transfer = _transfer_tables(data_name, split, name, records)
+            front += of_transfer
+            matrices |= {} if matrix is None else {of_transfer[0].name: matrix}
+    if EXACT in protocols:
+        front += diagnosis_tables(data_name, records)
+        disagreements = (disagreement_table(data_name, split, records) for split in splits)
+        front += [table for table in disagreements if table.rows]
+    others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
+    tables = tuple(table for table in front if table is not None)
+    return DataSetTables(data_name, tables, others, matrices, tuple(records), _missing(records))
+
+
+def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
+    """Every table that is not made from run records: statistics, manoeuvres, search, runtime, ablation.
+
+    Args:
+        sheets: Scene sheets.
+        ablations: Ablation studies.
+
+    Returns:
+        Tables by name of the data set, in the order of the names.
+
+    Raises:
+        InputError: If a sheet is damaged.
+    """
+    parts = (statistics_tables(sheets), manoeuvre_tables(sheets), runtime_tables(sheets), ablation_tables(ablations))
+    names = sorted({name for part in parts for name in part})
+    return {name: tuple(table for part in parts for table in part.get(name, ())) for name in names}
+
+
+def _tables_under(
+    data_name: str, protocol: str, splits: Sequence[str], records: Sequence[RunRecord], verdicts: Verdicts
+) -> tuple[Table, ...]:
+    tables = [
+        collision_table(data_name, protocol, records),
+        seed_spread_table(data_name, protocol, records),
+        split_table(data_name, protocol, records, verdicts),
+    ]
+    for split in splits:
+        tables.append(planner_table(data_name, split, protocol, records, verdicts))
+        tables += _transfer_tables(data_name, split, protocol, records)[1]
+    return tuple(table for table in tables if table is not None)
+
+
+def _transfer_tables(
+    data_name: str, split: str, protocol: str, records: Sequence[RunRecord]
+) -> tuple[TransferMatrix | None, list[Table]]:
+    """Transfer and agreement of the planners that ran on the whole split; the tables say who is left out."""
+    kept, refused = [], []
+    for record in in_table_order(records):
+        if record.run.split != split:
+            continue
+        if not record.covers_split:
+            ran = f"{len(record.run.scenes)} of {record.run.scenes_in_split} scenes"
+            refused.append(f"Left out: {record.planner} ran on {ran} of the split.")
+            continue
+        try:
+            require_current(record, protocol_of(record, protocol))
+        except InputError as refusal:
+            refused.append(f"Left out: {refusal}.")
+            continue
+        kept.append(record)
+    if len(kept) < 2:
+        return None, []
+    matrix = transfer(kept, protocol=protocol)
+    tables = [transfer_table(data_name, matrix), agreement_table(data_name, matrix)]
+    return matrix, [replace(table, notes=(*table.notes, *refused)) for table in tables]
+
+
+def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
+    """What old records do not say."""
+    notes = []
+    for record in in_table_order(records):
+        who = f"{record.planner} on {record.run.split}"
+        if record.missing_protocols:
+            notes.append(f"{who}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore.")
+        if record.run.split == "adv" and not record.run.scene_facts:
+            notes.append(
+                f"{who}: the record does not say which recordings its scenes come from, so that intervals take scenes "
+                "of one recording for independent; run challenger-bench rescore."
+            )
+    return tuple(notes)
+
+
+def _has_native(records: Sequence[RunRecord]) -> bool:
+    return any(record.run.planner.native_protocol is not None for record in records)
+
+
+def _splits(records: Sequence[RunRecord]) -> list[str]:
+    """Names of splits, the paper's three first."""
+    found = {record.run.split for record in records}
+    return [*(name for name in SPLIT_ORDER if name in found), *sorted(found - set(SPLIT_ORDER))]

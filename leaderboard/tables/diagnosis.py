@@ -1,0 +1,212 @@
+"""Why plans collide, by planner and by manoeuvre: the diagnoses of records, counted."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.run import CAUSES, RunRecord, SampleRow
+from benchmark.report.cells import Cell, Origin, Shown, origin_of
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.collision import (
+    FEW_NOTE,
+    FEW_SCENES,
+    PRIVILEGED_NOTE,
+    completeness_notes,
+    in_table_order,
+    recordings,
+    row_name,
+    stale_notes,
+)
+
+_RULE: Final = (
+    "Misforecasting: the plan is clear of the planner's own forecast of what it hits. Misplanning: it hits that "
+    "forecast too, or none is near. Not attributable: the planner gives no forecasts. The rule is in docs/diagnosis.md."
+)
+_CAUSE_GROUP: Final = (f"% of the colliding samples, {EXACT}", 2 * len(CAUSES))
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One record and those of its samples that ``exact`` counts.
+
+    Attributes:
+        record: The record.
+        rows: Counted samples.
+        colliding: Those that collide.
+    """
+
+    record: RunRecord
+    rows: tuple[SampleRow, ...]
+    colliding: tuple[SampleRow, ...]
+
+    @classmethod
+    def of(cls, record: RunRecord) -> "_Run":
+        rows = tuple(row for row in record.rows if row.status == "ok" and row.outcomes[EXACT].counted)
+        return cls(record, rows, tuple(row for row in rows if any(row.outcomes[EXACT].collision)))
+
+    @property
+    def diagnosed(self) -> bool:
+        """Whether its collisions were diagnosed: those of old records were not."""
+        return all(row.diagnosis is not None for row in self.colliding)
+
+    @property
+    def label(self) -> tuple[str, str]:
+        """Planner and split, the first two cells of its rows."""
+        return row_name(self.record, EXACT), self.record.run.split
+
+    @property
+    def origin(self) -> Origin:
+        """Where its numbers come from."""
+        return origin_of(self.record, EXACT)
+
+    def counts(self) -> tuple[Shown, Shown]:
+        """Counted samples and those that collide."""
+        rows, colliding = len(self.rows), len(self.colliding)
+        return self.origin.count(rows, "samples").shown(), self.origin.count(colliding, "samples", rows).shown()
+
+    def of_scenes(self, scenes: set[str]) -> "_Run":
+        """The same for some scenes."""
+        kept = (tuple(row for row in rows if row.scene in scenes) for rows in (self.rows, self.colliding))
+        return _Run(self.record, *kept)
+
+    def _sources(self, rows: Sequence[SampleRow]) -> list[str]:
+        source_of = source_of_scenes(self.record)
+        return [source_of[row.scene] for row in rows]
+
+    def shares(self) -> list[Rate]:
+        """Share of each cause among the colliding samples."""
+        found = [[_cause(row) == cause for cause in CAUSES] for row in self.colliding]
+        values = np.array(found, dtype=np.float64).reshape(-1, len(CAUSES))
+        scenes = self._sources(self.colliding)
+        return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)
+
+    def collision_rate(self) -> Rate:
+        """Share of the counted samples that collide within 3 s."""
+        values = np.array([[any(row.outcomes[EXACT].collision)] for row in self.rows], dtype=np.float64).reshape(-1, 1)
+        scenes = self._sources(self.rows)
+        return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)[0]
+
+
+def diagnosis_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
+    """Why the plans of each planner collide under ``exact``.
+
+    Args:
+        data_name: Name of the data set, for the titles.
+        records: Runs on this data set; those that ``exact`` did not judge are left out.
+
+    Returns:
+        Shares of the causes by planner and split; the cases behind them; the same by manoeuvre, where the data set
+        says which. Empty where no run was judged by ``exact``. Runs from before there were diagnoses get a note in
+        place of rows.
+    """
+    runs = [_Run.of(record) for record in in_table_order(records) if EXACT in record.run.protocols]
+    if not runs:
+        return []
+    known = [run for run in runs if run.diagnosed]
+    notes = _notes(runs)
+    tables = [_cause_table(data_name, known, notes)]
+    if any(run.colliding for run in known):
+        tables.append(_reason_table(data_name, known, notes))
+    if any(_manoeuvres(run) for run in known):
+        tables.append(_manoeuvre_table(data_name, known, notes))
+    return tables
+
+
+def _cause_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
+    return table_of(
+        "diagnosis",
+        f"{data_name}: why plans collide (% of the colliding samples), protocol {EXACT}",
+        ("planner", "split", "samples", "colliding", *_cause_columns()),
+        [(*run.label, *run.counts(), *_cause_cells(run)) for run in runs],
+        notes=notes,
+        text_columns=2,
+        groups=(("", 2), (f"counted, {EXACT}", 2), _CAUSE_GROUP),
+    )
+
+
+def _reason_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
+    rows: list[tuple[str | Shown, ...]] = []
+    for run in runs:
+        cases = Counter((_cause(row), row.diagnosis.reason) for row in run.colliding if row.diagnosis is not None)
+        for (cause, reason), count in sorted(cases.items(), key=lambda case: (CAUSES.index(case[0][0]), case[0][1])):
+            among = len(run.colliding)
+            share = run.origin.cell(count / among, "%", among, "colliding samples", scale=100.0)
+            rows.append((*run.label, cause, reason, run.origin.count(count, "samples", among).shown(), share.shown(1)))
+    return table_of(
+        "diagnosis-cases",
+        f"{data_name}: cases of the diagnosis (colliding samples), protocol {EXACT}",
+        ("planner", "split", "cause", "case", "samples", "%"),
+        rows,
+        notes=notes,
+        text_columns=4,
+        groups=(("", 4), (f"colliding samples, {EXACT}", 2)),
+    )
+
+
+def _manoeuvre_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
+    by_kind: dict[tuple[str, str], list[tuple[int, _Run]]] = {}
+    for run in runs:
+        for kind, names in _manoeuvres(run).items():
+            by_kind.setdefault((run.record.run.split, kind), []).append((len(names), run.of_scenes(names)))
+    # The most frequent manoeuvres first; planners stay in their order.
+    order = sorted(by_kind, key=lambda key: (key[0], -max(scenes for scenes, _ in by_kind[key]), key[1]))
+    rows = [_manoeuvre_row(key[1], scenes, run) for key in order for scenes, run in by_kind[key]]
+    return table_of(
+        "diagnosis-manoeuvres",
+        f"{data_name}: collisions (%) and why, by manoeuvre of the first adversary, protocol {EXACT}",
+        ("split", "manoeuvre", "planner", "scenes", "samples", "colliding", "col. 3s", "95 %", *_cause_columns()),
+        rows,
+        notes=("Col. 3s: share of the samples that collide within 3 s; the other shares are of those.", *notes),
+        text_columns=3,
+        groups=(("", 3), (f"counted, {EXACT}", 3), (f"collision rate in %, {EXACT}", 2), _CAUSE_GROUP),
+    )
+
+
+def _manoeuvre_row(kind: str, scenes: int, run: _Run) -> tuple[str | Shown, ...]:
+    planner, split = run.label
+    rate = run.origin.percent(run.collision_rate())
+    counts = (run.origin.count(scenes, "scenes", len(run.record.run.scenes)).shown(), *run.counts())
+    return (split, kind, planner, *counts, rate.shown(2), rate.interval(), *_cause_cells(run))
+
+
+def _cause_columns() -> tuple[str, ...]:
+    return tuple(head for cause in CAUSES for head in (cause, f"95 % of {cause}"))
+
+
+def _cause_cells(run: _Run) -> tuple[Shown, ...]:
+    cells: list[Cell] = [run.origin.percent(rate, "colliding samples") for rate in run.shares()]
+    return tuple(shown for cell in cells for shown in (cell.shown(1), cell.interval()))
+
+
+def _cause(row: SampleRow) -> str:
+    return "" if row.diagnosis is None else row.diagnosis.cause
+
+
+def _manoeuvres(run: _Run) -> dict[str, set[str]]:
+    """Scenes that ran by the manoeuvre of their first adversary."""
+    found: dict[str, set[str]] = {}
+    for name in run.record.run.scenes:
+        facts = run.record.run.scene_facts.get(name)
+        if facts is not None and facts.manoeuvre is not None:
+            found.setdefault(facts.manoeuvre, set()).add(name)
+    return found
+
+
+def _notes(runs: Sequence[_Run]) -> tuple[str, ...]:
+    notes = [_RULE, "Brackets: 95 % bootstrap interval over recorded scenes with collisions."]
+    if any(run.record.run.planner.privileged for run in runs):
+        notes.append(PRIVILEGED_NOTE)
+    if any(recordings(run.record) < FEW_SCENES for run in runs):
+        notes.append(FEW_NOTE)
+    for run in runs:
+        if not run.diagnosed:
+            where = f"{run.record.planner} on {run.record.run.split}"
+            notes.append(f"{where}: no diagnoses in this record; run challenger-bench rescore.")
+        notes += stale_notes(run.record, (EXACT,))
+    return (*notes, *completeness_notes([run.record for run in runs]))

@@ -1,0 +1,156 @@
+"""Table 3 of the paper: subject consistency and imaging quality by split, ours and the published ones."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Final
+
+from benchmark.machine.storage import content_key
+from benchmark.records.quality import QualityRecord
+from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.collision import FEW_NOTE, FEW_SCENES, SPLIT_ORDER
+from leaderboard.tables.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3, quoted
+
+_COLUMNS: Final = (
+    "split",
+    "subjects",
+    "SC",
+    "95 %",
+    "IQ",
+    "95 %",
+    "IQ of frames",
+    "95 %",
+    "vehicles",
+    "appearances",
+    "scenes",
+    "SC (paper)",
+    "IQ (paper)",
+)
+_COLUMN_GROUPS: Final = (
+    ("", 2),
+    ("subject consistency", 2),
+    ("imaging quality of vehicles", 2),
+    ("imaging quality of frames", 2),
+    ("counted", 3),
+    ("paper", 2),
+)
+_GROUPS: Final = ("all", "adversary", "others")
+
+
+def quality_tables(records: Sequence[QualityRecord]) -> list[Table]:
+    """One table for each source of masks, definition, set of weights and kind of device: nothing else compares.
+
+    Args:
+        records: Quality records of one data set.
+
+    Returns:
+        The tables, the paper's source of masks first.
+    """
+    kinds: dict[str, list[QualityRecord]] = {}
+    for record in records:
+        kinds.setdefault(_kind(record), []).append(record)
+    ordered = sorted(
+        kinds.values(), key=lambda found: (found[0].masks != "grounded-sam2", found[0].masks, _kind(found[0]))
+    )
+    of_source = Counter(found[0].masks for found in ordered)
+    return [_table(found, several=of_source[found[0].masks] > 1) for found in ordered]
+
+
+def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
+    kind = _kind(records[0])
+    name = f"quality-{records[0].masks}" + (f"-{kind[:8]}" if several else "")
+    chosen = _one_each(records)
+    rows = [row for record in chosen for row in _rows(record)]
+    data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
+    return table_of(
+        name,
+        f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}",
+        _COLUMNS,
+        rows,
+        notes=(
+            "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its "
+            "first; IQ: imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. "
+            "Brackets: 95 % bootstrap interval over recorded scenes. What is measured in detail: docs/quality.md.",
+            *_what_was_seen(chosen),
+            "Paper: frame rate, resolution and regions are not published: its values are a reference and no target.",
+        ),
+        text_columns=2,
+        groups=_COLUMN_GROUPS,
+        sources=(QUALITY_SOURCE,),
+    )
+
+
+def _rows(record: QualityRecord) -> list[tuple[str | Shown, ...]]:
+    summary, split = record.facts.summary, record.facts.split
+    origin = Origin(record=named_record(record.content_id, "video quality", split))
+    rows: list[tuple[str | Shown, ...]] = []
+    for group in _GROUPS:
+        if group not in summary.groups:
+            continue
+        found, is_whole = summary.groups[group], group == "all"
+        rates = [(found.consistency, "SC", "appearances"), (found.imaging, "IQ", "appearances")]
+        rates += [(summary.frames_imaging, "IQ", "frames")] if is_whole else []
+        cells = [origin.amount(rate, unit, of) for rate, unit, of in rates]
+        rows.append(
+            (
+                *(split, group),
+                *(shown for cell in cells for shown in (cell.shown(4), cell.interval(3))),
+                *(() if is_whole else (UNDEFINED, UNDEFINED)),
+                origin.count(found.subjects, "vehicles").shown(),
+                origin.count(found.appearances, "appearances").shown(),
+                origin.count(len(record.facts.scenes), "scenes", record.facts.scenes_in_split).shown(),
+                *(_paper(split) if is_whole else (UNDEFINED, UNDEFINED)),
+            )
+        )
+    return rows
+
+
+def _paper(split: str) -> tuple[str | Shown, str | Shown]:
+    row = TABLE_3.get(DATA_SET_OF_SPLIT.get(split, ""))
+    if row is None:
+        return UNDEFINED, UNDEFINED
+    origin = Origin(source=QUALITY_SOURCE)
+    return quoted(row[0], "SC", origin), quoted(row[1], "IQ", origin)
+
+
+def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
+    """What makes rows differ beside the split: size and format of frames, parts of splits, few scenes."""
+    notes = []
+    seen = {record.facts.split: _frames(record) for record in records}
+    if len(set(seen.values())) > 1:
+        said = "; ".join(f"{split}: {frames}" for split, frames in seen.items())
+        notes.append(f"Frames differ between splits, and with them the numbers: {said}.")
+    else:
+        notes.append(f"Frames: {next(iter(seen.values()))}.")
+    for record in records:
+        if not record.covers_split:
+            of = f"{len(record.facts.scenes)} of {record.facts.scenes_in_split} scenes"
+            notes.append(f"{record.facts.split}: {of} of the split only.")
+    if any(len({facts.source for facts in record.facts.scene_facts.values()}) < FEW_SCENES for record in records):
+        notes.append(FEW_NOTE)
+    return notes
+
+
+def _frames(record: QualityRecord) -> str:
+    sizes = sorted({(video.width, video.height) for video in record.videos})
+    formats = sorted({name for video in record.videos for name in video.formats})
+    return f"{', '.join(f'{width} x {height}' for width, height in sizes)} pixels, {', '.join(formats)}"
+
+
+def _frame_rate(definition: dict[str, object]) -> str:
+    return "2 Hz keyframes" if definition["frames"] == "keyframes" else "12 Hz frames"
+
+
+def _one_each(records: Sequence[QualityRecord]) -> list[QualityRecord]:
+    """For each split the record with most scenes, in the order of the paper."""
+    best: dict[str, QualityRecord] = {}
+    for record in sorted(records, key=lambda record: (-len(record.facts.scenes), record.directory.as_posix())):
+        best.setdefault(record.facts.split, record)
+    rank = {split: index for index, split in enumerate(SPLIT_ORDER)}
+    return [best[split] for split in sorted(best, key=lambda split: (rank.get(split, len(rank)), split))]
+
+
+def _kind(record: QualityRecord) -> str:
+    facts = record.facts
+    weights = {name: used.content for name, used in facts.weights.items()}
+    return content_key(facts.definition, weights, facts.device)

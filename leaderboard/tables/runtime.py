@@ -1,0 +1,73 @@
+"""Where the time of generation goes, ours beside the paper's: from scene sheets."""
+
+from typing import Final
+
+from benchmark.published import RUNTIME_MACHINE, RUNTIME_S, RUNTIME_SOURCE
+from benchmark.records.scenes import Sheets
+from benchmark.report.cells import PERCENT, Shown
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.paper import published_seconds
+from leaderboard.tables.split_facts import Runtime, SplitFacts, facts_by_data_set
+
+RENDERING: Final = "rendering"
+"""The one stage that is timed by scene; the others are by attempt."""
+ALL: Final = "all"
+
+
+def runtime_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
+    """Processor seconds of each stage of generation.
+
+    Args:
+        sheets: Sheets of any splits; those whose generation was not timed have no table.
+
+    Returns:
+        Tables by name of the data set.
+
+    Raises:
+        InputError: If a sheet is damaged.
+    """
+    found = {
+        name: tuple(_table(name, split, split.runtime) for split in splits if split.runtime is not None)
+        for name, splits in facts_by_data_set(sheets).items()
+    }
+    return {name: tables for name, tables in found.items() if tables}
+
+
+def _table(data_name: str, split: SplitFacts, runtime: Runtime) -> Table:
+    stages = [*RUNTIME_S, *sorted(set(runtime.total_s) - set(RUNTIME_S))]
+    return table_of(
+        f"runtime-{split.sheet.split}",
+        f"{data_name}, split {split.sheet.split}: processor seconds of generation",
+        ("stage", "total, s", "each, s", "% of total", "paper, s"),
+        [_row(split, runtime, stage) for stage in (*stages, ALL)],
+        notes=(
+            f"Here: seconds of one processor core over {runtime.attempts} attempts and {runtime.scenes} rendered "
+            "scenes, whatever the machine; each: one attempt, rendering: one scene.",
+            f"Paper: seconds by the clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. The "
+            "two columns have different units of work and do not compare.",
+        ),
+        groups=(("", 1), ("here, processor seconds", 3), ("paper, seconds by the clock", 1)),
+        sources=(RUNTIME_SOURCE,),
+    )
+
+
+def _row(split: SplitFacts, runtime: Runtime, stage: str) -> tuple[str | Shown, ...]:
+    origin, every = split.origin, sum(runtime.total_s.values())
+    total = every if stage == ALL else runtime.total_s.get(stage, 0.0)
+    count, of = (runtime.scenes, "scenes") if stage == RENDERING else (runtime.attempts, "attempts")
+    return (
+        stage,
+        origin.cell(total, "s", count, of).shown(2),
+        origin.cell(_each(runtime, stage), "s", count, of).shown(2),
+        origin.cell(total / every if every else None, PERCENT, count, of, scale=100.0).shown(1),
+        published_seconds(stage),
+    )
+
+
+def _each(runtime: Runtime, stage: str) -> float | None:
+    """Seconds of one unit of a stage; of all stages, one attempt and one rendered scene together."""
+    if stage == ALL:
+        each = [_each(runtime, name) for name in runtime.total_s]
+        return sum(seconds or 0.0 for seconds in each) if runtime.attempts or runtime.scenes else None
+    count = runtime.scenes if stage == RENDERING else runtime.attempts
+    return runtime.total_s.get(stage, 0.0) / count if count else None

@@ -1,0 +1,116 @@
+"""A data set in numbers, how close adversaries come, and what the search discarded and why: from scene sheets."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
+from benchmark.records.scenes import AttemptFacts, Sheets
+from benchmark.report.cells import PERCENT, UNDEFINED, Shown
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.paper import published_rows
+from leaderboard.tables.split_facts import QUANTILES, SplitFacts, facts_by_data_set
+
+KEPT = "kept"
+
+
+def statistics_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
+    """The paper's overview of its data set for each data set of ours, closeness, and the search.
+
+    Args:
+        sheets: Sheets of any splits.
+
+    Returns:
+        Tables by name of the data set.
+
+    Raises:
+        InputError: If a sheet is damaged.
+    """
+    found = {}
+    for name, splits in facts_by_data_set(sheets).items():
+        tables = [_counts(name, splits), _closeness(name, splits), *(_search(name, split) for split in splits)]
+        found[name] = tuple(table for table in tables if table is not None)
+    return found
+
+
+def _counts(data_name: str, splits: Sequence[SplitFacts]) -> Table:
+    rows: list[tuple[str | Shown, ...]] = []
+    for name in ADV_NUSC:
+        ours = [_rows(split, name.replace("_", " "), getattr(split.statistics.counts, name)) for split in splits]
+        rows.append((name.replace("_", " "), *ours, published_rows(name)))
+    for many in sorted({many for split in splits for many in split.statistics.adversaries_per_scene}):
+        label = f"scenes with {many} {'adversary' if many == 1 else 'adversaries'}"
+        ours = [_rows(split, "scenes", split.statistics.adversaries_per_scene.get(many, 0)) for split in splits]
+        rows.append((label, *ours, UNDEFINED))
+    return table_of(
+        "data-set",
+        f"{data_name}: the data set in numbers",
+        ("rows of", *(split.sheet.split for split in splits), "Adv-nuSc (paper)"),
+        rows,
+        notes=("Rows of the tables of each split. Adv-nuSc: made from the nuScenes validation split.",),
+        groups=(("", 1), ("here", len(splits)), ("paper", 1)),
+        sources=(DATA_SET_SOURCE,),
+    )
+
+
+def _rows(split: SplitFacts, of: str, count: int) -> Shown:
+    return Shown(f"{count:,}", split.origin.count(count, of))
+
+
+def _closeness(data_name: str, splits: Sequence[SplitFacts]) -> Table | None:
+    rows: list[tuple[str | Shown, ...]] = []
+    for split in splits:
+        found = split.statistics
+        measured = (
+            ("smallest gap between the bodies, m", "m", found.labelled, found.gap_m, 2),
+            ("time to collision, s", "s", found.within_5_s, found.time_to_collision_s, 1),
+        )
+        for label, unit, count, quantiles, digits in measured:
+            if quantiles is None:
+                continue
+            levels = [split.origin.cell(getattr(quantiles, name), unit, count, "adversaries") for name in QUANTILES]
+            adversaries = split.origin.count(count, "adversaries", found.labelled).shown()
+            rows.append((split.sheet.split, label, adversaries, *(level.shown(digits) for level in levels)))
+    if not rows:
+        return None
+    return table_of(
+        "closeness",
+        f"{data_name}: how close adversaries come to the ego",
+        ("split", "quantity", "adversaries", *QUANTILES),
+        rows,
+        notes=("Time to collision: the least one of each adversary that comes within 5 s of one. The paper has none.",),
+        text_columns=2,
+        groups=(("", 2), ("counted", 1), ("quantiles over adversaries", len(QUANTILES))),
+    )
+
+
+def _search(data_name: str, split: SplitFacts) -> Table | None:
+    attempts = split.sheet.attempts
+    if not attempts:
+        return None
+    outcomes = Counter(_outcome(attempt) for attempt in attempts)
+    order = sorted(outcomes, key=lambda outcome: (outcome != KEPT, -outcomes[outcome], outcome))
+    rows: list[tuple[str | Shown, ...]] = [(outcome, *_tried(split, attempts, outcome)) for outcome in order]
+    rows.append(("all", *_tried(split, attempts, None)))
+    return table_of(
+        f"search-{split.sheet.split}",
+        f"{data_name}, split {split.sheet.split}: what the search tried, and why it discarded it",
+        ("outcome", "vehicles", "%", "recorded scenes"),
+        rows,
+        notes=("The paper names the reasons for which it discards scenes and counts none.",),
+        groups=(("", 1), ("vehicles tried", 2), ("from", 1)),
+    )
+
+
+def _outcome(attempt: AttemptFacts) -> str:
+    return attempt.discarded or KEPT
+
+
+def _tried(split: SplitFacts, attempts: Sequence[AttemptFacts], outcome: str | None) -> tuple[Shown, ...]:
+    chosen = [attempt for attempt in attempts if outcome in (None, _outcome(attempt))]
+    every, share = len(attempts), len(chosen) / len(attempts)
+    scenes = {attempt.source for attempt in chosen}
+    return (
+        split.origin.count(len(chosen), "vehicles", every).shown(),
+        split.origin.cell(share, PERCENT, every, "vehicles", scale=100.0).shown(1),
+        split.origin.count(len(scenes), "recorded scenes", len({attempt.source for attempt in attempts})).shown(),
+    )

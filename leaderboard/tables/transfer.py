@@ -1,0 +1,130 @@
+"""Transfer tables: who else fails the scenes that one planner fails, and how far that is more than chance."""
+
+from benchmark.metrics.rates import Rate
+from benchmark.metrics.transfer import Agreement, TransferMatrix
+from benchmark.records.run import NATIVE
+from benchmark.report.cells import UNDEFINED, Origin, Shown, interval, named_record
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.collision import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, judges, marked
+
+
+def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
+    """The transfer matrix with its counts.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        matrix: From `benchmark.metrics.transfer.transfer`.
+
+    Returns:
+        One row per surrogate; cells are percentages with their interval and ``victim fails / surrogate fails``.
+    """
+    names = planner_names(matrix)
+    rows: list[tuple[str | Shown, ...]] = []
+    for own, (surrogate, cells) in enumerate(zip(names, matrix.cells)):
+        shown = [
+            Shown(UNDEFINED) if victim == own else _cell(cell, _origin(matrix, own, victim))
+            for victim, cell in enumerate(cells)
+        ]
+        failed = round(cells[own].numerator)
+        rows.append((surrogate, _origin(matrix, own).count(failed, "scenes").shown(), *shown))
+    everywhere = (_cell(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates))
+    rows.append(("all scenes", UNDEFINED, *everywhere))
+    return table_of(
+        f"transfer-{matrix.split}-{matrix.protocol}",
+        f"{data_name}, split {matrix.split}: transfer of failures (%), {judges(matrix.protocol)}",
+        ("surrogate", "its failed scenes", *names),
+        rows,
+        notes=(
+            "Cell: share of the surrogate's failed scenes that the victim (column) fails too, with counts and the 95 % "
+            "bootstrap interval over recorded scenes. "
+            f"{UNDEFINED}: the diagonal (100 by construction), or undefined because the surrogate fails no scene.",
+            "A scene fails a planner if any counted sample of it collides. Last row: the victim's failure rate over "
+            "all scenes; transfer is what exceeds it.",
+            *_undecided(matrix),
+            *_common_notes(matrix),
+        ),
+        groups=(("", 1), (f"surrogate, {_who(matrix)}", 1), (f"failed by the victim in %, {_who(matrix)}", len(names))),
+    )
+
+
+def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
+    """How far two planners fail the same scenes beyond what their failure rates give.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        matrix: From `benchmark.metrics.transfer.transfer`.
+
+    Returns:
+        One row per pair of planners: counts, phi with its interval, lift.
+    """
+    return table_of(
+        f"agreement-{matrix.split}-{matrix.protocol}",
+        f"{data_name}, split {matrix.split}: do planners fail the same scenes, {judges(matrix.protocol)}",
+        ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift"),
+        [_agreement_row(matrix, agreement) for agreement in matrix.agreements],
+        notes=(
+            "φ: correlation of the two verdicts over the scenes that both were judged on: 1 the same scenes, 0 as by "
+            f"chance, below 0 other ones; {UNDEFINED} where one of them fails all or none.",
+            "Lift: how many times more often they fail together than by chance. It is near 1 where both fail nearly "
+            "everything, whatever the transfer matrix says.",
+            *_undecided(matrix),
+            *_common_notes(matrix),
+        ),
+        text_columns=2,
+        groups=(("", 2), (f"scenes that fail, {_who(matrix)}", 4), (f"agreement, {_who(matrix)}", 3)),
+    )
+
+
+def planner_names(matrix: TransferMatrix) -> list[str]:
+    """Names as they are shown: with the mark of privileged planners, and the judge where judges differ."""
+    judged = matrix.protocol == NATIVE
+    return [
+        f"{marked(name, privileged=seen)}{f' ({judge})' if judged else ''}"
+        for name, seen, judge in zip(matrix.planners, matrix.privileged, matrix.judges)
+    ]
+
+
+def _undecided(matrix: TransferMatrix) -> list[str]:
+    return [
+        f"{planner}: no verdict on {len(scenes)} scenes ({', '.join(scenes[:3])}{', …' if len(scenes) > 3 else ''}); "
+        "they are in no denominator."
+        for planner, scenes in zip(matrix.planners, matrix.undecided)
+        if scenes
+    ]
+
+
+def _common_notes(matrix: TransferMatrix) -> list[str]:
+    few = [FEW_NOTE] if matrix.recordings < FEW_SCENES else []
+    return [*few, *([PRIVILEGED_NOTE] if any(matrix.privileged) else [])]
+
+
+def _who(matrix: TransferMatrix) -> str:
+    return "own protocols" if matrix.protocol == NATIVE else matrix.protocol
+
+
+def _origin(matrix: TransferMatrix, *planners: int) -> Origin:
+    """Where numbers of some of the planners come from, by their places in the matrix."""
+    judged = " and ".join(dict.fromkeys(matrix.judges[place] for place in planners))
+    records = (named_record(matrix.records[place], matrix.planners[place], matrix.split) for place in planners)
+    return Origin(judged, "; ".join(records))
+
+
+def _cell(rate: Rate, origin: Origin) -> Shown:
+    cell = origin.percent(rate, "scenes")
+    ends = interval(cell.low, cell.high, digits=0)
+    shown = "" if ends == UNDEFINED else f" {ends}"
+    return cell.shown(0, after=f"{shown} ({round(rate.numerator)}/{rate.denominator})")
+
+
+def _agreement_row(matrix: TransferMatrix, agreement: Agreement) -> tuple[str | Shown, ...]:
+    places = [matrix.planners.index(name) for name in agreement.planners]
+    names, origin = planner_names(matrix), _origin(matrix, *places)
+    counts = (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)
+    phi = origin.cell(agreement.phi.value, "φ", sum(counts), "scenes", low=agreement.phi.low, high=agreement.phi.high)
+    return (
+        *(names[place] for place in places),
+        *(origin.count(count, "scenes", sum(counts)).shown() for count in counts),
+        phi.shown(2),
+        phi.interval(2),
+        origin.cell(agreement.lift, "×", sum(counts), "scenes").shown(2),
+    )

@@ -1,0 +1,217 @@
+"""`verify model --model uniad`: a set made with a small network, and damaged sets."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from adapters.networks.uniad.collision_optimiser import move_plan
+from adapters.networks.uniad.model import UniAD, UniADInputs
+from adapters.verification.uniad import compare_uniad, read_frames, verify_uniad
+from adapters.verification.uniad_quantities import frame_quantities
+from benchmark.errors import InputError
+from benchmark.verification.checks import Check, Comparison, report
+from benchmark.verification.filled_networks import NAMES, fill, same_names_and_shapes
+from benchmark.verification.golden import GoldenArrays
+from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, frame
+
+PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity" / "uniad"
+SCENES = ("a", "a", "b")
+LARGEST = 400
+"""Longer arrays are stored in part."""
+
+
+def filled(folder: Path) -> UniAD:
+    network, first = UniAD(SMALL, anchors()), read_frames(folder)[0]
+    fill(Comparison(), network, first.manifest, first.shapes, None, folder / "manifest.json")
+    return network
+
+
+def write_manifest(folder: Path, tensors: dict[str, Any]) -> None:
+    image = {"shape": [6, 3, 64, 96], "valid_rows": 60}
+    rules = {r"cls_branches\.1\.6\.bias$": -1.5}
+    manifest = {"salt": "t", "image": image, "scene_tokens": SCENES, "shift_rules": rules, "tensors": tensors}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def make_set(folder: Path) -> Path:
+    """A set whose official network is the small one."""
+    folder.mkdir(parents=True)
+    inputs = [frame(number) for number in range(len(SCENES))]
+    state = UniAD(SMALL).state_dict()
+    (folder / "keys.json").write_text(json.dumps([[name, list(value.shape), ""] for name, value in state.items()]))
+    np.savez(
+        folder / "inputs.npz",
+        lidar2img=inputs[0].lidar2img.numpy(),
+        can_bus=np.stack([each.can_bus.numpy() for each in inputs]),
+        l2g_r_mat=np.stack([each.l2g_r_mat.numpy() for each in inputs]),
+        l2g_t=np.stack([each.l2g_t.numpy() for each in inputs]),
+        timestamps=np.array([each.timestamp for each in inputs]),
+        command=np.array([each.command for each in inputs]),
+        motion_anchors=anchors().numpy(),
+    )
+    for number in range(len(SCENES)):
+        np.savez(folder / f"outputs_frame{number}.npz", nothing=np.zeros(1))
+    write_manifest(folder, {})
+    network = filled(folder)
+    tensors: dict[str, Any] = {}
+    for number, each in enumerate(inputs):
+        arrays = outputs(network, read_frames(folder)[0].images(number), each, SCENES[number])
+        stored = {}
+        for name, values in arrays.items():
+            stride = -(-values.size // LARGEST)
+            tensors.setdefault(name, {})[f"frame{number}"] = {"shape": list(values.shape), "stride": stride}
+            whole = values.astype(np.float64)
+            stored[f"{name}__stats"] = np.array([whole.mean(), whole.std(), np.abs(whole).max(initial=0.0)])
+            partial = stride > 1 and name not in ("occ_seg_out_bits", "seg_outputs_classes")
+            stored[f"{name}__sub" if partial else name] = values.reshape(-1)[::stride] if partial else values
+        np.savez(folder / f"outputs_frame{number}.npz", **stored)
+    write_manifest(folder, tensors)
+    return folder
+
+
+def outputs(network: UniAD, images: torch.Tensor, inputs: UniADInputs, scene: str) -> dict[str, Any]:
+    fields = {name: getattr(inputs, name) for name in inputs.__slots__}
+    key_frame = UniADInputs(**{**fields, "images": images, "scene_token": scene})
+    with torch.inference_mode():
+        seen, predictions = network.ego_motion(key_frame).can_bus, network.predict(key_frame)
+        nothing = GoldenArrays(Path("none"), {})
+        quantities = frame_quantities(network, predictions, seen, {}, nothing)
+    arrays = {name: quantity.values for name, quantity in quantities.items()}
+    for name in ("track_mem_padding_active", "seg_drivable"):
+        arrays[name] = arrays[name].astype(np.bool_)
+    arrays["seg_outputs_classes"] = arrays["seg_outputs_classes"][:, None]
+    arrays["seg_drivable_area"] = arrays["seg_drivable_area"][0]
+    arrays["occ_seg_out_area"] = arrays["occ_seg_out_area"][None]
+    moved = move_plan(predictions.plan.positions_m.double().numpy(), predictions.occupancy.occupied.numpy())
+    arrays["sdc_traj_before_optim"] = arrays["sdc_traj_before_optim"][None]
+    arrays["sdc_traj"], arrays["col_optim_cells"] = moved.points[None].astype(np.float32), moved.cells
+    # Nothing is expected of tracks where there are none.
+    return {name: values for name, values in arrays.items() if values.size}
+
+
+@pytest.fixture(scope="module")
+def golden(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_set(tmp_path_factory.mktemp("parity") / "dev")
+
+
+def compared(folder: Path) -> dict[str, Check]:
+    comparison = Comparison()
+    compare_uniad(comparison, filled(folder), read_frames(folder))
+    return {check.quantity: check for check in comparison.checks()}
+
+
+def changed(golden: Path, folder: Path, change: Callable[[dict[str, Any]], None], number: int = 1) -> Path:
+    folder.mkdir()
+    for path in golden.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    name = folder / f"outputs_frame{number}.npz"
+    with np.load(name) as stored:
+        arrays = {key: stored[key].copy() for key in stored.files}
+    change(arrays)
+    np.savez(name, **arrays)
+    return folder
+
+
+def test_a_network_agrees_with_itself(golden: Path) -> None:
+    checks = compared(golden)
+    assert all(check.ok for check in checks.values()), report(list(checks.values()))
+    names = " ".join(checks)
+    for part in ("bev_embed", "track_ids", "velo_update", "seg_lane_score", "occ_ins_logits", "sdc_traj by newton"):
+        assert part in names
+    assert "not compared" not in report(list(checks.values()))
+
+
+def test_what_is_spoiled_is_found(golden: Path, tmp_path: Path) -> None:
+    def spoil(arrays: dict[str, Any]) -> None:
+        arrays["sdc_traj_before_optim"][0, 2, 1] += 0.002
+        arrays["track_obj_idxes"][3] += 1
+        arrays["occ_seg_out_bits"][17] ^= 1
+        arrays["seg_bbox"][0, 2] += 5.0
+        arrays["seg_drivable"][0, 0] ^= True
+
+    checks = compared(changed(golden, tmp_path / "dev", spoil))
+    failed = {name.split(" ")[0] for name, check in checks.items() if not check.ok}
+    assert {"sdc_traj_before_optim", "track_obj_idxes", "occ_seg_out_bits", "seg_drivable"} <= failed
+    assert failed <= {*failed, "seg_bbox"} and "bev_embed" not in failed and "track_ids" not in failed
+    assert "frame 1" in checks["sdc_traj_before_optim"].note
+
+
+def test_tracks_that_changed_places_are_the_same_tracks(golden: Path, tmp_path: Path) -> None:
+    """Lists are ordered by scores, which may nearly tie."""
+
+    def swap(arrays: dict[str, Any]) -> None:
+        for kind in ("boxes_3d", "scores_3d", "labels_3d"):
+            arrays[f"track_{kind}"][[0, 1]] = arrays[f"track_{kind}"][[1, 0]]
+        arrays["track_ids"][[0, 1]] = arrays["track_ids"][[1, 0]]
+        for name in list(arrays):
+            if name.startswith(("motion_", "occ_ins", "occ_mask")):
+                del arrays[name]
+
+    checks = compared(changed(golden, tmp_path / "dev", swap))
+    assert all(check.ok for check in checks.values()), report(list(checks.values()))
+
+
+def test_another_number_of_tracks_fails_without_a_crash(golden: Path, tmp_path: Path) -> None:
+    network, frames = filled(golden), read_frames(golden)
+    comparison = Comparison()
+    with torch.no_grad():
+        class_layer(network).bias.add_(3.0)
+    compare_uniad(comparison, network, frames)
+    failed = {check.quantity for check in comparison.checks() if not check.ok}
+    assert "track_ids" in failed and any(name.startswith("shape of") for name in failed)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("manifest.json", b"{}", "does not describe a golden set"),
+        ("manifest.json", b"[]", "golden set|not list"),
+        ("inputs.npz", b"PK", "cannot read golden numbers"),
+        ("outputs_frame0.npz", b"", "cannot read golden numbers"),
+        ("keys.json", b'{"a": 3}', "does not list names"),
+    ],
+)
+def test_damaged_sets_are_told(golden: Path, tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    folder = changed(golden, tmp_path / "dev", lambda arrays: None)
+    (folder / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        verify_uniad(folder)
+
+
+def test_a_set_of_another_network_stops_at_the_names(golden: Path) -> None:
+    (check,) = verify_uniad(golden)
+    assert check.quantity == NAMES and not check.ok
+
+
+def test_absent_sets_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no golden set"):
+        verify_uniad(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"no manifest\.json"):
+        verify_uniad(tmp_path)
+
+
+def test_odd_inputs_are_told(golden: Path, tmp_path: Path) -> None:
+    folder = changed(golden, tmp_path / "dev", lambda arrays: None)
+    with np.load(folder / "inputs.npz") as stored:
+        arrays = {key: stored[key].copy() for key in stored.files}
+    np.savez(folder / "inputs.npz", **{**arrays, "command": np.array([0, 1, 3])})
+    with pytest.raises(InputError, match="numbers past 2"):
+        compared(folder)
+    np.savez(folder / "inputs.npz", **{**arrays, "motion_anchors": arrays["motion_anchors"][:, :5]})
+    with pytest.raises(InputError, match="motion_anchors"):
+        compared(folder)
+
+
+@pytest.mark.skipif(not PARITY.is_dir(), reason="no shared material beside the repository")
+def test_the_published_set_is_read() -> None:
+    frames = read_frames(PARITY / "dev")
+    assert len(frames) == 4 and frames[1].stored("track_ids").shape == [19]
+    comparison = Comparison()
+    with torch.device("meta"):
+        network = UniAD(SMALL)
+    assert not same_names_and_shapes(comparison, network, frames[0].shapes)

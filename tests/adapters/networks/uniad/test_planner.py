@@ -1,0 +1,397 @@
+"""UniAD as a planner: from observation to plan, its variants, identity, memory, weights with anchors, evaluation."""
+
+import importlib
+import pickle
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from adapters.camera_inputs import BGR_MEAN, ImageFormat
+from adapters.checkpoints import fetching
+from adapters.checkpoints.importing import ImportedWeights, import_checkpoint
+from adapters.checkpoints.listing import known_weights
+from adapters.checkpoints.motion_anchors import FILE, read_motion_anchors
+from adapters.checkpoints.official import official_file
+from adapters.native_models import MOTION_ANCHORS, NATIVE_MODELS
+from adapters.networks.uniad import collision_solvers
+from adapters.networks.uniad.config import UniADConfig
+from adapters.networks.uniad.frames import UniADInputs, UniADOutputs
+from adapters.networks.uniad.model import UniAD
+from adapters.networks.uniad.pictures import draw_frame, write_pictures
+from adapters.networks.uniad.planner import SOLVERS, UniADPlanner, example_frame
+from adapters.planner import FORECAST_SCORE, forecasts_of
+from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
+from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.geometry import transform_matrix
+from benchmark.planning import Observation, PlanFrame, SceneInfo
+from leaderboard.build import leaderboard_files
+from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, small_network
+from tests.adapters.networks.vad.small_vad import small_network as small_vad
+from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
+
+CONFIG = replace(SMALL, image_format=ImageFormat.scaled(0.1))
+real = pytest.mark.skipif(not FRAME.is_dir(), reason="no shared material beside the repository")
+
+
+def small(name: str = "uniad", *, masks: bool = False, **kwargs: Any) -> UniADPlanner:
+    network = small_network(config=CONFIG)
+    network.solver, network.masks = SOLVERS[name], masks
+    return UniADPlanner(network, name=name, normalisation=BGR_MEAN, device="cpu", **kwargs)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
+    root = tmp_path_factory.mktemp("root")
+    write_root(root, [short_scene("scene-9901", seconds=4.5), short_scene("scene-9902", ego_speed=3.0)])
+    return NuScenesData.open(root)
+
+
+def begin(built: UniADPlanner, data: NuScenesData, name: str) -> Iterator[Observation]:
+    scene = data.scene(name)
+    built.reset(SceneInfo(name, scene.road_map.location, scene.cameras))
+    yield from data.observations(name)
+
+
+def plans(built: UniADPlanner, data: NuScenesData, name: str) -> np.ndarray[Any, Any]:
+    return np.stack([built.plan(seen).waypoints for seen in begin(built, data, name)])
+
+
+def test_a_plan_has_the_one_before_it_was_moved_and_forecasts(data: NuScenesData) -> None:
+    built = small()
+    plan = built.plan(next(begin(built, data, "scene-9901")))
+    assert plan.frame is PlanFrame.LIDAR and plan.modes is not None and plan.modes.shape == (2, 6, 2)
+    assert np.array_equal(plan.modes[1], plan.waypoints) and plan.mode_scores is None
+    assert built.seen is not None and built.seen.collision is not None
+    assert np.allclose(plan.modes[0], built.seen.plan_before_optimisation)
+    assert plan.forecasts is not None
+    count = int((built.seen.box_scores >= FORECAST_SCORE).sum())
+    assert 0 < count == len(plan.forecasts.boxes) and plan.forecasts.trajectories.shape == (count, 6, 6, 2)
+    assert np.allclose(plan.forecasts.boxes[:, 2:4], built.seen.boxes[:count, [4, 3]])
+    assert plan.forecasts.scores.sum(1) == pytest.approx(np.ones(count))
+
+
+def test_the_past_of_a_scene_counts_and_that_of_another_does_not(data: NuScenesData) -> None:
+    built = small()
+    assert built.settings["memory_crosses_scenes"] is False
+    alone = plans(small(), data, "scene-9901")
+    plans(built, data, "scene-9902")
+    assert np.array_equal(plans(built, data, "scene-9901"), alone)
+    samples = list(begin(built, data, "scene-9901"))[2:]
+    assert not np.allclose(built.plan(samples[0]).waypoints, alone[2], atol=1e-6)
+
+
+def test_tracks_keep_their_numbers_from_sample_to_sample(data: NuScenesData) -> None:
+    built, numbers = small(), []
+    for seen in begin(built, data, "scene-9901"):
+        built.plan(seen)
+        assert built.seen is not None
+        numbers.append(set(built.seen.track_ids.tolist()))
+    assert 0 in numbers[0] and any(one & other for one, other in pairwise(numbers))
+    next(begin(built, data, "scene-9902"))
+    assert built.seen is None
+
+
+def test_what_the_network_receives_is_what_the_observation_says(data: NuScenesData) -> None:
+    built = small()
+    seen = list(begin(built, data, "scene-9901"))[1]
+    inputs = built.inputs(seen)
+    assert inputs.images.shape == (6, 3, *ImageFormat.scaled(0.1).padded)
+    colour = seen.views["CAM_FRONT"].load()[0, 0].astype(float)
+    assert inputs.images[0, :, 0, 0].tolist() == pytest.approx(list(colour[::-1] - BGR_MEAN.mean), abs=1e-3)
+    assert inputs.can_bus.dtype == torch.float64 and inputs.can_bus[:3].tolist() == pytest.approx(seen.ego.position)
+    assert inputs.can_bus[3:7].tolist() == [seen.ego.rotation[0]] * 4
+    assert (inputs.timestamp, inputs.command) == (seen.timestamp_us / 1e6, int(seen.command))
+    assert inputs.scene_token == "scene-9901"
+    global_T_lidar = transform_matrix(seen.ego.rotation, seen.ego.position) @ transform_matrix(
+        seen.lidar.rotation, seen.lidar.translation
+    )
+    place = torch.tensor([3.0, -7.0, 0.5])
+    expected = global_T_lidar @ [3.0, -7.0, 0.5, 1.0]
+    assert (place @ inputs.l2g_r_mat + inputs.l2g_t).tolist() == pytest.approx(list(expected[:3]), abs=1e-3)
+
+
+@real
+def test_a_real_sample_reaches_the_network_as_the_official_pipeline_gives_it(tmp_path: Path) -> None:
+    sample = real_root(tmp_path)
+    seen = next(sample.observations(SCENE))
+    network = UniAD(replace(CONFIG, image_format=UniADConfig.base().image_format), anchors())
+    inputs = UniADPlanner(network, name="uniad", normalisation=BGR_MEAN, device="cpu").inputs(seen)
+    assert inputs.images.shape == (6, 3, 928, 1600) and not inputs.images[:, :, 900:].any()
+    pixel = torch.tensor(seen.views["CAM_FRONT_LEFT"].load()[450, 800].astype(np.float32))
+    assert torch.allclose(inputs.images[2, :, 450, 800], pixel.flip(0) - torch.tensor(BGR_MEAN.mean))
+    # Another project's numbers: lidar to ego, ego to global.
+    stated = info()
+    ego, mount = np.array(stated["ego2global"]), np.array(stated["lidar_points"]["lidar2ego"])
+    assert np.allclose(inputs.l2g_r_mat, (ego @ mount)[:3, :3].T, atol=1e-6)
+    assert np.allclose(inputs.l2g_t, (ego @ mount)[:3, 3], atol=1e-3)
+    centres = np.column_stack([boxes_in_lidar()[:, :3], np.ones(len(boxes_in_lidar()))])
+    in_front = inputs.lidar2img[0].numpy() @ centres.T
+    visible = in_front[2] > 1
+    pixels = in_front[:2, visible] / in_front[2, visible]
+    assert ((pixels > 0) & (pixels < [[1600], [900]])).all(0).any()
+
+
+def test_variants_differ_in_what_happens_to_the_plan_and_say_so(data: NuScenesData) -> None:
+    moved, unmoved = small(), small("uniad-unoptimised")
+    assert moved.settings["collision_optimisation"] == "newton"
+    assert unmoved.settings["collision_optimisation"] == "off"
+    for seen in begin(moved, data, "scene-9902"):
+        first, second = moved.plan(seen), unmoved.plan(seen)
+        assert first.modes is not None and second.modes is not None and second.modes.shape == (1, 6, 2)
+        assert np.array_equal(first.modes[0], second.waypoints)
+
+
+def test_pictures_of_tracks_and_road_are_the_same_every_time(data: NuScenesData, tmp_path: Path) -> None:
+    written = [
+        write_pictures(
+            small(masks=True), data.scene("scene-9901"), data.observations("scene-9901"), tmp_path / str(run), 1
+        )
+        for run in range(2)
+    ]
+    (first,), (second,) = written
+    assert first.name == "scene-9901-00.png" and first.read_bytes() == second.read_bytes()
+    built = small("uniad-unoptimised")
+    seen = next(begin(built, data, "scene-9901"))
+    built.plan(seen)
+    assert built.seen is not None and built.seen.road is None
+    broken = replace(built.seen, boxes=built.seen.boxes.clone().index_fill(0, torch.tensor([0]), float("nan")))
+    assert draw_frame(seen, broken, CONFIG) != draw_frame(seen, built.seen, CONFIG)
+
+
+def test_half_precision_plans_nearly_the_same(data: NuScenesData) -> None:
+    full, half = (plans(small("uniad-unoptimised", precision=kind), data, "scene-9902") for kind in KINDS)
+    assert not np.array_equal(full, half) and np.abs(full - half).max() < 0.1
+
+
+KINDS: Any = ("float32", "bfloat16")
+
+
+# --- forecasts that are none
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [((1, 0), np.nan), ((1, 3), np.inf), ((1, 3), 0.0), ((1, 4), -1.0), ((1, 1), 3e4), ((1, 6), -np.inf)],
+)
+def test_what_is_no_box_is_left_out_and_the_rest_is_kept(place: tuple[int, int], value: float) -> None:
+    boxes = torch.tensor([[5.0, 20.0, -1.0, 2.0, 4.5, 1.6, 1.5, 0.0, 9.0]]).repeat(4, 1)
+    boxes[place] = value
+    scores = torch.tensor([0.9, 0.8, FORECAST_SCORE, FORECAST_SCORE - 0.01])
+    found = forecasts_of(boxes, scores, torch.full((4, 6, 12, 2), 7.0), torch.full((4, 6), 1 / 6))
+    assert np.allclose(found.boxes, [[5.0, 20.0, 4.5, 2.0, 1.5]] * 2)
+    assert found.trajectories.shape == (2, 6, 6, 2) and found.scores.shape == (2, 6)
+
+
+@pytest.mark.parametrize("part", ["trajectories", "shares", "scores"])
+def test_a_forecast_that_is_not_finite_is_left_out(part: str) -> None:
+    given = {
+        "boxes": torch.ones(3, 7),
+        "scores": torch.full((3,), 0.9),
+        "trajectories": torch.ones(3, 2, 6, 2),
+        "shares": torch.full((3, 2), 0.5),
+    }
+    given[part][1] = float("nan")
+    assert len(forecasts_of(**given).boxes) == 2
+    none = forecasts_of(**{name: tensor[:0] for name, tensor in given.items()})
+    assert none.boxes.shape == (0, 5) and none.trajectories.shape == (0, 2, 6, 2)
+
+
+def test_an_endless_box_costs_a_forecast_and_not_the_sample(data: NuScenesData) -> None:
+    class Endless(UniAD):
+        def forward(self, inputs: UniADInputs) -> UniADOutputs:
+            outputs = super().forward(inputs)
+            return replace(outputs, boxes=outputs.boxes.index_fill(1, torch.tensor([3]), float("inf")))
+
+    torch.manual_seed(0)
+    network = Endless(CONFIG, anchors())
+    class_layer(network).bias.data.fill_(1.0)
+    built = UniADPlanner(network, name="endless", normalisation=BGR_MEAN, device="cpu")
+    plan = built.plan(next(begin(built, data, "scene-9901")))
+    assert built.seen is not None and len(built.seen.boxes) > 0
+    assert plan.forecasts is not None and len(plan.forecasts.boxes) == 0
+
+
+# --- by name, with weights
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of its own, and ``uniad`` the only network, one that is built at once."""
+
+    def base(_cls: type[UniADConfig], map_levels: int = 4) -> UniADConfig:
+        return replace(CONFIG, map_levels=map_levels)
+
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(UniADConfig, "base", classmethod(base))
+    for name in tuple(NATIVE_MODELS):
+        if name != "uniad":
+            monkeypatch.delitem(NATIVE_MODELS, name)
+    return tmp_path / "cache" / "weights"
+
+
+def published(path: Path, map_levels: int = 4, **extra: torch.Tensor) -> Path:
+    tensors = dict(small_network(1, replace(CONFIG, map_levels=map_levels)).state_dict())
+    torch.save({"meta": {"epoch": 20}, "state_dict": tensors | extra}, path)
+    return path
+
+
+def anchor_file(path: Path, content: Any = None) -> Path:
+    groups = [np.asarray(group, np.float64) for group in anchors()]
+    path.write_bytes(pickle.dumps(content or {"anchors_all": groups, "grouped_classes": [["car"]]}, protocol=2))
+    return path
+
+
+def with_beside(folder: Path) -> ImportedWeights:
+    """Both official files in one folder."""
+    folder.mkdir()
+    anchor_file(folder / FILE)
+    return import_checkpoint(published(folder / "official.pth"))
+
+
+def test_registered_names_need_weights_and_say_what_to_get(cache: Path) -> None:
+    assert not BLIND & set(WITH_WEIGHTS)
+    says = (
+        r"no weights for uniad; get uniad_base_e2e.pth from .*v1.0.1 and motion_anchor_infos_mode6.pkl from .*--anchors"
+    )
+    for name in ("uniad", "uniad-unoptimised"):
+        with pytest.raises(InputError, match=says):
+            planner(name)
+    (entry,) = (entry for entry in known_weights(cache) if entry.official.model == "uniad")
+    assert "needs motion_anchor_infos_mode6.pkl" in entry.plain() and entry.as_json()["with"][0]["url"].endswith(FILE)
+
+
+def test_anchors_beside_the_checkpoint_or_named_are_kept_with_the_weights(cache: Path, tmp_path: Path) -> None:
+    beside = with_beside(tmp_path / "both")
+    path, named = published(tmp_path / "official.pth"), anchor_file(tmp_path / "anchors.pkl")
+    given = import_checkpoint(path, anchors=named)
+    held = load_file(beside.path)
+    assert torch.equal(held[MOTION_ANCHORS], anchors()) and beside.path == given.path
+    assert beside.provenance.model == "uniad" and beside.provenance.anchors_sha256 == given.provenance.anchors_sha256
+    with pytest.raises(InputError, match=r"comes without motion anchors.*--anchors motion_anchor_infos_mode6\.pkl"):
+        import_checkpoint(path)
+    torch.save({**torch.load(path)["state_dict"], MOTION_ANCHORS: anchors()}, tmp_path / "own.pth")
+    assert import_checkpoint(tmp_path / "own.pth").provenance.anchors_sha256 is None
+    with pytest.raises(InputError, match="has motion anchors of its own"):
+        other = anchor_file(tmp_path / "other.pkl", {"anchors_all": [np.zeros((6, 12, 2))] * 4})
+        import_checkpoint(tmp_path / "own.pth", anchors=other)
+
+
+def test_fetching_uniad_gets_its_anchors_too(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def receive(url: str, path: Path, **_: Any) -> None:
+        asked.append(url.removeprefix("https://github.com/OpenDriveLab/UniAD/releases/download/"))
+        (anchor_file if path.name == FILE else published)(path)
+
+    monkeypatch.setattr(fetching, "download", receive)
+    found = fetching.fetch_official(official_file("uniad"), cache)
+    assert asked == [f"v1.0/{FILE}", "v1.0.1/uniad_base_e2e.pth"]
+    assert torch.equal(load_file(found.path)[MOTION_ANCHORS], anchors()) and list(cache.iterdir()) == [found.path]
+
+
+def test_anchors_that_changed_beside_a_checkpoint_are_read_again(cache: Path, tmp_path: Path) -> None:
+    with_beside(tmp_path / "both")
+    anchor_file(tmp_path / "both" / FILE, {"anchors_all": [np.ones((6, 12, 2))] * 4})
+    planner("uniad", checkpoint=tmp_path / "both" / "official.pth")
+    assert len(list(cache.glob("uniad-*.safetensors"))) == 2
+
+
+def test_the_map_head_follows_the_checkpoint_and_old_names_and_leftovers_are_known(cache: Path, tmp_path: Path) -> None:
+    network = small_network(1, replace(CONFIG, map_levels=1))
+    tensors = {name.replace(".conv2.conv_offset.", ".conv2_offset."): t for name, t in network.state_dict().items()}
+    assert any(".conv2_offset." in name for name in tensors)
+    leftovers = ("bbox_size_fc.weight", "pts_bbox_head.query_embedding.weight")
+    tensors |= dict.fromkeys((*leftovers, "pts_bbox_head.transformer.reference_points.bias"), torch.ones(3))
+    torch.save(tensors, tmp_path / "later.pth")
+    found = import_checkpoint(tmp_path / "later.pth", anchors=anchor_file(tmp_path / "anchors.pkl"))
+    built = planner("uniad", checkpoint=found.path)
+    assert isinstance(built, UniADPlanner) and built.config.map_levels == 1
+
+
+class _Hostile:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("ran"),)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ({"anchors": []}, "has no list 'anchors_all'"),
+        ([1.0, 2.0], "has no list 'anchors_all'"),
+        ({"anchors_all": "four"}, "has no list 'anchors_all'"),
+        ({"anchors_all": [np.zeros((6, 12, 2))] * 3}, r"are 3 of \(6, 12, 2\), and UniAD needs 4 arrays"),
+        ({"anchors_all": [np.zeros((6, 12, 2))] * 3 + [np.zeros((6, 6, 2))]}, r"4 of \(6, 12, 2\), \(6, 6, 2\)"),
+        ({"anchors_all": [[1.0]] * 4}, "4 of list"),
+        ({"anchors_all": []}, "0 of nothing"),
+        ({"anchors_all": [np.full((6, 12, 2), np.nan)] * 4}, "numbers that are no metres"),
+        ({"anchors_all": [np.full((6, 12, 2), 1e9)] * 4}, "numbers that are no metres"),
+        ({"anchors_all": [np.full((6, 12, 2), "a")] * 4}, "4 of ndarray"),
+        ({"anchors_all": [_Hostile()] * 4}, "is refused: its pickle asks for"),
+    ],
+)
+def test_what_are_no_anchors_is_one_sentence(tmp_path: Path, content: Any, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        read_motion_anchors(anchor_file(tmp_path / "anchors.pkl", content))
+    assert not Path("ran").exists()
+
+
+def test_damaged_anchors_and_those_of_another_model_are_one_sentence(cache: Path, tmp_path: Path) -> None:
+    path = anchor_file(tmp_path / "anchors.pkl")
+    torch.save(small_vad().state_dict(), tmp_path / "vad.pth")
+    with pytest.raises(InputError, match=r"is no .safetensors file, .* is no checkpoint of UniAD"):
+        import_checkpoint(tmp_path / "vad.pth", anchors=path)
+    path.write_bytes(path.read_bytes()[:-100])
+    for broken in (path, tmp_path / "absent.pkl"):
+        with pytest.raises(InputError, match=r"anchors\.pkl is not a readable pickle|cannot read .*absent\.pkl"):
+            import_checkpoint(published(tmp_path / "official.pth"), anchors=broken)
+
+
+def test_the_official_solver_without_its_package_is_one_sentence(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def absent(name: str) -> Any:
+        raise ImportError(name)
+
+    with_beside(tmp_path / "both")
+    monkeypatch.setattr(collision_solvers, "import_module", absent)
+    with pytest.raises(InputError, match=r"needs casadi, which is not installed; install challenger-bench\[uniad\]"):
+        planner("uniad-ipopt")
+    monkeypatch.setattr(collision_solvers, "import_module", lambda name: importlib.import_module("math"))
+    built = planner("uniad-ipopt")
+    assert isinstance(built, UniADPlanner) and built.settings["collision_optimisation"] == "ipopt"
+
+
+def test_variants_share_weights_and_stand_side_by_side(cache: Path, tmp_path: Path, data: NuScenesData) -> None:
+    with_beside(tmp_path / "both")
+    checkpoint = tmp_path / "both" / "official.pth"
+    records, settings = [], EvalSettings(scenes=("scene-9902",), workers=1)
+    for name in ("uniad", "uniad-unoptimised"):
+        factory = planner_factory(name, checkpoint=checkpoint, device="cpu")
+        records.append(evaluate(data, "val", factory, tmp_path / "runs", settings))
+    first, second = records
+    assert first.run.planner.weights_sha256 == second.run.planner.weights_sha256
+    assert first.complete and first.native_protocol == "uniad" and "uniad" in first.run.protocols
+    assert [record.run.planner.settings["collision_optimisation"] for record in records] == ["newton", "off"]
+    for before, after in zip(second.rows, first.rows, strict=True):
+        assert before.plan is not None and after.plan is not None and after.plan.modes is not None
+        assert after.plan.modes[0] == before.plan.waypoints
+    again = evaluate(
+        data, "val", planner_factory("uniad", checkpoint=checkpoint, device="cpu"), tmp_path / "again", settings
+    )
+    assert again.rows == first.rows
+    pages = "\n".join(map(str, leaderboard_files(records).values()))
+    assert "uniad-unoptimised" in pages
+
+
+def test_example_inputs_have_the_published_size() -> None:
+    assert "uniad" in NATIVE_MODELS and example_frame(UniADConfig.base()).images.shape == (6, 3, 928, 1600)

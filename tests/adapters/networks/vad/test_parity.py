@@ -1,0 +1,200 @@
+"""VAD against the numbers of the published code, and `verify model` on damaged sets."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.model import VAD
+from adapters.verification.models import verify_model
+from adapters.verification.parity_set import ParityManifest, ParitySet
+from adapters.verification.quantities import OUTLIERS, Quantity, Tolerance, compare_frame
+from adapters.verification.vad import EXACT
+from benchmark.errors import InputError
+from benchmark.verification.checks import Check, Comparison, report
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
+from benchmark.verification.golden import GoldenArrays
+
+PARITY = Path(__file__).resolve().parents[5] / "shared" / "golden" / "parity"
+needs_parity = pytest.mark.skipif(not PARITY.is_dir(), reason="no shared material beside the repository")
+
+
+def copy(model: str, folder: Path, frames: int) -> Path:
+    """A set with the first frames only."""
+    (folder / "dev").mkdir(parents=True)
+    shutil.copy(PARITY / model / "keys.json", folder)
+    names = ["manifest.json", "inputs.npz", *(f"outputs_frame{frame}.npz" for frame in range(frames))]
+    for name in names:
+        shutil.copy(PARITY / model / "dev" / name, folder / "dev")
+        (folder / "dev" / name).chmod(0o644)
+    return folder
+
+
+def change_manifest(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    path = folder / "dev" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    change(manifest)
+    path.write_text(json.dumps(manifest))
+
+
+def change_arrays(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    with np.load(path) as stored:
+        arrays = {name: stored[name].copy() for name in stored.files}
+    change(arrays)
+    np.savez(path, **arrays)
+
+
+@needs_parity
+def test_two_frames_of_the_tiny_network(tmp_path: Path) -> None:
+    """The second frame sees the first; all four frames, and the base network, are for `verify model`."""
+    golden = copy("vad_tiny", tmp_path, frames=2)
+
+    def spoil(arrays: dict[str, Any]) -> None:
+        arrays["plan"][3, 1] += 0.002
+        arrays["all_traj_cls_scores_last"][0, 7, 2] += 0.1
+        arrays["not_ours"] = np.zeros(3)
+        tied = int(np.argmin(-np.diff(arrays["dec_scores_3d"])))
+        for name in ("dec_boxes_3d", "dec_scores_3d", "dec_labels_3d", "dec_trajs_3d"):
+            arrays[name][[tied, tied + 1]] = arrays[name][[tied + 1, tied]]
+
+    change_arrays(golden / "dev" / "outputs_frame1.npz", spoil)
+    checks = {check.quantity: check for check in verify_model("vad-tiny", golden)}
+    failed = {name for name, check in checks.items() if not check.ok}
+    assert failed == {"plan", OUTLIERS}, report(list(checks.values()))
+    assert checks["plan"].error == pytest.approx(0.002, abs=1e-4)
+    assert "not_ours" in checks["backbone0 (of its spread)"].note
+    assert "dev, frame 1" in checks["plan"].note
+
+
+def _hand_made(tmp_path: Path, **arrays: Any) -> tuple[ParitySet, GoldenArrays]:
+    np.savez(tmp_path / "outputs_frame0.npz", **arrays)
+    stored = GoldenArrays.read(tmp_path / "outputs_frame0.npz")
+    tensors = {"table": {"shape": [1, 4, 3], "stride": 5}, "list": {"shape": [4]}}
+    image = {"shape": [1, 3, 32, 32], "valid_rows": 32}
+    manifest = ParityManifest.model_validate({"salt": "", "image": image, "scene_tokens": ["a"], "tensors": tensors})
+    return ParitySet(tmp_path, manifest, {}, stored, [stored]), stored
+
+
+def _compared(golden: tuple[ParitySet, GoldenArrays], **ours: Quantity) -> list[Check]:
+    comparison = Comparison()
+    compare_frame(comparison, *golden, ours, "frame 0")
+    return comparison.checks()
+
+
+def test_samples_and_statistics_are_both_compared(tmp_path: Path) -> None:
+    table = np.arange(12.0).reshape(4, 3)
+    statistics = np.array([table.mean(), table.std(), 11.0])
+    golden = _hand_made(tmp_path, table__sub=table.reshape(-1)[::5], table__stats=statistics)
+    exact = Tolerance(1e-3, of_spread=False)
+    assert [check.ok for check in _compared(golden, table=Quantity(table, exact))] == [True]
+    between = table.copy()
+    between[0, 1] += 1.0
+    (check,) = _compared(golden, table=Quantity(between, exact))
+    assert not check.ok and check.error == pytest.approx(abs(float(between.std() - table.std())))
+    for wrong in (np.full((4, 3), np.nan), np.zeros((4, 3))):
+        assert not any(check.ok for check in _compared(golden, table=Quantity(wrong, exact)))
+        some = _compared(golden, table=Quantity(wrong, Tolerance(1e-3, share=0.5)))
+        assert not any(check.ok for check in some)
+    with pytest.raises(InputError, match="pass the set of this model"):
+        _compared(golden, table=Quantity(table.T, exact))
+    with pytest.raises(InputError, match="stores no quantity"):
+        _compared(golden, other=Quantity(table, exact))
+
+
+def test_only_what_is_undecided_and_wrong_is_left_out(tmp_path: Path) -> None:
+    table = np.arange(12.0).reshape(4, 3)
+    golden = _hand_made(tmp_path, table=table[None])
+    flipped = table.copy()
+    flipped[2] += 5.0
+    undecided = np.array([False, False, True, True])
+    (check,) = _compared(golden, table=Quantity(flipped, EXACT, undecided))
+    assert check.ok and check.count == 9 and check.note == "3 too close to call left out in frame 0"
+    (check,) = _compared(golden, table=Quantity(flipped, EXACT, ~undecided))
+    assert not check.ok
+    flipped[2] = np.nan
+    (check,) = _compared(golden, table=Quantity(flipped, EXACT, undecided))
+    assert not check.ok
+
+
+def test_a_list_of_another_length_fails(tmp_path: Path) -> None:
+    golden = _hand_made(tmp_path, list=np.arange(4.0))
+    (check,) = _compared(golden, list=Quantity(np.arange(3.0), EXACT, listed=True))
+    assert not check.ok and "another length" in check.note
+    (check,) = _compared(golden, list=Quantity(np.arange(4), EXACT, listed=True))
+    assert check.ok
+
+
+@needs_parity
+def test_image_features_of_the_base_network() -> None:
+    golden = ParitySet.read(PARITY / "vad_base" / "dev")
+    network, comparison = VAD(VADConfig.base()), Comparison()
+    assert same_names_and_shapes(comparison, network, golden.shapes)
+    fill(comparison, network, golden.manifest, golden.shapes, golden.manifest.weights_sha256, golden.folder)
+    with torch.inference_mode():
+        maps = network.img_backbone(golden.images(0))
+        levels = network.img_neck(maps)
+    ours = {f"backbone{level}": Quantity.of(features, EXACT) for level, features in enumerate(maps)}
+    ours |= {f"neck{level}": Quantity.of(features, EXACT) for level, features in enumerate(levels)}
+    compare_frame(comparison, golden, golden.outputs[0], ours, "frame 0")
+    assert all(check.ok for check in comparison.checks()), report(comparison.checks())
+    assert len(comparison.checks()) == 9
+
+
+@needs_parity
+def test_another_network_is_not_filled(tmp_path: Path) -> None:
+    checks = verify_model("vad-base", copy("vad_tiny", tmp_path, frames=1))
+    assert len(checks) == 1 and not checks[0].ok and "first: " in checks[0].note
+
+
+def test_unknown_models_and_absent_sets(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="choose one of vad-tiny"):
+        verify_model("vad", tmp_path)
+    for folder in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(InputError, match="golden set"):
+            verify_model("vad-tiny", folder)
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def _overwrite(path: Path) -> None:
+    path.write_text("[1, 2]")
+
+
+DAMAGES: dict[str, Callable[[Path], None]] = {
+    "manifest.json does not describe": lambda golden: change_manifest(golden, lambda m: m.pop("scene_tokens")),
+    "names the scenes of 0": lambda golden: change_manifest(golden, lambda m: m.update(scene_tokens=[])),
+    "whose SHA-256": lambda golden: change_manifest(golden, lambda m: m["image"].update(valid_rows=20)),
+    "multiples of 32": lambda golden: change_manifest(golden, lambda m: m["image"].update(shape=[6, 3, 190, 320])),
+    "images of shape": lambda golden: change_manifest(
+        golden, lambda m: m["image"].update(shape=[5, 3, 192, 320], sha256=[])
+    ),
+    "cannot read golden numbers": lambda golden: _cut(golden / "dev" / "outputs_frame0.npz"),
+    "has no array can_bus": lambda golden: change_arrays(golden / "dev" / "inputs.npz", lambda a: a.pop("can_bus")),
+    "NaN or infinity": lambda golden: change_arrays(
+        golden / "dev" / "inputs.npz", lambda a: a["lidar2img"].__setitem__(0, np.nan)
+    ),
+    "fewer frames": lambda golden: change_arrays(
+        golden / "dev" / "inputs.npz", lambda a: a.update(can_bus=a["can_bus"][:0])
+    ),
+    "no keys.json": lambda golden: (golden / "keys.json").unlink(),
+    "does not list names": lambda golden: _overwrite(golden / "keys.json"),
+}
+
+
+@needs_parity
+@pytest.mark.parametrize("message", DAMAGES)
+def test_damaged_sets_are_refused(message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    golden = copy("vad_tiny", tmp_path, frames=1)
+    DAMAGES[message](golden)
+    # What is damaged here is found before weights matter.
+    monkeypatch.setattr("adapters.verification.models.fill", lambda *_: None)
+    with pytest.raises(InputError, match=message):
+        verify_model("vad-tiny", golden)

@@ -1,0 +1,185 @@
+"""Bad input is one clear sentence on stderr, nothing on stdout, and exit code 2."""
+
+import json
+import os
+import pickle
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from tests.benchmark.cli.cli_runs import Run, challenger_bench
+from tests.hand_made import scene_on_straight_road
+
+VERSION = "v1.0-mini"
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "road"
+    plan = DataSetPlan(root=root, split="val", version=VERSION)
+    scene = scene_on_straight_road()
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    return root
+
+
+@pytest.fixture
+def broken(good: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(good, tmp_path / "road"))
+
+
+def assert_one_sentence(run: Run, *words: str) -> None:
+    assert run.code == 2, run
+    assert run.out == ""
+    assert run.err.startswith("error: ") and run.err.count("\n") == 1, run.err
+    assert "Traceback" not in run.err
+    for word in words:
+        assert word in run.err, run.err
+
+
+def evaluate(root: Path, out: Path, *more: str | Path) -> Run:
+    model = () if "--plans" in more else ("--model", "constant-velocity")
+    return challenger_bench("eval", "--data", root, "--split", "val", "--out", out, *model, *more)
+
+
+def test_the_good_data_set_is_good(good: Path, tmp_path: Path) -> None:
+    run = evaluate(good, tmp_path / "out")
+    assert run.code == 0, run.err
+    assert "constant-velocity" in run.out
+
+
+def test_no_such_path(tmp_path: Path) -> None:
+    assert_one_sentence(evaluate(tmp_path / "nowhere", tmp_path), "nowhere")
+
+
+def test_empty_folder(tmp_path: Path) -> None:
+    assert_one_sentence(evaluate(tmp_path, tmp_path), str(tmp_path))
+
+
+def test_table_missing(broken: Path, tmp_path: Path) -> None:
+    (broken / VERSION / "sample.json").unlink()
+    assert_one_sentence(evaluate(broken, tmp_path / "out"), "sample.json")
+
+
+def test_truncated_json(broken: Path, tmp_path: Path) -> None:
+    table = broken / VERSION / "sample_annotation.json"
+    table.write_bytes(table.read_bytes()[:-100])
+    assert_one_sentence(evaluate(broken, tmp_path / "out"), "sample_annotation.json")
+
+
+def edit_table(root: Path, name: str, change: Callable[[list[dict[str, object]]], None]) -> None:
+    path = root / VERSION / f"{name}.json"
+    rows = json.loads(path.read_text())
+    change(rows)
+    path.write_text(json.dumps(rows))
+
+
+def test_dangling_token(broken: Path, tmp_path: Path) -> None:
+    edit_table(broken, "sample_annotation", lambda rows: rows[3].update(instance_token="f" * 32))
+    assert_one_sentence(evaluate(broken, tmp_path / "out"), "sample_annotation", "f" * 32)
+
+
+def test_nan_in_a_pose(broken: Path, tmp_path: Path) -> None:
+    edit_table(broken, "ego_pose", lambda rows: rows[2].update(translation=[float("nan"), 0.0, 0.0]))
+    assert_one_sentence(evaluate(broken, tmp_path / "out"), "ego_pose")
+
+
+def test_unknown_model(good: Path, tmp_path: Path) -> None:
+    run = challenger_bench("eval", "--data", good, "--split", "val", "--out", tmp_path, "--model", "unaid")
+    assert_one_sentence(run, "unaid", "constant-velocity")
+
+
+def test_unknown_split(good: Path, tmp_path: Path) -> None:
+    run = challenger_bench("eval", "--data", good, "--split", "vla", "--out", tmp_path, "--model", "idm")
+    assert_one_sentence(run, "vla", "val")
+
+
+def test_split_not_generated_yet(good: Path, tmp_path: Path) -> None:
+    run = challenger_bench("eval", "--data", good, "--split", "adv", "--out", tmp_path, "--model", "idm")
+    assert_one_sentence(run, "generate", "adv")
+
+
+def test_unknown_scene(good: Path, tmp_path: Path) -> None:
+    assert_one_sentence(evaluate(good, tmp_path / "out", "--scenes", "scene-1234"), "scene-1234")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("eval", "--limit", "0"), ("generate", "--layout", "zz"), ("generate", "--candidates", "1000000"), ("fly",)],
+    ids=["too-small", "no-such-choice", "too-large", "no-such-command"],
+)
+def test_wrong_use(arguments: tuple[str, ...]) -> None:
+    assert_one_sentence(challenger_bench(*arguments))
+
+
+def test_no_model(good: Path, tmp_path: Path) -> None:
+    assert_one_sentence(challenger_bench("eval", "--data", good, "--out", tmp_path), "--model")
+
+
+def test_transfer_without_records(tmp_path: Path) -> None:
+    assert_one_sentence(challenger_bench("transfer", "--out", tmp_path / "none"), "eval")
+
+
+def test_a_pickle_that_runs_code_is_refused_and_does_not_run(tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return os.mkdir, (str(tmp_path / "ran"),)
+
+    (tmp_path / "sd_evil.pkl").write_bytes(pickle.dumps({"id": "x", "tracks": Evil()}))
+    run = challenger_bench("data", "import", "scenarionet", tmp_path, "--out", tmp_path / "out")
+    assert_one_sentence(run, "sd_evil.pkl", "mkdir")
+    assert not (tmp_path / "ran").exists()
+
+
+def plan_rows(root: Path) -> list[dict[str, object]]:
+    tokens = [row["token"] for row in json.loads((root / VERSION / "sample.json").read_text())]
+    waypoints = {f"{axis}{step}": 0.0 for step in range(1, 7) for axis in "xy"}
+    return [{"sample_token": token, "frame": "lidar", **waypoints} for token in tokens]
+
+
+@pytest.mark.parametrize(
+    ("fault", "word"),
+    [
+        (lambda rows: rows.pop(), "no row"),
+        (lambda rows: rows.append(dict(rows[0])), "more than one"),
+        (lambda rows: rows.append({**rows[0], "sample_token": "0" * 32}), "0" * 32),
+        (lambda rows: rows[1].update(x3=float("nan")), "not finite"),
+        (lambda rows: rows[1].update(x3=1e300), "farther than"),
+    ],
+    ids=["missing", "duplicate", "extra", "not-finite", "global-coordinates"],
+)
+def test_plan_file_faults(
+    good: Path, tmp_path: Path, fault: Callable[[list[dict[str, object]]], None], word: str
+) -> None:
+    rows = plan_rows(good)
+    fault(rows)
+    columns = list(rows[0])
+    text = "\n".join([",".join(columns), *(",".join(str(row[name]) for name in columns) for row in rows)])
+    plans = tmp_path / "plans.csv"
+    plans.write_text(text + "\n")
+    run = evaluate(good, tmp_path / "out", "--plans", plans)
+    assert_one_sentence(run, "plans.csv", word)
+
+
+def test_read_only_output(good: Path, tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        target = Path("/proc/challenger-bench")
+    else:
+        target = tmp_path / "locked"
+        target.mkdir(mode=0o500)
+    assert_one_sentence(evaluate(good, target / "out"), "cannot write", "--out")
+
+
+def test_json_output_is_json_alone(good: Path, tmp_path: Path) -> None:
+    run = evaluate(good, tmp_path / "out", "--json")
+    assert run.code == 0, run.err
+    assert np.isfinite(run.json[0]["protocols"]["exact"]["columns"]["l2"]["avg"]["value"])
+
+
+def test_help_answers_without_heavy_imports() -> None:
+    run = challenger_bench("--help")
+    assert run.code == 0
+    assert "generate" in run.out

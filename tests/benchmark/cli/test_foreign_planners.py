@@ -1,0 +1,146 @@
+"""Planners written by strangers: whatever they do, the command says what happened and never a wrong number."""
+
+import os
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.render.schematic import SchematicRenderer
+from tests.benchmark.cli.cli_runs import Run, challenger_bench
+from tests.hand_made import scene_on_straight_road
+
+STRANGERS = """
+import os, sys
+import numpy as np
+from benchmark.planning import Plan, PlanFrame
+
+class Straight:
+    name = "straight"
+    def reset(self, scene): pass
+    def plan(self, observation): return Plan(np.zeros((6, 2)), PlanFrame.EGO)
+
+class InitRaises(Straight):
+    def __init__(self): raise RuntimeError("no weights\\nanywhere")
+
+class InitExits(Straight):
+    def __init__(self): sys.exit(0)
+
+class Unnameable(Straight):
+    name = "a\\nb"
+
+class OddSettings(Straight):
+    settings = {"model": object()}
+
+class Exits(Straight):
+    def plan(self, observation): sys.exit(0)
+
+class ResetExits(Straight):
+    def reset(self, scene): sys.exit(0)
+
+class SameName(Straight):
+    def plan(self, observation): return Plan(np.ones((6, 2)), PlanFrame.EGO)
+
+class Nothing(Straight):
+    def plan(self, observation): return None
+
+class Prints(Straight):
+    def __init__(self): print("loading")
+    def plan(self, observation):
+        print("thinking")
+        return super().plan(observation)
+
+class Dots(Straight):
+    name = ".."
+
+class Looks(Straight):
+    name = "looks"
+    def plan(self, observation):
+        observation.views["CAM_BACK"].load()
+        return super().plan(observation)
+"""
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "road"
+    plan = DataSetPlan(
+        root=root, split="val", version="v1.0-mini", renderer=SchematicRenderer(64, 40), frames="keyframes"
+    )
+    scene = scene_on_straight_road(seconds=4.0)
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    return root
+
+
+@pytest.fixture(autouse=True)
+def strangers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "strangers.py").write_text(textwrap.dedent(STRANGERS))
+    (tmp_path / "unfinished.py").write_text("x = (\n")
+    (tmp_path / "leaving.py").write_text("import sys\nsys.exit(0)\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]))
+
+
+def evaluate(root: Path, out: Path, model: str) -> Run:
+    return challenger_bench("eval", "--data", root, "--split", "val", "--out", out, "--model", model, "--json")
+
+
+@pytest.mark.parametrize(
+    ("model", "word"),
+    [
+        ("strangers:InitRaises", "RuntimeError: no weights"),
+        ("strangers:InitExits", "SystemExit"),
+        ("strangers:Unnameable", "printable"),
+        ("strangers:OddSettings", "settings"),
+        ("unfinished:Planner", "SyntaxError"),
+        ("leaving:Planner", "SystemExit"),
+        ("builtins:dict", "not a class or a function"),
+        (".strangers:Straight", "package.module:Class"),
+    ],
+)
+def test_what_cannot_be_built_is_one_sentence(root: Path, tmp_path: Path, model: str, word: str) -> None:
+    run = evaluate(root, tmp_path / "out", model)
+    assert (run.code, run.out) == (2, ""), run
+    assert run.err.startswith("error: ") and run.err.count("\n") == 1 and word in run.err, run.err
+
+
+@pytest.mark.parametrize("model", ["Exits", "ResetExits", "Nothing"])
+def test_what_fails_on_samples_is_a_partial_run(root: Path, tmp_path: Path, model: str) -> None:
+    run = evaluate(root, tmp_path / "out", f"strangers:{model}")
+    assert run.code == 1, run
+    assert (run.json[0]["status"], run.json[0]["failed"], run.json[0]["coverage"]) == ("partial", 8, 0.0)
+
+
+def test_prints_do_not_reach_the_json(root: Path, tmp_path: Path) -> None:
+    run = evaluate(root, tmp_path / "out", "strangers:Prints")
+    assert run.code == 0 and run.json[0]["samples"] == 8
+    assert "thinking" in run.err
+
+
+def test_two_classes_of_one_name_are_two_planners(root: Path, tmp_path: Path) -> None:
+    first, second = (evaluate(root, tmp_path / "out", f"strangers:{name}") for name in ("Straight", "SameName"))
+    assert first.json[0]["protocols"]["exact"]["columns"]["l2"] != second.json[0]["protocols"]["exact"]["columns"]["l2"]
+
+
+def test_a_name_of_dots_stays_in_its_folder(root: Path, tmp_path: Path) -> None:
+    run = evaluate(root, tmp_path / "out", "strangers:Dots")
+    assert run.code == 0, run
+    assert (tmp_path / "out/runs/road/val/%2E./run.json").is_file()
+
+
+def test_some_images_missing_is_an_error_and_all_missing_is_a_scene_without_images(root: Path, tmp_path: Path) -> None:
+    """Even for a planner that does not look: a record must not depend on which half of the images was there."""
+    images = sorted((root / "samples/CAM_BACK").iterdir())
+    kept = {image: image.read_bytes() for image in sorted((root / "samples").glob("CAM_*/*"))}
+    try:
+        images[2].unlink()
+        run = evaluate(root, tmp_path / "out", "strangers:Straight")
+        assert run.code == 2 and images[2].name in run.err and "1 of the 48" in run.err, run
+        for image in kept:
+            image.unlink(missing_ok=True)
+        assert evaluate(root, tmp_path / "out", "strangers:Straight").code == 0
+        run = evaluate(root, tmp_path / "out", "strangers:Looks")
+        assert run.code == 2 and images[0].name in run.err and run.err.count("\n") == 1, run
+    finally:
+        for image, data in kept.items():
+            image.write_bytes(data)

@@ -1,0 +1,29 @@
+"""``generate`` and ``ablate`` as a user meets them."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.benchmark.cli.cli_runs import challenger_bench
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("generate", "--set", "roundz=1"), "rounds"),
+        (("generate", "--split", "test"), "val-r"),
+        (("generate", "--surrogate", "nobody"), "nobody"),
+        (("generate", "--surrogate-checkpoint", "weights.pt"), "--surrogate"),
+        (("generate", "--size", "3x3"), "--size"),
+        (("generate", "--address", "localhost:6379"), "--executor"),
+        (("ablate", "--set", "temperature=nan"), "temperature"),
+    ],
+)
+def test_a_mistyped_option_is_told_before_anything_is_built(
+    tmp_path: Path, arguments: tuple[str, ...], word: str
+) -> None:
+    run = challenger_bench(*arguments, "--out", tmp_path / "out", cache=tmp_path / "cache")
+    assert (run.code, run.out) == (2, "")
+    assert run.err.startswith("error: ") and run.err.count("\n") == 1
+    assert word in run.err
+    assert list(tmp_path.iterdir()) == []

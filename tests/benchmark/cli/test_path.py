@@ -1,0 +1,172 @@
+"""The whole path through the command line on a tiny town: build, check, generate, evaluate, transfer, tables."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.benchmark.cli.cli_runs import Run, bytes_below, challenger_bench
+
+SMALL = ("--frames", "keyframes", "--size", "96x54")
+SEARCH = ("--candidates", "32", "--rounds", "2", "--vehicles", "4")
+PLANNERS = ("constant-velocity", "ego-status", "idm", "log-replay")
+
+
+def done(run: Run) -> Run:
+    assert run.code == 0, run.err
+    return run
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("town") / "small"
+    done(challenger_bench("data", "build", "--root", root, "--town-scenes", "2", *SMALL, "--workers", "2"))
+    return root
+
+
+@pytest.fixture(scope="module")
+def out(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("out")
+    for split, search in (("adv", SEARCH), ("val-r", ())):
+        common = ("--data", town, "--split", split, "--out", folder, *SMALL, *search, "--workers", "2")
+        done(challenger_bench("generate", *common))
+    models = [part for name in PLANNERS for part in ("--model", name)]
+    for split in ("val", "val-r", "adv"):
+        done(challenger_bench("eval", *models, "--data", town, "--split", split, "--out", folder))
+    return folder
+
+
+def rate(out: Path, split: str, planner: str) -> float:
+    files = list((out / "runs").rglob("summary.json"))
+    path = next(path for path in files if path.parent.parent.name == split and path.parent.name.startswith(planner))
+    return float(json.loads(path.read_text())["protocols"]["exact"]["columns"]["collision"]["avg"]["value"])
+
+
+def test_adversaries_make_planners_collide_and_the_recorded_ego_never(out: Path) -> None:
+    assert rate(out, "adv", "log-replay") == rate(out, "val", "log-replay") == 0.0
+    assert rate(out, "adv", "constant-velocity") > rate(out, "val", "constant-velocity")
+
+
+def test_originals_rendered_again_score_like_the_originals(out: Path) -> None:
+    for planner in PLANNERS:
+        assert rate(out, "val-r", planner) == rate(out, "val", planner)
+
+
+def test_what_is_written_has_no_faults(town: Path, out: Path) -> None:
+    for root in (town, out / "data" / "small" / "adv", out / "data" / "small" / "val-r"):
+        run = done(challenger_bench("data", "check", root, "--json"))
+        assert run.json == {"errors": 0, "faults": []}
+
+
+def test_photorealistic_rendering_says_what_it_costs_and_what_is_missing(town: Path, tmp_path: Path) -> None:
+    common = ("--data", town, "--split", "val-r", "--renderer", "magicdrive", "--out", tmp_path, "--workers", "1")
+    on_gpu = ("--render-device", "cuda", "--tflops", "400", "--dry-run")
+    said = done(challenger_bench("generate", *common, *on_gpu, cache=tmp_path))
+    assert "a GPU at 400 TFLOP/s" in said.err and "transformer" in said.err
+    missing = challenger_bench("generate", *common, cache=tmp_path)
+    assert missing.code == 2 and "there are no weights magicdrive-dit" in missing.err and missing.err.count("\n") == 1
+
+
+def test_transfer_and_leaderboard(out: Path) -> None:
+    assert "surrogate" in done(challenger_bench("transfer", "--out", out)).out
+    done(challenger_bench("leaderboard", "--out", out))
+    assert done(challenger_bench("leaderboard", "--out", out, "--check")).code == 0
+    text = (out / "leaderboard" / "README.md").read_text()
+    assert all(name in text for name in (*PLANNERS, "Published numbers, not ours", "UniAD"))
+    (out / "leaderboard" / "README.md").write_text(text.replace("idm", "mdi"))
+    stale = challenger_bench("leaderboard", "--out", out, "--check")
+    assert stale.code == 1
+    assert "README.md" in stale.out
+
+
+def test_what_eval_writes_can_be_submitted_and_a_changed_number_cannot(town: Path, out: Path, tmp_path: Path) -> None:
+    where = ("--data", town, "--out", out)
+    run = done(challenger_bench("leaderboard", "submit-check", out / "runs", *where))
+    assert run.out.count("fit: ") == 3 * len(PLANNERS)
+    shutil.copytree(out / "runs", tmp_path / "runs")
+    summary = next((tmp_path / "runs").rglob("summary.json"))
+    summary.write_text(summary.read_text().replace("0", "1", 1))
+    refused = challenger_bench("leaderboard", "submit-check", tmp_path / "runs", *where, "--json")
+    assert refused.code == 1 and len(refused.json["sound"]) == 3 * len(PLANNERS) - 1
+    absent = challenger_bench("leaderboard", "submit-check", tmp_path / "absent", *where)
+    assert absent.code == 2 and "there is no folder" in absent.err
+
+
+def test_one_worker_writes_the_same_bytes(town: Path, out: Path, tmp_path: Path) -> None:
+    common = ("--data", town, "--split", "adv", "--out", tmp_path, "--workers", "1")
+    done(challenger_bench("generate", *common, *SMALL, *SEARCH))
+    done(challenger_bench("eval", "--model", "idm", *common))
+    assert bytes_below(tmp_path / "data") == {
+        name: data for name, data in bytes_below(out / "data").items() if name.startswith("small/adv/")
+    }
+    mine = bytes_below(tmp_path / "runs")
+    theirs = bytes_below(out / "runs")
+    assert mine
+    assert all(mine[name] == theirs[name] for name in mine)
+
+
+def test_dry_run_writes_nothing(town: Path, tmp_path: Path) -> None:
+    run = done(challenger_bench("generate", "--data", town, "--split", "adv", "--out", tmp_path, "--dry-run", "--json"))
+    assert run.json["tried"] > 0
+    assert bytes_below(tmp_path) == {}
+
+
+def test_rescoring_what_is_current_changes_no_byte(town: Path, out: Path) -> None:
+    before = bytes_below(out / "runs")
+    run = done(challenger_bench("rescore", "--data", town, "--out", out, "--json"))
+    assert {result["says"] for result in run.json} == {"current"}
+    assert len(run.json) == 3 * len(PLANNERS)
+    assert bytes_below(out / "runs") == before
+
+
+def test_a_record_of_an_older_protocol_is_marked_and_rescored_without_the_planner(
+    town: Path, out: Path, tmp_path: Path
+) -> None:
+    found = next(path for path in (out / "runs").rglob("run.json") if path.parent.name == "idm")
+    folder = tmp_path / "runs" / "idm"
+    shutil.copytree(found.parent, folder)
+    facts = json.loads((folder / "run.json").read_text())
+    facts["protocols"]["uniad"] -= 1
+    (folder / "run.json").write_text(json.dumps(facts))
+    tables = tmp_path / "tables"
+    done(challenger_bench("leaderboard", "--records", tmp_path / "runs", "--to", tables))
+    assert "challenger-bench rescore" in "".join(path.read_text() for path in tables.rglob("*.md"))
+    run = done(challenger_bench("rescore", "--data", town, "--out", out, "--records", tmp_path / "runs", "--json"))
+    assert [result["says"] for result in run.json] == ["rescored"]
+    assert (folder / "samples.jsonl").read_bytes() == (found.parent / "samples.jsonl").read_bytes()
+    assert (folder / "summary.json").read_bytes() == (found.parent / "summary.json").read_bytes()
+    assert json.loads((folder / "run.json").read_text())["rescored"] is not None
+
+
+def test_rescoring_with_other_data_is_refused_and_loses_nothing(out: Path, tmp_path: Path) -> None:
+    other = tmp_path / "small"
+    done(challenger_bench("data", "build", "--root", other, "--town-scenes", "1", "--seed", "5", *SMALL))
+    before = bytes_below(out / "runs")
+    run = challenger_bench("rescore", "--data", other, "--out", out)
+    assert run.code == 1
+    assert "fingerprint" in run.out
+    assert bytes_below(out / "runs") == before
+
+
+def test_transfer_under_any_protocol_and_its_heat_map(out: Path, tmp_path: Path) -> None:
+    for protocol in ("uniad", "vad-23", "native"):
+        run = done(challenger_bench("transfer", "--out", out, "--protocol", protocol, "--json"))
+        assert run.json["small"]["protocol"] == protocol
+    picture = tmp_path / "transfer.png"
+    text = done(challenger_bench("transfer", "--out", out, "--figure", picture)).out
+    assert "φ" in text and "lift" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    wrong = challenger_bench("transfer", "--out", out, "--figure", tmp_path / "transfer.docx")
+    assert (wrong.code, wrong.err.count("\n")) == (2, 1)
+
+
+def test_explaining_protocols_prints_a_table_and_draws_cases(town: Path, out: Path) -> None:
+    common = ("--model", "constant-velocity", "--data", town, "--split", "adv", "--out", out)
+    run = done(challenger_bench("eval", *common, "--explain-protocols", "--protocol", "vad", "--protocol", "exact"))
+    pictures = list((out / "explained").rglob("*.png"))
+    assert pictures
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+    assert all(text in run.out for text in ("misses", "protocol vad", "protocol exact"))
+    unknown = challenger_bench("eval", *common, "--protocol", "guess")
+    assert (unknown.code, unknown.err.count("\n")) == (2, 1)

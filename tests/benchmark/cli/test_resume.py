@@ -1,0 +1,95 @@
+"""Killed at any moment and started again, or started twice: the same bytes as an undisturbed run."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from benchmark.cli.app import app
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.hand_made import scene_on_straight_road
+
+SEARCH = ("--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "1")
+IMAGES = ("--size", "64x40", "--frames", "keyframes", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "road"
+    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
+    scene = scene_on_straight_road(seconds=8.0)
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    return root
+
+
+def generating(source: Path, out: Path) -> list[str]:
+    return ["generate", "--data", str(source), "--out", str(out), *SEARCH, *IMAGES]
+
+
+def evaluating(source: Path, out: Path) -> list[str]:
+    split = ["--split", "adv", "--workers", "1"]
+    return ["eval", "--data", str(source), "--out", str(out), *split, "--model", "constant-velocity"]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(source: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    out = tmp_path_factory.mktemp("undisturbed")
+    for command in (generating(source, out), evaluating(source, out)):
+        finish(command)
+    return bytes_below(out)
+
+
+def finish(command: list[str]) -> None:
+    """Run a command to its end, in this process: starting another one takes longer than the work."""
+    app(args=command, standalone_mode=False)
+
+
+def started(command: list[str]) -> subprocess.Popen[str]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-m", "benchmark", *command],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def kill_at(command: list[str], out: Path, files: int) -> None:
+    """Run a command and kill all its processes as soon as so many files are there."""
+    process = started(command)
+    while process.poll() is None and sum(len(names) for _, _, names in os.walk(out)) < files:
+        time.sleep(0.002)
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+def test_killed_in_every_phase(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
+    made = sum(name.startswith("data/") for name in undisturbed)
+    for files in (2, made - 4):
+        kill_at(generating(source, tmp_path), tmp_path, files)
+    finish(generating(source, tmp_path))
+    kill_at(evaluating(source, tmp_path), tmp_path, made + 2)
+    finish(evaluating(source, tmp_path))
+    assert bytes_below(tmp_path) == undisturbed
+
+
+def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
+    """Each of them ends well or says in one sentence that the other one is at work; the result is right."""
+    both = [started(generating(source, tmp_path)) for _ in range(2)]
+    codes = []
+    for process in both:
+        out, err = process.communicate(timeout=120)
+        codes.append(process.returncode)
+        refused = out == "" and err.count("\n") == 1 and err.startswith("error: another command is writing to")
+        assert process.returncode == 0 or (process.returncode == 2 and refused), err
+    assert 0 in codes
+    expected = {name: data for name, data in undisturbed.items() if name.startswith("data/")}
+    assert bytes_below(tmp_path) == expected

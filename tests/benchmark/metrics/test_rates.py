@@ -1,0 +1,97 @@
+"""Rates and their intervals against arithmetic done by hand and against a slow bootstrap."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.machine.storage import content_seed
+from benchmark.metrics.rates import HORIZONS, RESAMPLES, ends, rates, ratios_over_scenes, sums_by_scene
+from benchmark.protocols import Outcomes
+from benchmark.protocols.exact import Exact
+
+
+def outcomes_of(collision: list[list[int]], counted: list[bool]) -> Outcomes:
+    flags = np.array(collision, dtype=np.bool_).reshape(-1, 6)
+    return Outcomes(flags, flags * 2.0, np.ones_like(flags), np.array(counted))
+
+
+def test_rates_are_shares_of_the_counted_samples() -> None:
+    outcomes = outcomes_of(
+        [[0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1], [1, 1, 1, 1, 1, 1]], [True, True, True, False]
+    )
+    found = rates(Exact(), outcomes, ["a", "a", "b", "b"])["collision"]
+    assert [found[horizon].value for horizon in HORIZONS] == pytest.approx([1 / 3, 1 / 3, 2 / 3, 4 / 9])
+    assert all(found[horizon].denominator == 3 for horizon in HORIZONS)
+    assert [found[horizon].numerator for horizon in HORIZONS[:3]] == [1, 1, 2]
+
+
+def test_without_counted_samples_there_is_no_rate() -> None:
+    found = rates(Exact(), outcomes_of([[1, 1, 1, 1, 1, 1]], [False]), ["a"])["collision"]["3s"]
+    assert found.value is None and found.low is None and found.denominator == 0
+    assert rates(Exact(), outcomes_of([], []), [])["l2"]["avg"].value is None
+
+
+def test_one_scene_has_no_interval() -> None:
+    found = rates(Exact(), outcomes_of([[1, 1, 1, 1, 1, 1]] * 5, [True] * 5), ["a"] * 5)["collision"]["3s"]
+    assert found.value == 1.0 and found.low is None and found.high is None
+
+
+def test_the_interval_is_that_of_a_slow_bootstrap_over_scenes() -> None:
+    rng = np.random.default_rng(3)
+    scenes = [f"scene-{index // 10}" for index in range(200)]
+    values = (rng.random(200) < 0.2).astype(float)
+    fast = ratios_over_scenes(values[:, None], np.ones((200, 1)), scenes, seed=7)[0]
+    names = sorted(set(scenes))
+    draws = np.random.default_rng(content_seed("scene bootstrap", names, 7)).multinomial(
+        20, np.full(20, 1 / 20), size=RESAMPLES
+    )
+    slow = []
+    for draw in draws:
+        picked = [
+            values[index] for name, times in zip(names, draw) for _ in range(times) for index in _of(scenes, name)
+        ]
+        slow.append(float(np.mean(picked)))
+    assert (fast.low, fast.high) == pytest.approx(tuple(np.percentile(slow, [2.5, 97.5])))
+    assert fast.low is not None and fast.high is not None and fast.low < fast.value < fast.high  # type: ignore[operator]
+
+
+def _of(scenes: list[str], name: str) -> list[int]:
+    return [index for index, scene in enumerate(scenes) if scene == name]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32))
+def test_the_order_of_samples_changes_no_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values, weights = rng.normal(size=(40, 2)), np.ones((40, 2))
+    scenes = [f"scene-{index}" for index in rng.integers(0, 6, 40)]
+    order = rng.permutation(40)
+    shuffled = ratios_over_scenes(values[order], weights[order], [scenes[index] for index in order], seed=1)
+    assert ratios_over_scenes(values, weights, scenes, seed=1) == shuffled
+
+
+def test_draws_without_a_number_widen_both_ends_to_the_bounds() -> None:
+    draws = np.linspace(0.4, 0.6, 1000)
+    assert ends(draws, (0.0, 1.0)) == (draws[24], draws[975])
+    draws[::10] = np.nan
+    assert ends(draws, (0.0, 1.0)) == (0.0, 1.0)
+    assert ends(np.full(10, np.inf), (-1.0, np.inf)) == (np.inf, np.inf)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.1, 0.9))
+def test_the_interval_holds_the_rate_where_there_are_many_scenes(seed: int, chance: float) -> None:
+    rng = np.random.default_rng(seed)
+    scenes = [f"scene-{index // 5}" for index in range(200)]
+    values = (rng.random((200, 1)) < chance).astype(float)
+    found = ratios_over_scenes(values, np.ones_like(values), scenes, seed=0)[0]
+    assert found.value is not None and found.low is not None and found.high is not None
+    assert found.low <= found.value <= found.high
+
+
+def test_sums_over_other_names_are_zero_where_there_was_nothing() -> None:
+    sums = sums_by_scene(np.array([[1.0], [2.0], [4.0]]), np.ones((3, 1)), ["b", "a", "b"])
+    assert sums.names == ("a", "b") and sums.numerators.tolist() == [[2.0], [5.0]]
+    other = sums.over(["b", "c"])
+    assert other.numerators.tolist() == [[5.0], [0.0]] and other.denominators.tolist() == [[2.0], [0.0]]

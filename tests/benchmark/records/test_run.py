@@ -1,0 +1,285 @@
+"""Records: what is written reads back, old ones load for ever, damaged ones say so."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from benchmark.errors import InputError
+from benchmark.evaluation import evaluate
+from benchmark.protocols import PROTOCOLS
+from benchmark.records.run import SampleRow, find_records, load_record, protocol_of, scene_failures, summarise
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.planners import Straight
+
+GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "records"
+
+
+def row(scene: str, index: int, *, collides: bool = False, counted: bool = True, status: str = "ok") -> SampleRow:
+    verdict: dict[str, Any] = {
+        "collision": [collides] * 6,
+        "l2": [1.0] * 6 if counted else [1.0] * 5 + [None],
+        "counted": counted,
+        "steps": {},
+        "facts": {},
+    }
+    return SampleRow.model_validate(
+        {
+            "scene": scene,
+            "sample_token": f"{scene}-{index}",
+            "index": index,
+            "timestamp_us": index,
+            "status": status,
+            "command": 2,
+            "ego_motion": "derived",
+            "lidar_ahead_m": 0.94,
+            "complete": counted,
+            "recorded_future": [[0.0, 1.0, 1.5]] * 6,
+            "plan": None if status == "failed" else {"frame": "ego", "waypoints": [[1.0, 0.0]] * 6},
+            "error": "RuntimeError" if status == "failed" else None,
+            "outcomes": {} if status == "failed" else {"exact": verdict},
+        }
+    )
+
+
+@pytest.mark.parametrize("directory", sorted(GOLDEN.iterdir()), ids=lambda path: path.name)
+def test_golden_records_load_for_ever_and_summarise_alike(directory: Path) -> None:
+    record = load_record(directory)
+    again = summarise(record.rows, record.run.protocols, seed=record.run.seed, scene_facts=record.run.scene_facts)
+    assert again.samples == record.summary.samples == len(record.rows)
+    for name, summary in record.summary.protocols.items():
+        if name not in record.stale_protocols:
+            assert again.protocols[name].columns["collision"] == summary.columns["collision"]
+
+
+def test_a_record_of_schema_1_has_unknowns_where_schema_2_has_facts() -> None:
+    record = load_record(GOLDEN / "schema-1")
+    assert record.planner == "failing" and not record.complete
+    assert len(record.rows) == 32 and record.summary.failed == 2
+    collision = record.summary.protocols["exact"].columns["collision"]["3s"]
+    assert (collision.numerator, collision.denominator) == (8.0, 18)
+    assert record.missing_protocols == tuple(name for name in PROTOCOLS if name != "exact")
+    assert record.run.scene_facts == {} and record.run.rescored is None
+    assert all(row.diagnosis is None and row.disagreements == {} for row in record.rows)
+
+
+def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> None:
+    record = load_record(GOLDEN / "schema-2")
+    assert record.complete and not record.covers_split and len(record.rows) == 40
+    assert record.run.scene_facts["scene-8006-342b7d08"].source == "scene-8006"
+    assert record.run.scene_facts["scene-8006-342b7d08"].manoeuvre == "cut-in-right"
+    assert record.native_protocol == "exact" and record.run.rescored is None
+    causes = [row.diagnosis.cause for row in record.rows if row.diagnosis is not None]
+    assert (causes.count("misforecasting"), causes.count("misplanning")) == (7, 2)
+    assert all(row.plan is not None and row.plan.forecasts is not None for row in record.rows)
+    assert [set(row.disagreements) for row in record.rows if row.disagreements] == [{"uniad"}]
+    partial = load_record(GOLDEN / "schema-2-partial")
+    assert partial.run.status == "partial" and partial.summary.failed == 1 and partial.run.rescored is not None
+    assert partial.native_protocol == "vad" and scene_failures(partial.rows, "uniad") == {"scene-8006-342b7d08": True}
+    assert {row.diagnosis.cause for row in partial.rows if row.diagnosis is not None} == {"not attributable"}
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    return evaluate(town_of_two(), "val", Straight(), tmp_path / "runs").directory
+
+
+def test_a_scene_fails_if_any_counted_sample_collides() -> None:
+    rows = [
+        row("clean", 0),
+        row("hit", 0, collides=True),
+        row("hit", 1),
+        row("uncounted hit", 0, collides=True, counted=False),
+        row("uncounted hit", 1),
+        row("unknown", 0),
+        row("unknown", 1, status="failed"),
+        row("hit anyway", 0, status="failed"),
+        row("hit anyway", 1, collides=True),
+        row("failed where it does not count", 0),
+        row("failed where it does not count", 1, status="failed", counted=False),
+        row("never counted", 0, counted=False),
+    ]
+    assert scene_failures(rows, "exact") == {
+        "clean": False,
+        "hit": True,
+        "uncounted hit": False,
+        "unknown": None,
+        "hit anyway": True,
+        "failed where it does not count": False,
+        "never counted": None,
+    }
+    assert scene_failures(rows[::-1], "exact") == scene_failures(rows, "exact")
+
+
+def test_where_short_recordings_count_a_failure_on_them_leaves_the_scene_undecided() -> None:
+    rows = [row("a", 0), row("a", 1, status="failed", counted=False)]
+    assert scene_failures(rows, "exact") == {"a": False}
+    assert PROTOCOLS["uniad"].counts_incomplete
+    assert scene_failures([judged_by(r, "uniad") for r in rows], "uniad") == {"a": None}
+    # Nothing is recorded after the last sample of a scene: no plan could have collided there.
+    last = [rows[0], rows[1].model_copy(update={"recorded_future": [None] * 6})]
+    assert scene_failures([judged_by(r, "uniad") for r in last], "uniad") == {"a": False}
+
+
+def test_scenes_without_verdicts_of_a_protocol_are_one_sentence() -> None:
+    with pytest.raises(InputError, match="not judged by protocol 'uniad'; run challenger-bench rescore"):
+        scene_failures([row("a", 0)], "uniad")
+    with pytest.raises(InputError, match="unknown protocol 'nonsense'"):
+        scene_failures([row("a", 0)], "nonsense")
+
+
+def test_steps_that_the_mask_removes_are_those_that_would_count() -> None:
+    hits, clear = [True] * 6, [False] * 6
+    mask = {"before_mask": hits, "recorded": [True, True, False, False, False, True], "obj_col": clear}
+    rows = [
+        judged_by(row("a", 0), "uniad", steps=mask),
+        judged_by(row("a", 1, counted=False), "uniad", steps=mask, counted=True),
+        judged_by(row("a", 2), "uniad", steps=mask, counted=False),
+        judged_by(row("a", 3), "uniad", steps={**mask, "before_mask": clear}),
+        row("a", 4, status="failed"),
+    ]
+    assert summarise(rows, {"uniad": 1}, seed=0).protocols["uniad"].mask_removed_steps == 3 + 2
+    assert summarise([row("a", 0)], {"exact": 1}, seed=0).protocols["exact"].mask_removed_steps is None
+
+
+def judged_by(judged: SampleRow, name: str, **changes: Any) -> SampleRow:
+    """The row with the verdict of ``exact`` as that of another protocol."""
+    steps = {"before_mask": [False] * 6, "recorded": [False] * 6, "obj_col": [False] * 6}
+    if judged.status == "failed":
+        return judged
+    found = judged.outcomes["exact"].model_copy(update={"steps": steps, **changes})
+    return judged.model_copy(update={"outcomes": {name: found}})
+
+
+def test_native_is_the_planners_own_protocol_or_exact(directory: Path) -> None:
+    record = load_record(directory)
+    assert record.native_protocol == "exact" and protocol_of(record, "native") == "exact"
+    change(directory / "run.json", planner={**record.run.planner.model_dump(), "native_protocol": "vad"})
+    record = load_record(directory)
+    assert record.native_protocol == "vad" and protocol_of(record, "native") == "vad"
+    assert protocol_of(record, "uniad") == "uniad"
+
+
+def test_records_of_other_versions_load_and_say_so(directory: Path) -> None:
+    versions = {**load_record(directory).run.protocols, "vad": 99, "of somebody else": 1}
+    del versions["uniad"]
+    change(directory / "run.json", protocols=versions)
+    record = load_record(directory)
+    assert record.stale_protocols == ("vad",) and record.missing_protocols == ("uniad",)
+
+
+def test_a_summary_leaves_failed_samples_out_of_both_sums() -> None:
+    rows = [row("a", 0, collides=True), row("a", 1), row("a", 2, status="failed")]
+    summary = summarise(rows, {"exact": 1}, seed=0)
+    rate = summary.protocols["exact"].columns["collision"]["3s"]
+    assert (rate.numerator, rate.denominator, summary.failed) == (1.0, 2, 1)
+
+
+def test_rows_have_no_nan() -> None:
+    with pytest.raises(ValidationError):
+        SampleRow.model_validate({**row("a", 0).model_dump(), "lidar_ahead_m": float("nan")})
+
+
+def test_numbers_in_files_are_json(directory: Path) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(name)
+
+    for path in directory.glob("*.json"):
+        json.loads(path.read_text(), parse_constant=refuse)
+    for line in (directory / "samples.jsonl").read_text().splitlines():
+        json.loads(line, parse_constant=refuse)
+
+
+def test_a_newer_schema_is_refused(directory: Path) -> None:
+    change(directory / "run.json", schema=99)
+    with pytest.raises(InputError, match="upgrade challenger-bench"):
+        load_record(directory)
+
+
+@pytest.mark.parametrize("schema", [0, -1])
+def test_a_schema_that_never_existed_is_refused(directory: Path, schema: int) -> None:
+    change(directory / "run.json", schema=schema)
+    with pytest.raises(InputError, match="never existed"):
+        load_record(directory)
+
+
+def test_rows_that_are_no_text_are_refused(directory: Path) -> None:
+    (directory / "samples.jsonl").write_bytes(b"\xd0\x00\xff")
+    with pytest.raises(InputError, match="is not text"):
+        load_record(directory)
+
+
+@pytest.mark.parametrize("name", ["samples.jsonl", "summary.json"])
+def test_files_that_do_not_belong_together_are_refused(directory: Path, name: str) -> None:
+    path = directory / name
+    path.write_bytes(path.read_bytes().replace(b"0", b"1", 1))
+    with pytest.raises(InputError, match=name):
+        load_record(directory)
+    path.unlink()
+    with pytest.raises(InputError, match="cannot read"):
+        load_record(directory)
+
+
+def test_a_truncated_or_foreign_run_file_is_refused(directory: Path) -> None:
+    text = (directory / "run.json").read_text()
+    (directory / "run.json").write_text(text[:100])
+    with pytest.raises(InputError, match="not valid JSON"):
+        load_record(directory)
+    for foreign in ("[]", "{}", '{"schema": 1, "files": {}}', '{"schema": true}', '{"schema": 1, "files": []}'):
+        (directory / "run.json").write_text(foreign)
+        with pytest.raises(InputError):
+            load_record(directory)
+
+
+def test_a_file_outside_the_record_is_never_hashed(directory: Path) -> None:
+    change(directory / "run.json", files={"../../secret": "0" * 64})
+    with pytest.raises(InputError):
+        load_record(directory)
+
+
+def test_a_record_without_hashes_is_refused(directory: Path) -> None:
+    change(directory / "run.json", files={})
+    with pytest.raises(InputError, match="does not belong"):
+        load_record(directory)
+
+
+def test_records_are_found_by_path(directory: Path, tmp_path: Path) -> None:
+    shutil.copytree(directory, tmp_path / "runs" / "another")
+    assert [record.directory for record in find_records(tmp_path)] == sorted([directory, tmp_path / "runs" / "another"])
+    with pytest.raises(InputError, match="no folder"):
+        find_records(tmp_path / "nowhere")
+
+
+def test_one_damaged_record_among_others_is_named_with_what_to_do(directory: Path, tmp_path: Path) -> None:
+    other = tmp_path / "runs" / "another"
+    shutil.copytree(directory, other)
+    change(other / "run.json", status="wonderful")
+    with pytest.raises(InputError, match=r"another/run\.json is not .*status.*; or delete or move .*/another to"):
+        find_records(tmp_path)
+    shutil.copyfile(directory / "run.json", other / "run.json")
+    (other / "samples.jsonl").write_text("")
+    with pytest.raises(InputError, match=r"another/samples\.jsonl .*; or delete or move"):
+        find_records(tmp_path)
+
+
+def test_a_record_is_known_by_its_content_wherever_it_lies(directory: Path, tmp_path: Path) -> None:
+    known = load_record(directory)
+    assert re.fullmatch("[0-9a-f]{12}", known.content_id)
+    other = tmp_path / "elsewhere"
+    shutil.copytree(directory, other)
+    change(other / "run.json", environment={"processor": "another"})
+    assert load_record(other).content_id == known.content_id
+    change(other / "run.json", seed=99)
+    assert load_record(other).content_id != known.content_id
+    hostile = known.run.planner.model_copy(update={"settings": {"gap_m": float("nan")}})
+    other_planner = replace(known, run=known.run.model_copy(update={"planner": hostile}))
+    assert other_planner.content_id != known.content_id
+
+
+def change(path: Path, **values: Any) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))

@@ -1,0 +1,258 @@
+"""Rescoring: the bytes that a new run would give, nothing where nothing changes, and no half record whenever killed."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine.storage import only_writer
+from benchmark.protocols import PROTOCOLS
+from benchmark.protocols.exact import Exact
+from benchmark.records.run import RunRecord, load_record
+from benchmark.records.store import replace_files, settle
+from benchmark.runs.rescoring import rescore, rescore_all
+from tests.benchmark.fake_data import FakeData, town_of_two
+from tests.benchmark.planners import Failing, Straight
+from tests.benchmark.records.test_run import GOLDEN
+from tests.benchmark.test_evaluation import contents
+
+ALL = tuple(PROTOCOLS)
+DATA = town_of_two(slow_leader=True)
+
+
+class Killed(BaseException):
+    """What the test raises where a process would have ended."""
+
+
+@pytest.fixture(scope="module")
+def judged_by_exact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a planner that fails once a scene, judged by one protocol only."""
+    out = tmp_path_factory.mktemp("runs")
+    return evaluate(DATA, "val", Failing(), out, EvalSettings(protocols=("exact",))).directory
+
+
+@pytest.fixture
+def directory(judged_by_exact: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(judged_by_exact, tmp_path / "runs" / "fake" / "val" / "failing"))
+
+
+def without(run: Any, *names: str) -> Any:
+    return {name: value for name, value in run.items() if name not in names}
+
+
+def run_json(directory: Path) -> Any:
+    return json.loads((directory / "run.json").read_text())
+
+
+def all_of(root: Path, data: FakeData = DATA) -> dict[str, tuple[str, bool]]:
+    return {
+        result.directory.relative_to(root).as_posix(): (result.sentence, result.failed)
+        for result in rescore_all(root, lambda split: data, data.name, ALL)
+    }
+
+
+def test_rescoring_gives_the_record_that_a_run_with_all_protocols_gives(directory: Path, tmp_path: Path) -> None:
+    assert load_record(directory).missing_protocols == ALL[1:]
+    rescored = rescore(directory, DATA, protocols=ALL)
+    new = evaluate(DATA, "val", Failing(), tmp_path / "new")
+    assert rescored.rows == new.rows and rescored.summary == new.summary
+    for name in ("samples.jsonl", "summary.json"):
+        assert (directory / name).read_bytes() == (new.directory / name).read_bytes()
+    assert without(run_json(directory), "rescored") == without(run_json(new.directory), "rescored")
+    assert rescored.run.rescored == new.run.environment and new.run.rescored is None
+    assert load_record(directory) == rescored
+    assert rescored.missing_protocols == () and rescored.stale_protocols == ()
+
+
+def test_plans_errors_planner_and_its_environment_stay(directory: Path) -> None:
+    facts = run_json(directory)
+    facts["environment"] = {"hardware": {"cpu": "another machine"}}
+    facts["planner"]["native_protocol"] = "vad"
+    (directory / "run.json").write_text(json.dumps(facts))
+    before, after = load_record(directory), rescore(directory, DATA, protocols=ALL)
+    assert after.run.environment == before.run.environment != after.run.rescored
+    assert after.run.planner == before.run.planner and after.native_protocol == "vad"
+    assert [(row.plan, row.error, row.status) for row in after.rows] == [
+        (row.plan, row.error, row.status) for row in before.rows
+    ]
+    assert [row.outcomes == {} for row in after.rows] == [row.status == "failed" for row in after.rows]
+    assert not after.complete
+
+
+def test_doing_it_again_writes_nothing(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rescore(directory, DATA, protocols=ALL)
+    before, times = contents(directory), {path: path.stat().st_mtime_ns for path in directory.rglob("*")}
+    monkeypatch.setattr("benchmark.runs.rescoring.environment_facts", lambda: {"hardware": {"cpu": "another machine"}})
+    rescore(directory, DATA, protocols=(*ALL, ALL[0]))
+    assert contents(directory) == before
+    assert {path: path.stat().st_mtime_ns for path in directory.rglob("*")} == times
+
+
+def test_a_run_that_is_current_is_left_as_it_is(tmp_path: Path) -> None:
+    record = evaluate(DATA, "val", Straight(), tmp_path)
+    before = contents(record.directory)
+    assert rescore(record.directory, DATA, protocols=ALL).run.rescored is None
+    assert contents(record.directory) == before
+
+
+def test_a_changed_protocol_makes_records_stale_until_they_are_rescored(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stricter(Exact):
+        version = 99
+
+    monkeypatch.setitem(PROTOCOLS, "exact", Stricter())
+    assert load_record(directory).stale_protocols == ("exact",)
+    record = rescore(directory, DATA, protocols=ALL)
+    assert record.stale_protocols == () and record.summary.protocols["exact"].version == 99
+
+
+def test_fewer_protocols_leave_no_verdict_of_the_others(directory: Path) -> None:
+    record = rescore(directory, DATA, protocols=("uniad",))
+    assert record.run.protocols == {"uniad": PROTOCOLS["uniad"].version}
+    assert all(set(row.outcomes) <= {"uniad"} and row.diagnosis is None for row in record.rows)
+
+
+def test_records_of_schema_1_are_rescored(tmp_path: Path) -> None:
+    directory = Path(shutil.copytree(GOLDEN / "schema-1", tmp_path / "old"))
+    old = load_record(directory)
+    assert old.missing_protocols == ALL[1:] and old.stale_protocols == ()
+    assert old.summary.protocols["exact"].mask_removed_steps is None and old.run.scene_facts == {}
+    new = rescore(directory, DATA, protocols=ALL)
+    assert run_json(directory)["schema"] == 2 and set(new.run.scene_facts) == set(new.run.scenes)
+    assert new.summary.protocols["exact"] == old.summary.protocols["exact"]
+    assert any(row.diagnosis for row in new.rows)
+    assert rescore(directory, DATA, protocols=ALL) == new
+
+
+@pytest.mark.parametrize("killed_at", range(1, 7))
+def test_killed_anywhere_the_old_record_loads_or_rescoring_again_finishes(
+    directory: Path, tmp_path: Path, killed_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    undisturbed = Path(shutil.copytree(directory, tmp_path / "undisturbed"))
+    rescore(undisturbed, DATA, protocols=ALL)
+    old = load_record(directory)
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Path, "replace", killing_at(killed_at))
+        rescore(directory, DATA, protocols=ALL)
+    try:
+        assert load_record(directory) == old
+    except InputError as error:
+        assert killed_at > 4 and "run challenger-bench rescore again" in str(error)
+    assert all_of(directory.parent) == {"failing": ("current" if killed_at > 3 else "rescored", False)}
+    assert contents(directory) == contents(undisturbed)
+
+
+@pytest.mark.parametrize("killed_at", range(1, 7))
+def test_killed_while_it_replaces_a_record_eval_can_be_started_again(
+    directory: Path, tmp_path: Path, killed_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "runs"
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Path, "replace", killing_at(killed_at, ".pending"))
+        evaluate(DATA, "val", Failing(), out)
+    again = evaluate(DATA, "val", Failing(), out)
+    assert again.directory == directory
+    assert contents(directory) == contents(evaluate(DATA, "val", Failing(), tmp_path / "undisturbed").directory)
+
+
+def killing_at(count: int, ending: str = "") -> Callable[[Path, Path], Path]:
+    """`Path.replace` that ends the process at its nth call for files of a record."""
+    real, calls = Path.replace, iter(range(1, 1000))
+
+    def replace(path: Path, target: Path) -> Path:
+        of_record = path.name.endswith(ending) or target.name.endswith(ending)
+        if of_record and next(calls) == count:
+            raise Killed
+        return real(path, target)
+
+    return replace
+
+
+def test_leftovers_that_belong_to_nothing_are_dropped(directory: Path) -> None:
+    before = contents(directory)
+    for name, text in {
+        ".run.json.pending": '{"files": {"samples.jsonl": "0", "summary.json": "0"}}',
+        ".samples.jsonl.pending": "half a ro",
+        ".summary.json.pending.77.part": "",
+    }.items():
+        (directory / name).write_text(text)
+        assert load_record(directory).planner == "failing"
+    settle(directory)
+    assert contents(directory) == before
+    for nonsense in ("", "[]", "{}", '{"files": []}', '{"files": {}}'):
+        (directory / ".run.json.pending").write_text(nonsense)
+        settle(directory)
+        assert contents(directory) == before
+
+
+def test_other_data_is_one_sentence(directory: Path) -> None:
+    before = contents(directory)
+    with pytest.raises(InputError, match="ran on other content of fake than"):
+        rescore(directory, town_of_two(), protocols=ALL)
+    with pytest.raises(InputError, match="unknown protocol 'nonsense'"):
+        rescore(directory, DATA, protocols=("nonsense",))
+    with pytest.raises(InputError, match="there is no run record"):
+        rescore(directory / "nowhere", DATA, protocols=ALL)
+    assert contents(directory) == before and not (directory / "nowhere").exists()
+
+
+def test_a_record_that_another_command_writes_is_left_alone(directory: Path) -> None:
+    with only_writer(directory), pytest.raises(InputError, match="another command is writing"):
+        rescore(directory, DATA, protocols=ALL)
+
+
+def test_one_damaged_record_does_not_stop_the_others(directory: Path, tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    for name in ("current", "foreign", "moved", "truncated"):
+        shutil.copytree(directory, root / name)
+    rescore(root / "current", DATA, protocols=ALL)
+    change(root / "foreign", data={**run_json(directory)["data"], "name": "another"})
+    change(root / "moved", data={**run_json(directory)["data"], "fingerprint": "0" * 64})
+    (root / "truncated" / "samples.jsonl").write_bytes((directory / "samples.jsonl").read_bytes()[:-9])
+    found = all_of(root)
+    assert list(found) == ["current", "fake/val/failing", "foreign", "moved", "truncated"]
+    assert [failed for _, failed in found.values()] == [False, False, False, True, True]
+    assert found["current"][0] == "current" and found["fake/val/failing"][0] == "rescored"
+    assert "of the data set another" in found["foreign"][0] and "fingerprints differ" in found["moved"][0]
+    assert load_record(root / "foreign").missing_protocols == ALL[1:]
+    with pytest.raises(InputError, match="no folder"):
+        all_of(root / "nowhere")
+
+
+def test_a_split_that_cannot_be_opened_fails_its_records_only(directory: Path, tmp_path: Path) -> None:
+    shutil.copytree(directory, tmp_path / "runs" / "other")
+    change(tmp_path / "runs" / "other", split="adv")
+    asked: list[str] = []
+
+    def open_split(split: str) -> FakeData:
+        asked.append(split)
+        if split == "adv":
+            raise InputError("split 'adv' has not been generated")
+        return DATA
+
+    found = list(rescore_all(tmp_path / "runs", open_split, "fake", ALL))
+    assert [result.failed for result in found] == [False, True] and asked == ["val", "adv"]
+
+
+def test_rows_of_other_samples_are_refused(directory: Path) -> None:
+    record = load_record(directory)
+    shorter = replaced_rows(record, [row.model_dump(mode="json") for row in record.rows[1:]])
+    with pytest.raises(InputError, match="does not hold the samples of scene-9901"):
+        rescore(shorter, DATA, protocols=ALL)
+
+
+def replaced_rows(record: RunRecord, rows: list[Any]) -> Path:
+    run = run_json(record.directory)
+    summary = json.loads((record.directory / "summary.json").read_text())
+    replace_files(record.directory, lambda files: {**run, "files": files}, rows, summary)
+    return record.directory
+
+
+def change(directory: Path, **values: Any) -> None:
+    (directory / "run.json").write_text(json.dumps({**run_json(directory), **values}))

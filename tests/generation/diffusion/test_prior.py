@@ -1,0 +1,311 @@
+"""The prior that the search draws from: packaged weights, bank, mutation, diversification."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.machine.storage import file_sha256
+from generation.diffusion.bank import bank_beside, read_bank, sample_actions, write_bank
+from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, save_denoiser
+from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.kinematics import motion
+from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
+from generation.diffusion.standardiser import actions_from_waypoints
+from generation.diffusion.training.evaluation import wasserstein
+from generation.search.proposals import Mutation, Request, Sampling
+from generation.verification.built_in import BUILT_IN
+
+GOLDEN = BUILT_IN / "denoiser"
+CRUISING = np.array([-4.0, 0.0, 0.0])
+SMALL = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16, history_tokens=1)
+
+
+@pytest.fixture(scope="module")
+def prior() -> TrajectoryPrior:
+    torch.set_num_threads(1)
+    return TrajectoryPrior.load()
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_package_stays_small_and_says_where_it_comes_from() -> None:
+    bank = bank_beside(PACKAGED_WEIGHTS)
+    assert PACKAGED_WEIGHTS.stat().st_size + bank.stat().st_size < 1_500_000
+    card = (PACKAGED_WEIGHTS.parent / "MODEL_CARD.md").read_text()
+    assert file_sha256(PACKAGED_WEIGHTS) in card
+    assert file_sha256(bank) in card
+    for source in ("NGSIM", "comma2k19", "nuScenes", "Argoverse 2", "KITTI", "Lyft"):
+        assert source in card
+
+
+def test_samples_are_deterministic_and_seeded(prior: TrajectoryPrior) -> None:
+    first, again, other = (prior.sample(64, CRUISING, rng(seed)) for seed in (1, 1, 2))
+    assert first.shape == (64, 16, 3)
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert np.array_equal(first, TrajectoryPrior.load().sample(64, CRUISING, rng(1)))
+
+
+def test_bank_is_drawn_without_replacement(prior: TrajectoryPrior) -> None:
+    sampled = prior.sample(256, CRUISING, rng())
+    assert len(np.unique(sampled.reshape(256, -1), axis=0)) == 256
+
+
+def test_wasserstein_measures_shift_and_spread() -> None:
+    values = rng().standard_normal(5000)
+    assert wasserstein(values, values + 0.7) == pytest.approx(0.7)
+    assert wasserstein(values, 2 * values) == pytest.approx(np.abs(values).mean(), rel=0.02)
+
+
+def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
+    """The distance of both from each other is what chance gives."""
+    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS)
+    exact = sample_actions(load_denoiser(PACKAGED_WEIGHTS), 96, None, rng(11))
+    for channel in range(3):
+        for steps in (slice(0, 16), slice(15, 16)):
+            pool, drawn = (actions[:, steps, channel].sum(axis=1) for actions in (bank, exact))
+            by_chance = [wasserstein(rng(seed).choice(pool, len(drawn)), pool) for seed in range(100)]
+            assert wasserstein(drawn, pool) < 1.3 * np.quantile(by_chance, 0.99), (channel, steps)
+
+
+def test_exact_sampling_through_the_interface() -> None:
+    exact = TrajectoryPrior.load(None, SamplerSettings(steps=4), bank=False)
+    sampled = exact.sample(8, CRUISING, rng())
+    assert sampled.shape == (8, 16, 3)
+    assert np.array_equal(sampled, exact.sample(8, CRUISING, rng()))
+    assert exact.fingerprint != TrajectoryPrior.load().fingerprint
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 5.0, 15.0, 30.0])
+def test_samples_can_be_driven_from_any_speed(prior: TrajectoryPrior, speed: float) -> None:
+    previous = np.array([-0.5 * speed, 0.0, 0.0])
+    moved = motion(prior.sample(64, previous, rng()), previous)
+    assert (moved.excess == 0).mean() > 0.9
+    assert np.abs(moved.acceleration).max() < 8
+
+
+def test_samples_differ_from_each_other(prior: TrajectoryPrior) -> None:
+    ends = prior.sample(256, np.array([-5.0, 0.0, 0.0]), rng())[:, -1]
+    assert ends[:, 0].std() > 8
+    assert ends[:, 1].std() > 3
+    assert (ends[:, 1] > 2).any() and (ends[:, 1] < -2).any()
+
+
+def test_more_than_the_bank_holds_can_be_asked_for(prior: TrajectoryPrior) -> None:
+    assert prior.sample(5000, CRUISING, rng()).shape == (5000, 16, 3)
+
+
+def test_mutation_changes_more_at_higher_noise(prior: TrajectoryPrior) -> None:
+    start = prior.sample(128, CRUISING, rng())
+    change = [np.abs(prior.mutate(start, level, CRUISING, rng(1)) - start)[..., :2].mean() for level in (1, 3, 5, 20)]
+    assert 0.05 < change[0] < change[1] < change[2] < change[3]
+    assert change[2] < 5
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0, 8.0, 20.0])
+def test_mutation_makes_no_candidate_less_drivable(prior: TrajectoryPrior, speed: float) -> None:
+    previous = np.array([-0.5 * speed, 0.0, 0.0])
+    start = prior.sample(64, previous, rng())
+    candidates = start
+    for round_, level in enumerate((5, 4, 3, 2, 1)):
+        candidates = prior.mutate(candidates, level, previous, rng(round_))
+    assert (motion(candidates, previous).excess <= motion(start, previous).excess + 1e-6).all()
+    unchanged = (candidates == start).all(axis=(1, 2)).mean()
+    assert unchanged < 0.5
+    free = TrajectoryPrior.load(None, SamplerSettings(drivable=False)).mutate(start, 5, previous, rng())
+    assert not (free == start).all(axis=(1, 2)).any()
+
+
+def test_mutation_is_deterministic_and_leaves_its_input_alone(prior: TrajectoryPrior) -> None:
+    start = prior.sample(16, CRUISING, rng())
+    kept = start.copy()
+    first = prior.mutate(start, 5, CRUISING, rng(4))
+    assert np.array_equal(start, kept)
+    assert np.array_equal(first, prior.mutate(start, 5, CRUISING, rng(4)))
+
+
+def test_mutation_does_not_mind_wrapped_headings(prior: TrajectoryPrior) -> None:
+    start = prior.sample(16, CRUISING, rng())
+    start[..., 2] += np.linspace(0.1, 4.0, 16)
+    wrapped = start.copy()
+    wrapped[..., 2] = (wrapped[..., 2] + np.pi) % (2 * np.pi) - np.pi
+    assert (np.abs(wrapped - start) > 6).any()
+    assert np.allclose(prior.mutate(start, 5, CRUISING, rng()), prior.mutate(wrapped, 5, CRUISING, rng()), atol=1e-4)
+
+
+def test_strided_mutation_is_close_to_the_reference_number_of_calls(prior: TrajectoryPrior) -> None:
+    """The difference is small beside what two draws of the reference's process differ by."""
+    start = prior.sample(128, CRUISING, rng())
+    two_calls = TrajectoryPrior.load(None, SamplerSettings(mutation_steps=2))
+    reference, other = prior.mutate(start, 5, CRUISING, rng(1)), prior.mutate(start, 5, CRUISING, rng(2))
+    strided = two_calls.mutate(start, 5, CRUISING, rng(1))
+
+    def rms(difference: Floats) -> float:
+        return float(np.sqrt((difference[..., :2] ** 2).sum(-1).mean()))
+
+    assert rms(strided - reference) < 0.2 * rms(reference - other)
+    assert rms(strided - start) == pytest.approx(rms(reference - start), rel=0.1)
+
+
+def test_quarters_of_the_first_batch() -> None:
+    start = np.random.default_rng(0).uniform(1, 2, (41, 16, 3))
+    varied = diversify(start, rng())
+    ratio = varied / start
+    assert np.array_equal(varied[:10], start[:10])
+    assert np.allclose(ratio[..., 2], 1)
+    assert np.allclose(ratio[:30, :, 1], 1)
+    for part, low, high in ((slice(10, 20), 0.2, 0.8), (slice(20, 30), 1.2, 1.8), (slice(30, 41), 0.5, 1.5)):
+        assert ratio[part, :, 0].min() >= low and ratio[part, :, 0].max() <= high
+        assert np.allclose(ratio[part, :, 0], ratio[part, :1, 0])
+    assert np.allclose(ratio[30:, :, 0], ratio[30:, :, 1])
+
+
+def test_quarters_equal_the_reference() -> None:
+    class Played:
+        """Plays the reference's uniform numbers."""
+
+        def __init__(self, draws: list[Floats]) -> None:
+            self.draws = draws
+
+        def random(self, size: int) -> Floats:
+            return self.draws.pop(0)[:size]
+
+    with np.load(GOLDEN / "parity.npz") as golden:
+        played = Played([golden[f"aug_u{part}"][:, 0].astype(np.float64) for part in (1, 2, 3)])
+        varied = diversify(golden["aug_in"].reshape(8, 16, 3), played)  # type: ignore[arg-type]
+        stored = golden["aug_out"].reshape(8, 16, 3)
+        assert np.abs(varied - stored).max() < 1e-6 * max(1.0, float(np.abs(stored).max()))
+
+
+def test_published_kind_of_checkpoint_loads(tmp_path: Path) -> None:
+    denoiser = TrajectoryDenoiser(DenoiserConfig(layers=8))
+    torch.save(denoiser.state_dict(), tmp_path / "published.ckpt")
+    loaded = load_denoiser(tmp_path / "published.ckpt")
+    assert not loaded.training
+    assert torch.equal(loaded.type_embedding.weight, denoiser.type_embedding.weight)
+
+
+class _Evil:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (print, ("ran",))
+
+
+def test_bad_weights_are_refused_with_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = tmp_path / "code.ckpt"
+    code.write_bytes(pickle.dumps({"weights": _Evil()}))
+    inside = tmp_path / "inside.ckpt"
+    torch.save({"weights": _Evil()}, inside)
+    empty, broken = tmp_path / "empty.ckpt", tmp_path / "broken.safetensors"
+    empty.write_bytes(b"")
+    broken.write_bytes(PACKAGED_WEIGHTS.read_bytes()[:1000])
+    other = tmp_path / "other.ckpt"
+    torch.save({"layer.weight": torch.zeros(2)}, other)
+    not_finite = tmp_path / "nan.safetensors"
+    denoiser = TrajectoryDenoiser(SMALL)
+    torch.nn.init.constant_(denoiser.trajectory_encoder.weight, float("nan"))
+    save_denoiser(not_finite, denoiser, {})
+    for path in (code, inside, empty, broken, other, not_finite, tmp_path / "absent.safetensors", tmp_path):
+        with pytest.raises(InputError):
+            TrajectoryPrior.load(path)
+    assert "ran" not in capsys.readouterr().out
+
+
+def test_bank_of_other_weights_is_refused(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
+    for seed, path in enumerate((first, second)):
+        torch.manual_seed(seed)
+        save_denoiser(path, TrajectoryDenoiser(SMALL), {})
+    bank = write_bank(first, count=4)
+    assert bank.read_bytes() == write_bank(first, count=4).read_bytes()
+    assert TrajectoryPrior.load(first).sample(3, CRUISING, rng()).shape == (3, 16, 3)
+    bank.rename(bank_beside(second))
+    with pytest.raises(InputError, match="not sampled from"):
+        TrajectoryPrior.load(second)
+
+
+def test_settings_are_part_of_the_fingerprint() -> None:
+    kinds = [
+        TrajectoryPrior.load(),
+        TrajectoryPrior.load(None, SamplerSettings(mutation_steps=2)),
+        TrajectoryPrior.load(None, SamplerSettings(drivable=False)),
+        TrajectoryPrior.load(bank=False),
+        TrajectoryPrior.load(None, SamplerSettings(dropout=True)),
+    ]
+    assert len({kind.fingerprint for kind in kinds}) == len(kinds)
+    assert kinds[0].fingerprint == TrajectoryPrior.load().fingerprint
+
+
+def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
+    start = prior.sample(4, CRUISING, rng())
+    with pytest.raises(InputError, match="at least one trajectory"):
+        prior.sample(0, CRUISING, rng())
+    with pytest.raises(InputError, match="finite x, y, heading"):
+        prior.sample(4, np.array([np.nan, 0, 0]), rng())
+    with pytest.raises(InputError, match="finite x, y, heading"):
+        prior.mutate(start, 5, np.zeros(2), rng())
+    for level in (0, 101):
+        with pytest.raises(InputError, match="noise level"):
+            prior.mutate(start, level, CRUISING, rng())
+    for wrong in (start[0], start[:, :8], np.full_like(start, np.nan)):
+        with pytest.raises(InputError, match="candidates"):
+            prior.mutate(wrong, 5, CRUISING, rng())
+    with pytest.raises(InputError, match="denoising step"):
+        TrajectoryPrior.load(None, SamplerSettings(mutation_steps=0))
+    for device in ("cuda:77", "toaster", "meta"):
+        with pytest.raises(InputError, match="cannot compute on device"):
+            TrajectoryPrior.load(device=device)
+
+
+@pytest.mark.parametrize("block", [None, 96])
+@pytest.mark.parametrize("banked", [True, False])
+def test_an_answer_does_not_depend_on_who_asks_beside_it(
+    prior: TrajectoryPrior, block: int | None, banked: bool
+) -> None:
+    """Blocks are what an accelerator computes with; here they run on the processor."""
+    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS) if banked else None
+    asked = TrajectoryPrior(load_denoiser(PACKAGED_WEIGHTS), SamplerSettings(steps=4), "", bank, block=block)
+    start = prior.sample(40, CRUISING, rng())
+
+    def requests() -> list[Request]:
+        slow = np.array([-1.5, 0.0, 0.0])
+        return [
+            Mutation(start, 5, CRUISING, rng(1)),
+            Sampling(24, slow, rng(2)),
+            Mutation(start[:7], 5, slow, rng(3)),
+            Mutation(start, 1, CRUISING, rng(4)),
+            Sampling(8, CRUISING, rng(5)),
+        ]
+
+    together = asked.answer(requests())
+    for one, request in zip(together, requests(), strict=True):
+        np.testing.assert_array_equal(one, asked.answer([request])[0])
+    plain = prior.mutate(start, 5, CRUISING, rng(1))
+    np.testing.assert_allclose(together[0], plain, atol=1e-4)
+
+
+def test_dropout_changes_answers_but_not_the_seed(prior: TrajectoryPrior) -> None:
+    """The packaged network has none, so a network of the published kind stands in."""
+    network = TrajectoryDenoiser(SMALL).eval()
+    with_dropout = TrajectoryPrior(network, SamplerSettings(dropout=True, drivable=False), "")
+    start = prior.sample(6, CRUISING, rng())
+    first, again = (with_dropout.mutate(start, 5, CRUISING, rng(1)) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    without = TrajectoryPrior(network, SamplerSettings(drivable=False), "").mutate(start, 5, CRUISING, rng(1))
+    assert np.abs(first - without).max() > 1e-6
+    state = torch.random.get_rng_state()
+    TrajectoryPrior(network, SamplerSettings(dropout=True), "").mutate(start, 5, CRUISING, rng(1))
+    assert torch.equal(state, torch.random.get_rng_state())
+
+
+def test_packaged_samples_are_smooth(prior: TrajectoryPrior) -> None:
+    """Real driving changes its acceleration by 0.4 m/s^2 per half second (model card)."""
+    sampled = prior.sample(512, np.array([-5.0, 0.0, 0.0]), rng())
+    change = np.diff(actions_from_waypoints(sampled, np.array([-5.0, 0.0, 0.0])), axis=1)[..., :2] * 16
+    assert 0.1 < np.sqrt((change**2).sum(-1).mean()) < 1.0

@@ -1,0 +1,168 @@
+"""Attempts as units of work: found by content key, computed where missing."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+from benchmark.errors import InputError
+from benchmark.machine.workers import LocalProcesses
+from benchmark.scene import Scene
+from generation.build.profile import runtime_table
+from generation.search.attempts import Earlier, PackagedPrior, Search, Unit, attempts, kept_attempt, surveyed
+from generation.search.candidates import choose
+from tests.generation.labels.recorded_roads import HYPER, recorded
+from tests.generation.search.driving_prior import DrivingPrior
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+SCENE = recorded("scene-9901")
+
+
+@dataclass(frozen=True)
+class Forbidden:
+    """An executor that must not be given anything."""
+
+    def map(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+    ) -> Iterator[Result]:
+        assert total == 0
+        assert list(items) == []
+        return iter(())
+
+
+def search_in(folder: Path, seed: int = 0) -> Search:
+    return Search("data", HYPER, seed, DrivingPrior, DrivingPrior.fingerprint, folder)
+
+
+def units_of(scene: Scene) -> list[Unit]:
+    return [Unit(scene.name, agent, scene.agents.ids[agent]) for agent in choose(scene, HYPER, 0)]
+
+
+def never(unit: Unit) -> Scene:
+    raise AssertionError(f"{unit} is finished and needs no scene")
+
+
+def test_results_come_in_the_order_of_the_units_and_are_kept(tmp_path: Path) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)
+    found = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    assert [stored.agent_id for stored in found] == [unit.agent_id for unit in units]
+    assert attempts(search, units, never, Forbidden()) == found
+    assert [kept_attempt(search, unit) for unit in units] == found
+
+
+def test_only_missing_ones_are_computed(tmp_path: Path) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)
+    found = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    search.path(units[1]).write_text("{")
+    asked: list[Unit] = []
+
+    def scene_of(unit: Unit) -> Scene:
+        asked.append(unit)
+        return SCENE
+
+    assert attempts(search, units, scene_of, LocalProcesses(1)) == found
+    assert asked == [units[1]]
+
+
+@pytest.mark.parametrize("together", [2, 3, 50])
+def test_units_side_by_side_are_as_alone(tmp_path: Path, together: int) -> None:
+    units = units_of(SCENE)
+    alone = attempts(search_in(tmp_path / "1"), units, lambda unit: SCENE, LocalProcesses(1))
+    assert attempts(search_in(tmp_path / "n"), units, lambda unit: SCENE, LocalProcesses(1), together=together) == alone
+
+
+def test_an_attempt_of_another_vehicle_is_not_taken(tmp_path: Path) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)
+    attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    search.path(units[0]).write_bytes(search.path(units[1]).read_bytes())
+    assert kept_attempt(search, units[0]) is None
+
+
+def test_keys_tell_everything_apart_that_changes_a_result(tmp_path: Path) -> None:
+    unit = Unit("scene-9901", 0, "a")
+    link = Earlier("key of the first", 1, "b", 12)
+    search = search_in(tmp_path)
+    keys = {
+        search.key(unit),
+        search.key(replace(unit, agent_id="b")),
+        search.key(replace(unit, scene_name="scene-9902")),
+        search.key(replace(unit, earlier=(link,))),
+        search.key(replace(unit, earlier=(replace(link, key="another"),))),
+        search.key(replace(unit, earlier=(link, replace(link, key="another")))),
+        replace(search, seed=1).key(unit),
+        replace(search, fingerprint="other data").key(unit),
+        replace(search, prior_fingerprint="other prior").key(unit),
+        replace(search, hyper=replace(HYPER, rounds=1)).key(unit),
+    }
+    assert len(keys) == 10
+
+
+def test_times_lie_beside_and_never_in_results(tmp_path: Path) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)
+    attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    table = runtime_table([search.timing_path(unit) for unit in units], [])
+    assert table.attempts == len(units)
+    assert table.total_s["physics"] > 0.0
+    assert "seconds" not in "".join(json.loads(search.path(units[0]).read_text())["report"])
+
+
+def test_a_survey_is_made_once(tmp_path: Path) -> None:
+    search = search_in(tmp_path)
+
+    def unread() -> Scene:
+        raise AssertionError("the survey is there")
+
+    found = surveyed(search, SCENE.name, (), lambda: SCENE, keep=False)
+    assert not search.survey_path(SCENE.name, ()).exists()
+    assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+    assert surveyed(search, SCENE.name, (), unread, keep=True) == found
+    search.survey_path(SCENE.name, ()).write_text('{"objects": 1}')
+    assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"start": None}, {"start": -5}, {"poses": []}, {"poses": [[float("nan"), 0.0, 0.0]]}, {"kept": False},
+        {"challenge": float("inf")}, {"report": {}}, {"discard": "nonsense"}, {"schema_version": 99}, {"sha256": None},
+    ],
+)  # fmt: skip
+def test_an_attempt_that_is_not_as_it_was_written_is_made_again(tmp_path: Path, change: dict[str, object]) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)[:1]
+    path = search.path(units[0])
+    made = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
+    whole = path.read_bytes()
+    path.write_text(json.dumps({**json.loads(whole), **change}))
+    assert kept_attempt(search, units[0]) is None
+    assert attempts(search, units, lambda unit: SCENE, LocalProcesses(1)) == made
+    assert path.read_bytes() == whole
+    assert attempts(search, units, lambda unit: SCENE, Forbidden()) == made
+
+
+def test_a_survey_that_is_not_as_it_was_written_is_made_again(tmp_path: Path) -> None:
+    search = search_in(tmp_path)
+    found = surveyed(search, SCENE.name, (), lambda: SCENE, keep=True)
+    path = search.survey_path(SCENE.name, ())
+    whole = json.loads(path.read_text())
+    twice = whole["vehicles"] * 2
+    for name, value in (("vehicles", []), ("vehicles", twice), ("objects", -4), ("objects", float("nan"))):
+        path.write_text(json.dumps({**whole, name: value}))
+        assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+        assert json.loads(path.read_text()) == whole
+
+
+def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
+    search, units = search_in(tmp_path), units_of(SCENE)
+    stored = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]
+    assert stored.adversarial(SCENE).adversaries == (stored.agent_id,)
+    for other in (recorded("scene-9902"), replace(SCENE, agents=recorded("scene-9903", ()).agents)):
+        with pytest.raises(InputError, match="does not fit"):
+            stored.adversarial(other)
+
+
+def test_the_packaged_prior_is_loaded_once() -> None:
+    assert PackagedPrior()() is PackagedPrior()()

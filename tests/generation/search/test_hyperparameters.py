@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+
+from benchmark.dynamics.bicycle import MotionModel, VehicleState, simulate
+from benchmark.errors import InputError
+from generation.search.hyperparameters import CANDIDATE_FRAMES, CollisionReading, HyperParameters
+
+
+def test_settings_change_by_text() -> None:
+    changed = HyperParameters().changed(["clearance_m=0", "rounds = 2", "parked=true", "collision_reading=half"])
+    assert changed == HyperParameters(clearance_m=0.0, rounds=2, parked=True, collision_reading=CollisionReading.HALF)
+    assert changed.fingerprint != HyperParameters().fingerprint
+    assert HyperParameters().changed([]) == HyperParameters()
+
+
+@pytest.mark.parametrize(
+    ("assignment", "says"),
+    [
+        ("clearence_m=0", "did you mean clearance_m"),
+        ("clearance_m", "NAME=VALUE"),
+        ("rounds=2.5", "rounds must be a number"),
+        ("clearance_m=wide", "clearance_m must be a number"),
+        ("clearance_m=nan", "must be finite"),
+        ("parked=yes", "true or false"),
+        ("collision_reading=exact", "one of geometry, literal, half"),
+        ("candidates=0", "at least 1"),
+        ("candidates=1000000000", "at most 65536"),
+        ("candidates", "NAME=VALUE of a hyper-parameter; names are"),
+        ("shortest_drive_frames=0", "at least 1"),
+        ("stopping_m_s2=0", "must be positive"),
+        ("half_extent_m=-50", "must be positive"),
+        ("init_scale=-1", "must not be negative"),
+        ("road_and_collision_last_weight=-1", "must not be negative"),
+        ("lookahead_frames=85", "not be more than 96 together"),
+        ("__class__=3", "NAME=VALUE"),
+    ],
+)
+def test_what_does_not_fit_is_one_sentence(assignment: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        HyperParameters().changed([assignment])
+
+
+def test_the_paper_alone_looks_one_second_ahead_and_keeps_no_air() -> None:
+    paper = HyperParameters.paper()
+    assert paper.scored_frames == tuple(range(1, 13))
+    assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.0, 0.0, 1, 0.0)
+    table = (paper.dac_weight, paper.cr_weight, paper.ac_weight, paper.temperature, paper.rounds, paper.horizon)
+    assert table == (5.0, 10.0, 1.0, 1.0, 5, 12)
+
+
+def test_the_longest_look_ahead_is_as_long_as_a_candidate() -> None:
+    longest = HyperParameters(lookahead_frames=CANDIDATE_FRAMES - 12, lookahead_stride=1)
+    assert longest.scored_frames[-1] == CANDIDATE_FRAMES
+    state = VehicleState(np.zeros(3), 5.0)
+    waypoints = np.zeros((2, 16, 3))
+    assert simulate(waypoints, state, 4.0, steps=CANDIDATE_FRAMES, model=MotionModel.si()).finite.all()

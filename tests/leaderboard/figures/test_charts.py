@@ -1,0 +1,69 @@
+"""Figures: the same records give the same bytes, nothing is drawn of nothing, names are only text."""
+
+import io
+import xml.etree.ElementTree as ElementTree
+
+import matplotlib as mpl
+import pytest
+from matplotlib.image import imread
+
+from benchmark.records.run import RunRecord, SceneFacts
+from leaderboard.figures.charts import data_set_figures, disagreement_figure, manoeuvre_figure, rates_over_horizon
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+
+HOSTILE = ("$x_{1$ \\frac", "<script>&--", "a\x00b\nc", "日本語", "x" * 500, "")
+
+
+def run(name: str, hits: int, *, split: str = "adv", manoeuvres: bool = True) -> RunRecord:
+    """A planner that fails the first ``hits`` of twelve scenes."""
+    scenes = {f"s{index:02}": [HIT if index < hits else CLEAN, CLEAN] for index in range(12)}
+    record = hand_made(name, scenes, split=split, protocols=("exact", "uniad"))
+    if not manoeuvres:
+        return record
+    facts = {
+        scene: SceneFacts(source=scene, manoeuvre="cut-in-left" if place % 3 else None)
+        for place, scene in enumerate(scenes)
+    }
+    return type(record)(
+        record.directory, record.run.model_copy(update={"scene_facts": facts}), record.rows, record.summary
+    )
+
+
+def names_of(*records: RunRecord) -> list[str]:
+    return [figure.name for figure in data_set_figures("d", records)]
+
+
+def test_what_the_records_allow_is_drawn() -> None:
+    assert names_of(run("a", 3), run("a", 1, split="val")) == [
+        "rates-exact",
+        "manoeuvres-exact",
+        "disagreement-val",
+        "disagreement-adv",
+    ]
+    assert names_of(run("a", 3, manoeuvres=False)) == ["rates-exact", "disagreement-adv"]
+    assert names_of() == []
+    assert manoeuvre_figure("d", "exact", [run("a", 3, split="val")], ".png") is None
+    assert rates_over_horizon("d", "vad", [run("a", 3)], ".png") is None
+    assert disagreement_figure("d", "val", [run("a", 3)], ".png") is None
+
+
+def test_the_same_records_give_the_same_bytes_in_any_order_and_whatever_the_users_settings() -> None:
+    records = [run("a", 3), run("b", 5), run("b", 0, split="val")]
+    first = data_set_figures("d", records)
+    with mpl.rc_context({"font.size": 30, "svg.hashsalt": "other", "axes.facecolor": "red"}):
+        assert data_set_figures("d", records[::-1]) == first
+    other = data_set_figures("d", [run("a", 4), *records[1:]])
+    assert all(mine.png != theirs.png for mine, theirs in zip(first[:2], other[:2]))
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_any_number_of_planners_can_be_drawn(count: int) -> None:
+    for figure in data_set_figures("d", [run(f"planner-{index}", index % 12) for index in range(count)]):
+        assert imread(io.BytesIO(figure.png))[..., :3].std() > 0.02
+        ElementTree.fromstring(figure.svg)
+
+
+def test_names_from_strangers_are_only_text() -> None:
+    for figure in data_set_figures("$d_{", [run(name, 2) for name in HOSTILE]):
+        assert b"<script" not in figure.svg
+        ElementTree.fromstring(figure.svg)

@@ -1,0 +1,263 @@
+"""The site's files: an index that says what the records say, the same bytes, and nobody else's folder touched."""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, write_bytes
+from benchmark.records.run import RunRecord, find_records, scene_failures
+from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
+from benchmark.report.table import Table
+from leaderboard.build import stale_files, write_leaderboard
+from leaderboard.figures.charts import NamedFigure
+from leaderboard.site.index_data import PlacedTable, index_data
+from leaderboard.site.scene_index import label_words, scene_index
+from leaderboard.site.scripts import data_script
+from leaderboard.site.site import INDEX_PATH, site_files
+from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
+
+ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
+FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>")
+
+
+@dataclass(frozen=True)
+class Made:
+    """A small workspace with hostile names, as it is read."""
+
+    workspace: BigWorkspace
+    records: list[RunRecord]
+    sheets: Sheets
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    out = tmp_path_factory.mktemp("made")
+    workspace = make_workspace(out, scenes=6, models=3, samples=6)
+    return Made(workspace, find_records(out / "runs"), find_sheets(out / "sheets"))
+
+
+@pytest.fixture(autouse=True)
+def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures have tests of their own and take most of the time."""
+    monkeypatch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
+    monkeypatch.setattr("leaderboard.build.heat_map", lambda matrix, suffix: b"png")
+
+
+@pytest.fixture(scope="module")
+def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A written leaderboard."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
+        patch.setattr("leaderboard.build.heat_map", lambda matrix, suffix: b"png")
+        found = tmp_path_factory.mktemp("board")
+        write_leaderboard(made.records, found, sheets=made.sheets)
+        yield found
+
+
+def value_of(script: bytes) -> Any:
+    """What a browser takes a data script for: the text of the JavaScript string, parsed as JSON."""
+    found = re.fullmatch(r"\"use strict\";\n.* = JSON\.parse\('((?:[^'\\\n]|\\.)*)'\);\n", script.decode("ascii"))
+    assert found is not None
+    meant = {"\\\\": "\\", "\\'": "'", "\\x3c": "<"}
+    return json.loads(re.sub(r"\\x3c|\\.", lambda escape: meant[escape[0]], found[1]))
+
+
+@given(value=st.recursive(st.none() | st.booleans() | st.integers() | st.text(), lambda inner: st.lists(inner)))
+@settings(deadline=None)
+def test_a_script_says_any_value_and_nothing_else(value: Any) -> None:
+    script = data_script("window.X", value)
+    assert value_of(script) == value
+    assert b"<" not in script
+
+
+def test_names_with_a_meaning_in_javascript_stay_names() -> None:
+    value = {"__proto__": {"constructor": "</script><script>alert(1)</script>", "\u2028": 'it\'s \\ "quoted"'}}
+    assert value_of(data_script("window.X", value)) == value
+
+
+def test_scenes_fail_in_the_index_as_in_the_records(made: Made, folder: Path) -> None:
+    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+    scenes = {(scene["split"], scene["scene"]): scene for scene in index["scenes"]}
+    assert {name for _, name in scenes} == set(made.workspace.scenes)
+    for record in made.records:
+        for protocol in record.summary.protocols:
+            for scene, failed in scene_failures(record.rows, protocol).items():
+                assert scenes[record.run.split, scene]["verdicts"][record.planner][protocol] is failed
+        for scene in record.run.scenes:
+            rows = [row for row in record.rows if row.scene == scene]
+            causes = Counter(row.diagnosis.cause for row in rows if row.diagnosis is not None)
+            assert scenes[record.run.split, scene]["causes"].get(record.planner, {}) == causes
+            failed_samples = sum(row.status == "failed" for row in rows)
+            assert scenes[record.run.split, scene]["failed"].get(record.planner, 0) == failed_samples
+    assert {model["name"] for model in index["models"]} == set(made.workspace.planners)
+    assert IMAGE_TAG in made.workspace.planners
+
+
+def test_every_scene_has_its_files_and_one_without_a_sheet_says_so(made: Made, folder: Path) -> None:
+    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+    for scene in index["scenes"]:
+        assert scene["key"] == content_key(DATA_NAME, scene["split"], scene["scene"])[:16]
+        assert (folder / "site" / "data" / "scenes" / f"{scene['key']}.js").is_file()
+        assert scene["hasSheet"] is (scene["scene"] != made.workspace.without_sheet)
+        assert (scene["thumb"] is not None) is scene["hasSheet"]
+        assert scene["thumb"] is None or (folder / "site" / scene["thumb"]).is_file()
+
+
+def test_a_number_leads_to_its_count_interval_protocol_and_record(made: Made, folder: Path) -> None:
+    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+    (table,) = [table for table in index["tables"] if table["id"].endswith("-collision-exact")]
+    average = table["columns"].index("col. avg")
+    known = {f"{record.content_id} {record.planner} on {record.run.split}": record for record in made.records}
+    for row, cells in zip(table["rows"], table["cells"], strict=True):
+        unit, counted, protocol, who, source = index["origins"][cells[average]["record"]]
+        assert [index["words"][place] for place in (unit, counted, protocol)] == ["%", "samples", "exact"]
+        assert source == -1
+        record = known[index["words"][who]]
+        rate = record.summary.protocols["exact"].columns["collision"]["avg"]
+        assert row[0].startswith(record.planner) and row[1] == record.run.split
+        assert cells[average]["n"] == rate.denominator
+        assert cells[average].get("low") == (None if rate.low is None else pytest.approx(100 * rate.low, rel=1e-3))
+
+
+def test_what_pages_link_and_show_is_in_the_folder(folder: Path) -> None:
+    site = folder / "site"
+    index = value_of((site / INDEX_PATH).read_bytes())
+    assert {"csv", "tex", "json"} == set(index["tables"][0]["files"])
+    paths = [path for table in index["tables"] for path in table["files"].values()]
+    for path in [*paths, *(figure["path"] for figure in index["figures"])]:
+        assert (site / unquote(path)).read_bytes() == (folder / unquote(path)).read_bytes()
+    assert any(figure["title"] == "Rates" for figure in index["figures"])
+    page = (site / "index.html").read_text()
+    scripts = set(re.findall(r'(?:src|href)="([a-z_/]+\.(?:js|css))"', page))
+    assert scripts == {path.name for path in ASSETS.iterdir() if path.suffix != ".html"} | {INDEX_PATH}
+    assert "default-src 'none'" in page
+    assert "site/index.html" in (folder / "README.md").read_text()
+
+
+@pytest.mark.parametrize("path", sorted(ASSETS.iterdir()), ids=lambda path: path.name)
+def test_pages_ask_nobody_and_make_no_code_of_texts(path: Path) -> None:
+    text = path.read_text().replace("http://www.w3.org/2000/svg", "")
+    for forbidden in ("http:", "https:", "innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval("):
+        assert forbidden not in text
+
+
+def test_the_order_of_records_changes_no_byte(made: Made, folder: Path, tmp_path: Path) -> None:
+    write_leaderboard(made.records[::-1], tmp_path, sheets=made.sheets)
+    for path in sorted((folder / "site").rglob("*")):
+        assert path.is_dir() or (tmp_path / path.relative_to(folder)).read_bytes() == path.read_bytes()
+
+
+def test_a_changed_missing_or_foreign_file_makes_the_site_stale_until_written_again(
+    made: Made, folder: Path, tmp_path: Path
+) -> None:
+    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
+    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    site = tmp_path / "site"
+    pictures = sorted(site.glob("media/*/cameras/*.webp"))
+    pictures[0].write_bytes(b"other")
+    (site / "app.js").unlink()
+    write_bytes(site / "media" / "gone" / "thumb.webp", b"old")
+    assert sorted(sentence.removeprefix(f"{site}/") for sentence in stale_files(
+        made.records, tmp_path, sheets=made.sheets
+    )) == sorted([
+        "app.js is missing",
+        f"{pictures[0].relative_to(site)} differs from what the run records say",
+        "media/gone/thumb.webp is a file that the run records no longer give",
+    ])  # fmt: skip
+    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
+    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+
+
+def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Path) -> None:
+    write_bytes(tmp_path / "site" / "index.html", b"mine")
+    with pytest.raises(InputError, match="--no-site"):
+        write_leaderboard(made.records, tmp_path, sheets=made.sheets)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["index.html"]
+    write_leaderboard(made.records, tmp_path, sheets=made.sheets, site=False)
+    assert (tmp_path / "site" / "index.html").read_bytes() == b"mine"
+    assert "site/index.html" not in (tmp_path / "README.md").read_text()
+    assert stale_files(made.records, tmp_path, sheets=made.sheets, site=False) == []
+
+
+def test_a_sheet_of_other_content_is_refused(made: Made) -> None:
+    name, stored = next(iter(made.sheets.scenes.items()))
+    data = stored.sheet.data.model_copy(update={"fingerprint": "other"})
+    other = StoredSheet(stored.directory, stored.sheet.model_copy(update={"data": data}), None)
+    with pytest.raises(InputError, match="challenger-bench sheets again"):
+        scene_index(made.records, Sheets(made.sheets.splits, {name: other}), (), frozenset())
+
+
+def test_a_site_of_sheets_alone_and_of_nothing() -> None:
+    empty = value_of(bytes(site_files([], [], [], NO_SHEETS)[INDEX_PATH]))
+    assert (empty["tables"], empty["models"], empty["scenes"], empty["attempts"]) == ([], [], [], [])
+
+
+def test_attempts_say_why_vehicles_were_discarded(made: Made, folder: Path) -> None:
+    attempts = value_of((folder / "site" / INDEX_PATH).read_bytes())["attempts"]
+    sheet = made.sheets.splits[DATA_NAME, "adv"]
+    assert [attempt.get("reason") for attempt in attempts] == [attempt.discarded for attempt in sheet.attempts]
+    keys = {attempt["scene"]: attempt["key"] for attempt in attempts if "scene" in attempt}
+    assert keys == {name: content_key(DATA_NAME, "adv", name)[:16] for name in keys}
+
+
+def test_tables_have_names_of_their_own_whatever_data_sets_are_called() -> None:
+    placed = [
+        PlacedTable(Table(name, "", ("a",), ()), data, "", "x")
+        for data, name in (("a", "b-c"), ("a-b", "c"), ("", "p"))
+    ]
+    ids = [table["id"] for table in index_data([], placed, [], NO_SHEETS, [], frozenset())["tables"]]
+    assert ids == ["a-b-c", "a-b-c~2", "p"]
+
+
+def test_settings_that_are_no_numbers_of_json_are_shown_as_text(made: Made) -> None:
+    record = made.records[0]
+    planner = record.run.planner.model_copy(update={"settings": {"gain": float("nan"), "file": "a'b"}})
+    odd = replace(record, run=record.run.model_copy(update={"planner": planner}))
+    index = index_data([odd], [], [], NO_SHEETS, [], frozenset())
+    assert index["models"][0]["facts"]["settings"] == {"gain": "NaN", "file": "a'b"}
+    data_script("window.X", index)
+
+
+@given(
+    label=st.dictionaries(
+        st.sampled_from(["manoeuvre", "place", "closest_approach", "occurred", "other"]),
+        st.recursive(
+            st.none() | st.text(max_size=5) | st.floats(allow_nan=False),
+            lambda inner: (
+                st.lists(inner, max_size=2)
+                | st.dictionaries(st.sampled_from(["gap_m", "side", "time_s", "kind"]), inner, max_size=3)
+            ),
+            max_leaves=6,
+        ),
+    )
+)
+@settings(deadline=None)
+def test_any_labels_have_words(label: dict[str, Any]) -> None:
+    assert isinstance(label_words(label), str)
+
+
+def test_labels_in_words() -> None:
+    label = {
+        "manoeuvre": "cut-in-left",
+        "place": "straight",
+        "closest_approach": {"gap_m": 0.4, "side": "left", "time_s": 9.25},
+        "occurred": [{"kind": "cut-in-left"}, {"kind": "blocking"}, {"kind": "blocking"}],
+    }
+    assert label_words(label) == "cut-in-left; on: straight; closest 0.40 m, left, at 9.2 s; also blocking"
+
+
+def test_the_index_stays_small(made: Made) -> None:
+    """150 scenes and 10 planners have to stay below 2 MB with all tables."""
+    scenes = scene_index(made.records, made.sheets, (), frozenset())
+    each = len(data_script("window.X", scenes)) / (len(scenes) * len(made.workspace.planners))
+    assert each < 600

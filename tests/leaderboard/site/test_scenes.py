@@ -1,0 +1,328 @@
+"""Scripts and pictures of scenes in the site: what the player draws is what the records and sheets say."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, to_global
+from benchmark.planning import Plan, PlanFrame
+from benchmark.protocols.exact import ego_boxes
+from benchmark.records.run import OutcomeRow, RunRecord, SampleRow, find_records
+from benchmark.records.run_schema import DiagnosisRow, ForecastRow, PlanRow
+from benchmark.records.scenes import NO_SHEETS, SheetMap, Sheets, find_sheets, picture_name
+from leaderboard.site.packing import CENTIMETRE, packed, packed_path
+from leaderboard.site.scene_data import scene_files
+from leaderboard.site.scene_index import scene_key
+from leaderboard.site.scene_plans import COUNTED, FORECASTS_SHOWN, MODES_SHOWN, sample_entry
+from leaderboard.site.thumbnails import THUMBNAIL_PX, closest_frame, thumbnail
+from tests.leaderboard.site.big_workspace import DATA_NAME, BigWorkspace, make_workspace
+
+AHEAD_M = 0.94
+POSE = np.array([40.0, -12.0, 0.7])
+WAYPOINTS = np.array([[0.1, 2.0], [0.3, 4.2], [0.7, 6.5], [1.3, 8.8], [2.1, 11.0], [3.0, 13.1]])
+
+
+def unpacked(steps: Sequence[int | None], count: int, unit: float) -> list[float | None]:
+    """What player_data.js does."""
+    now, values = 0, []
+    for step in [*steps, *[0] * (count - len(steps))]:
+        now += step or 0
+        values.append(None if step is None else now * unit)
+    return values
+
+
+def path_of(steps: Sequence[int], unit: float = CENTIMETRE, start: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    first = np.rint(np.array(start) / unit)
+    return np.asarray((np.cumsum(np.array(steps, np.float64).reshape(-1, 2), axis=0) + first) * unit)
+
+
+def value_of(script: bytes | Path) -> dict[str, Any]:
+    """The object in a scene's script."""
+    assert isinstance(script, bytes)
+    text = script.decode("ascii")
+    literal = re.search(r"JSON\.parse\('(.*)'\);\n$", text, re.DOTALL)
+    assert literal
+    found = json.loads(re.sub(r"\\(x3c|.)", lambda match: "<" if match[1] == "x3c" else match[1], literal[1]))
+    assert isinstance(found, dict)
+    return found
+
+
+def row_of(plan: PlanRow | None, **changes: Any) -> SampleRow:
+    facts: dict[str, Any] = {
+        "scene": "s",
+        "sample_token": "t",
+        "index": 0,
+        "timestamp_us": 0,
+        "status": "failed" if plan is None else "ok",
+        "command": 2,
+        "ego_motion": "can_bus",
+        "lidar_ahead_m": AHEAD_M,
+        "complete": True,
+        "recorded_future": [None] * 6,
+        "plan": plan,
+        "error": None,
+        "outcomes": {},
+    }
+    return SampleRow(**{**facts, **changes})
+
+
+def outcome(collision: str, *, counted: bool = True) -> OutcomeRow:
+    hits = [step == "x" for step in collision]
+    return OutcomeRow(collision=hits, l2=[0.123] * 5 + [None], counted=counted, steps={}, facts={})
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> BigWorkspace:
+    return make_workspace(tmp_path_factory.mktemp("made"), scenes=6, models=3, samples=12)
+
+
+@pytest.fixture(scope="module")
+def records(made: BigWorkspace) -> list[RunRecord]:
+    return find_records(made.out / "runs")
+
+
+@pytest.fixture(scope="module")
+def sheets(made: BigWorkspace) -> Sheets:
+    return find_sheets(made.out / "sheets")
+
+
+@pytest.fixture(scope="module")
+def files(sheets: Sheets, records: list[RunRecord]) -> Mapping[str, bytes | Path]:
+    return scene_files(sheets, records)
+
+
+@given(st.lists(st.one_of(st.none(), st.floats(-1e5, 1e5)), max_size=30))
+def test_packed_numbers_come_back(values: list[float | None]) -> None:
+    steps = packed(values, CENTIMETRE)
+    assert not steps or steps[-1] != 0
+    for value, back in zip(values, unpacked(steps, len(values), CENTIMETRE), strict=True):
+        assert back == pytest.approx(value, abs=CENTIMETRE) if value is not None else back is None
+
+
+def test_rounding_errors_of_a_path_do_not_add_up() -> None:
+    path = np.column_stack([np.arange(500) * 0.0149, np.zeros(500)])
+    assert np.abs(path_of(packed_path(path, CENTIMETRE)) - path).max() <= CENTIMETRE / 2 + 1e-9
+
+
+@pytest.mark.parametrize("frame", ["lidar", "ego"])
+def test_a_plan_is_where_exact_judges_it(frame: str) -> None:
+    given_plan = WAYPOINTS if frame == "lidar" else np.column_stack([WAYPOINTS[:, 1], -WAYPOINTS[:, 0]])
+    plan = PlanRow(frame="lidar" if frame == "lidar" else "ego", waypoints=given_plan.tolist())
+    entry = sample_entry(row_of(plan), POSE, [], {})
+    in_lidar = Plan(given_plan, PlanFrame(frame)).waypoints_in_lidar(AHEAD_M)
+    lidar = np.array([*to_global(np.array([AHEAD_M, 0.0]), POSE), POSE[2] - np.pi / 2])
+    assert path_of(entry["path"]) == pytest.approx(np.vstack([lidar[:2], to_global(in_lidar, lidar)]), abs=0.006)
+    judged = ego_boxes(in_lidar)[4::5, 4] + lidar[2]
+    assert np.cumsum(entry["yaw"]) / 1000 == pytest.approx(judged, abs=0.001)
+
+
+def test_modes_are_the_likeliest_and_not_the_plan() -> None:
+    modes = [(WAYPOINTS + [index, 0.0]).tolist() for index in range(30)]
+    scores = [index / 30 for index in range(30)]
+    plan = PlanRow(frame="lidar", waypoints=modes[29], modes=modes, mode_scores=scores)
+    flat = np.array([0.0, 0.0, 0.0])
+    entry = sample_entry(row_of(plan), flat, [], {})
+    ends = [path_of(mode, start=(AHEAD_M, 0.0))[-1] for mode in entry["modes"]]
+    expected = [[WAYPOINTS[-1, 1] + AHEAD_M, -(WAYPOINTS[-1, 0] + index)] for index in range(28, 28 - MODES_SHOWN, -1)]
+    assert np.array(ends) == pytest.approx(np.array(expected), abs=0.01)
+
+
+def test_forecasts_are_the_nearest_and_those_that_stand_have_no_path() -> None:
+    boxes = [[0.0, float(distance), 4.0, 2.0, np.pi / 2] for distance in range(60, 10, -2)]
+    still = np.tile(np.array(boxes)[:, None, None, :2], (1, 2, 6, 1))
+    moving = still + np.array([0.0, 1.0]) * np.arange(1, 7)[:, None]
+    paths = np.where(np.array([index % 2 for index in range(25)])[:, None, None, None] == 1, moving, still)
+    paths[:, 1] += 50.0
+    forecasts = ForecastRow(boxes=boxes, trajectories=paths.tolist(), scores=[[0.9, 0.1]] * 25)
+    plan = PlanRow(frame="lidar", waypoints=WAYPOINTS.tolist(), forecasts=forecasts)
+    shown = sample_entry(row_of(plan), np.zeros(3), [], {})["forecasts"]
+    assert [box[0] / 10 for box in shown] == pytest.approx(
+        [12 + 2 * index + AHEAD_M for index in range(FORECASTS_SHOWN)], abs=0.051
+    )
+    assert {(box[1], box[2], box[3], box[4]) for box in shown} == {(0, 40, 20, 0)}
+    assert [len(box) for box in shown] == [6 if index % 2 else 5 for index in range(24, 24 - FORECASTS_SHOWN, -1)]
+    moved = next(box for box in shown if len(box) == 6)
+    assert path_of(moved[5], 0.1, (moved[0] / 10, moved[1] / 10))[-1, 0] == pytest.approx(moved[0] / 10 + 6, abs=0.11)
+
+
+def test_verdicts_contacts_and_causes() -> None:
+    plan = PlanRow(frame="lidar", waypoints=WAYPOINTS.tolist())
+    row = row_of(
+        plan,
+        outcomes={"exact": outcome("...xx."), "uniad": outcome("....x.", counted=False), "vad": outcome("......")},
+        diagnosis=DiagnosisRow(cause="misplanning", reason="no forecast near", hit="b", first_contact_s=1.8),
+    )
+    entry = sample_entry(row, POSE, ["exact", "uniad", "vad", "sparsedrive"], {"a": 0, "b": 1})
+    assert entry["verdicts"] == [COUNTED + 0b011000, 0b010000, COUNTED, None]
+    assert entry["contact"] == [1.8, 2.5, None, None]
+    assert (entry["cause"], entry["reason"], entry["hit"]) == ("misplanning", "no forecast near", 1)
+    assert entry["l2"] == [0.12] * 5 + [None]
+    gone = sample_entry(row, POSE, ["exact"], {})
+    assert "hit" not in gone
+
+
+def test_a_failure_is_its_last_line_and_no_plan() -> None:
+    error = "Traceback\n  File x\nValueError: <b>no</b>\n"
+    assert sample_entry(row_of(None, error=error), POSE, ["exact"], {}) == {"failed": "ValueError: <b>no</b>"}
+    assert sample_entry(row_of(None, error=None), POSE, [], {}) == {"failed": "no reason was recorded"}
+
+
+def test_a_plan_with_lists_of_wrong_lengths_is_named() -> None:
+    forecasts = ForecastRow(boxes=[[0.0] * 5], trajectories=[[[[0.0, 0.0]]]], scores=[[1.0]])
+    plan = PlanRow(frame="lidar", waypoints=WAYPOINTS.tolist(), forecasts=forecasts)
+    with pytest.raises(InputError, match="sample 0"):
+        sample_entry(row_of(plan), POSE, [], {})
+
+
+def test_every_scene_has_a_script_that_says_what_sheet_and_records_say(
+    made: BigWorkspace, records: list[RunRecord], sheets: Sheets, files: Mapping[str, bytes | Path]
+) -> None:
+    scripts = {path: value_of(content) for path, content in files.items() if path.startswith("data/")}
+    assert len(scripts) == len(made.scenes)
+    for path, value in scripts.items():
+        key = scene_key((value["data"], value["split"], value["scene"]))
+        assert (path, value["key"]) == (f"data/scenes/{key}.js", key)
+        stored = sheets.scenes.get((value["data"], value["split"], value["scene"]))
+        assert value["hasSheet"] == (stored is not None)
+        assert [model["name"] for model in value["models"]] == sorted(made.planners)
+        rows = {
+            record.planner: [row for row in record.rows if row.scene == value["scene"]]
+            for record in records
+            if record.run.split == value["split"]
+        }
+        for model in value["models"]:
+            for row, entry in zip(rows[model["name"]], model["samples"], strict=True):
+                assert ("failed" in entry) == (row.status == "failed")
+                if row.status == "ok":
+                    bits = entry["verdicts"][value["protocols"].index("exact")]
+                    hits = [bool(bits >> step & 1) for step in range(6)]
+                    assert (hits, bits >= COUNTED) == (row.outcomes["exact"].collision, row.outcomes["exact"].counted)
+        if stored is not None:
+            assert [sample["frame"] for sample in value["samples"]] == list(stored.sheet.keyframes)
+            assert [sample["command"] for sample in value["samples"]] == [row.command for row in rows[made.planners[1]]]
+            for agent, drawn in zip(stored.sheet.agents, value["agents"], strict=True):
+                assert unpacked(drawn["x"], drawn["count"], CENTIMETRE) == pytest.approx(agent.x_m, abs=0.006)
+
+
+def test_a_scene_without_a_sheet_is_in_the_frame_of_the_ego(
+    made: BigWorkspace, records: list[RunRecord], files: Mapping[str, bytes | Path]
+) -> None:
+    key = scene_key((DATA_NAME, "val", made.without_sheet))
+    value = value_of(files[f"data/scenes/{key}.js"])
+    assert (value["ego"], value["agents"], value["pictures"], value["origin"]) == (None, [], [], None)
+    assert not [path for path in files if path.startswith(f"media/{key}/")]
+    record = next(found for found in records if found.run.split == "val")
+    rows = [row for row in record.rows if row.scene == made.without_sheet]
+    assert value["frames"] == pytest.approx([0.5 * index for index in range(len(rows))])
+    first = rows[0].recorded_future[0]
+    assert first is not None
+    way = path_of(value["recorded"][0])
+    assert way[0] == pytest.approx([first[1] + rows[0].lidar_ahead_m, -first[0]], abs=0.006)
+    assert path_of(value["models"][1]["samples"][0]["path"])[0] == pytest.approx(
+        [rows[0].lidar_ahead_m, 0.0], abs=0.006
+    )
+    assert len(way) == 6
+    assert value["recorded"][-1] == []
+
+
+def test_pictures_are_copied_and_thumbnails_drawn(sheets: Sheets, files: Mapping[str, bytes | Path]) -> None:
+    for name, stored in sheets.scenes.items():
+        key = scene_key(name)
+        for frame in stored.sheet.pictures:
+            assert files[f"media/{key}/{picture_name(frame)}"] == stored.picture_path(frame)
+        thumb = files[f"media/{key}/thumb.webp"]
+        assert isinstance(thumb, bytes)
+        assert cv2.imdecode(np.frombuffer(thumb, np.uint8), cv2.IMREAD_COLOR).shape == (THUMBNAIL_PX, THUMBNAIL_PX, 3)
+
+
+def test_the_thumbnail_shows_the_closest_approach(sheets: Sheets) -> None:
+    sheet = next(stored.sheet for (_, split, _), stored in sheets.scenes.items() if split == "adv")
+    frame = closest_frame(sheet)
+    adversary = next(agent for agent in sheet.agents if agent.adversary)
+
+    def apart(at: int) -> float:
+        x, y = adversary.x_m[at - adversary.first], adversary.y_m[at - adversary.first]
+        return np.inf if x is None or y is None else float(np.hypot(x - sheet.ego.x_m[at], y - sheet.ego.y_m[at]))
+
+    assert apart(frame) < min(map(apart, range(adversary.first, len(sheet.timestamps_us)))) + 2.0
+    nobody = sheet.model_copy(update={"agents": ()})
+    assert closest_frame(nobody) == len(sheet.timestamps_us) // 2
+    assert thumbnail(sheet) == thumbnail(sheet)
+
+
+def test_same_records_same_bytes_in_any_order(
+    sheets: Sheets, records: list[RunRecord], files: Mapping[str, bytes | Path]
+) -> None:
+    again = scene_files(replace(sheets, scenes=dict(list(sheets.scenes.items())[::-1])), records[::-1])
+    assert again == files
+    assert list(again) == list(files)
+
+
+def test_scripts_are_small_and_hold_no_markup(made: BigWorkspace, files: Mapping[str, bytes | Path]) -> None:
+    for path, content in files.items():
+        if path.startswith("data/"):
+            assert isinstance(content, bytes)
+            assert b"<" not in content
+            # 500 KB for 10 planners and 40 samples, less what 30 agents and the map need once.
+            assert len(content) < 100_000 + 400_000 * len(made.planners) * 12 / 400
+
+
+def test_a_sheet_that_lacks_a_sample_is_refused(sheets: Sheets, records: list[RunRecord]) -> None:
+    name, stored = next((name, stored) for name, stored in sheets.scenes.items() if name[1] == "adv")
+    tokens = tuple(f"other {token}" for token in stored.sheet.sample_tokens)
+    other = replace(stored, sheet=stored.sheet.model_copy(update={"sample_tokens": tokens}))
+    with pytest.raises(InputError, match="challenger-bench sheets"):
+        scene_files(Sheets({}, {name: other}), records)
+
+
+def test_a_sheet_with_lists_of_different_lengths_is_refused(sheets: Sheets) -> None:
+    name, stored = next(iter(sheets.scenes.items()))
+    for changes in (
+        {"timestamps_us": stored.sheet.timestamps_us[:-1]},
+        {"sample_tokens": stored.sheet.sample_tokens[:-1]},
+        {"keyframes": (*stored.sheet.keyframes[:-1], 10_000)},
+    ):
+        cut = replace(stored, sheet=stored.sheet.model_copy(update=changes))
+        with pytest.raises(InputError, match="different lengths"):
+            scene_files(Sheets({}, {name: cut}), [])
+
+
+def test_an_empty_scene_and_one_with_nobody_in_it(sheets: Sheets) -> None:
+    name, stored = next(iter(sheets.scenes.items()))
+    nobody = stored.sheet.model_copy(update={"agents": (), "pictures": (), "cameras": (), "road": SheetMap()})
+    nothing = {"x_m": (), "y_m": (), "yaw_rad": ()}
+    empty = nobody.model_copy(
+        update={
+            "timestamps_us": (),
+            "keyframes": (),
+            "sample_tokens": (),
+            "ego": nobody.ego.model_copy(update=nothing),
+        }
+    )
+    for sheet, count in ((nobody, len(nobody.keyframes)), (empty, 0)):
+        files = scene_files(Sheets({}, {name: replace(stored, sheet=sheet)}), [])
+        value = value_of(files[f"data/scenes/{scene_key(name)}.js"])
+        assert (len(value["samples"]), value["agents"]) == (count, [])
+        assert (f"media/{scene_key(name)}/thumb.webp" in files) == (count > 0)
+
+
+def test_nothing_is_made_of_nothing() -> None:
+    assert scene_files(NO_SHEETS, []) == {}
+
+
+def test_a_sheet_alone_is_a_scene(sheets: Sheets) -> None:
+    files = scene_files(sheets, [])
+    values = [value_of(content) for path, content in files.items() if path.startswith("data/")]
+    assert len(values) == len(sheets.scenes)
+    assert all(value["models"] == [] and value["protocols"] == [] for value in values)
+    assert {sample["command"] for value in values for sample in value["samples"]} == {None}

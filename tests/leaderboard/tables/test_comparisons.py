@@ -1,0 +1,196 @@
+"""Tables of several protocols, splits and planners: whose numbers they are, what is left out and why."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from benchmark.metrics.transfer import transfer
+from benchmark.records.run import RunRecord
+from benchmark.report.cells import UNDEFINED
+from benchmark.report.table import Table
+from leaderboard.tables.collision import FEW_NOTE, collision_table, increase_over, native_table
+from leaderboard.tables.comparisons import planner_table, split_table
+from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.published import INCREASE, TABLE_1
+from leaderboard.tables.transfer import agreement_table, transfer_table
+from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
+
+ALL = ("exact", "uniad", "vad")
+VAL = {"s0": [HIT, CLEAN], "s1": [CLEAN, CLEAN], "s2": [LATE, CLEAN]}
+ADV = {"s0-1": [HIT, HIT], "s0-2": [HIT, CLEAN], "s1-1": [LATE, CLEAN], "lost-1": [HIT, HIT]}
+
+
+def column(table: Table, head: str) -> list[str]:
+    return [row[table.columns.index(head)] for row in table.rows]
+
+
+def cells(table: Table, **wanted: str) -> dict[str, str]:
+    (row,) = [
+        row for row in table.rows if all(row[table.columns.index(head)] == value for head, value in wanted.items())
+    ]
+    return dict(zip(table.columns, row))
+
+
+def pair(planner: str = "p", native: str | None = None) -> list[RunRecord]:
+    return [
+        hand_made(planner, VAL, split="val", protocols=ALL, native=native),
+        hand_made(planner, ADV, protocols=ALL, native=native),
+    ]
+
+
+@pytest.mark.parametrize("model", INCREASE)
+def test_the_printed_increases_follow_from_the_printed_averages(model: str) -> None:
+    average = {rate.data_set: float(rate.percent[3]) for rate in TABLE_1 if rate.model == model}
+    increase = increase_over(average["nuScenes-val"], average["Adv-nuSc"])
+    assert increase is not None and f"{increase:.1f}" == INCREASE[model]
+
+
+def test_every_planner_under_its_own_protocol_and_the_others_apart() -> None:
+    records = [*pair("a", "vad"), *pair("b", "uniad"), *pair("c"), *pair("d", "sparsedrive")]
+    table = native_table("d", records)
+    assert column(table, "protocol") == ["vad", "vad", "uniad", "uniad", "exact", "exact"]
+    assert column(table, "planner") == ["a", "a", "b", "b", "c", "c"]
+    # Late contact: all of UniAD's value at 3 s, a sixth of VAD's mean over the steps.
+    assert cells(table, planner="a", split="val")["col. 3s"] == f"{100 * (1 + 1 / 6) / 6:.2f}"
+    assert cells(table, planner="b", split="val")["col. 3s"] == f"{100 * 2 / 6:.2f}"
+    assert cells(table, planner="c", split="adv")["avg before mask"] == UNDEFINED
+    assert cells(table, planner="b", split="adv")["steps masked"] == "0"
+    assert any(
+        "d on val: no verdicts under protocol sparsedrive; run challenger-bench rescore." in note
+        for note in table.notes
+    )
+
+
+def test_numbers_of_an_earlier_version_are_marked() -> None:
+    old = hand_made("p", VAL, split="val", versions={"exact": 0})
+    table = collision_table("d", "exact", [old, hand_made("p", ADV)])
+    assert column(table, "planner") == ["p ‡", "p"]
+    assert any("‡ p on val: judged by version 0 of protocol exact, now" in note for note in table.notes)
+    changes = split_table("d", "exact", [old, hand_made("p", ADV)])
+    assert changes is not None and changes.rows == ()
+    assert any("Left out: p on val of d was judged by version 0" in note for note in changes.notes)
+
+
+def test_an_increase_needs_whole_splits_and_one_definition() -> None:
+    def increases(val: RunRecord, adv: RunRecord) -> set[str]:
+        tables = collision_table("d", "exact", [val, adv]), native_table("d", [val, adv])
+        return {cells(table, split="adv")["increase"] for table in tables}
+
+    val, adv = pair(native="vad")
+    assert all(increase.endswith("×") for increase in increases(val, adv))
+    part = hand_made("p", VAL, split="val", protocols=ALL, native="vad", scenes_in_split=9)
+    older = hand_made("p", VAL, split="val", protocols=ALL, native="vad", versions={"exact": 0, "vad": 0})
+    assert increases(part, adv) == increases(older, adv) == {UNDEFINED}
+    assert increases(val, hand_made("p", ADV, protocols=ALL, scenes_in_split=9)) == {UNDEFINED}
+    others = hand_made("p", VAL, split="val", protocols=ALL, native="uniad")
+    assert cells(native_table("d", [others, adv]), split="adv")["increase"] == UNDEFINED
+
+
+def test_records_that_lack_a_protocol_are_named_and_in_no_matrix() -> None:
+    records = [*pair("a"), *pair("b"), hand_made("c", ADV, protocols=("exact",))]
+    found = data_set_tables("d", records)
+    assert any(note.startswith("c on adv: not judged by uniad, vad,") for note in found.notes)
+    by_name = {table.name: table for table in found.tables}
+    assert "c" in by_name["transfer-adv-exact"].columns and "c" not in by_name["transfer-adv-vad"].columns
+    assert any(
+        "Left out: c on adv of d was not judged by protocol 'vad'" in n for n in by_name["transfer-adv-vad"].notes
+    )
+
+
+def test_exact_and_native_come_first_and_others_have_tables_of_their_own() -> None:
+    found = data_set_tables("d", [*pair("a", "vad"), *pair("b", "uniad")])
+    names = [table.name for table in found.front]
+    assert names[:4] == ["collision-exact", "collision-native", "changes-exact", "changes-native"]
+    assert "planners-adv-exact" in names and "planners-adv-native" not in names
+    assert list(found.others) == ["uniad", "vad"]
+    assert [tables[0].name for tables in found.others.values()] == ["collision-uniad", "collision-vad"]
+    assert sorted(found.matrices) == [
+        f"transfer-{split}-{name}" for split in ("adv", "val") for name in ("exact", "native")
+    ]
+    every = [table.name for table in found.tables]
+    assert len(every) == len(set(every))
+
+
+def test_changes_show_the_papers_increase_and_the_paired_difference() -> None:
+    rendered = hand_made("p", VAL, split="val-r", protocols=ALL, sources={name: name for name in VAL})
+    table = split_table("d", "exact", [*pair(), rendered])
+    assert table is not None
+    assert column(table, "splits") == ["val → adv", "val-r → adv", "val → val-r"]
+    row = cells(table, splits="val → adv")
+    val, adv = (1 + 1 / 3) / 6, (1 + 1 + 1 + 1 / 3 + 1 + 1) / 8
+    assert row["from (%)"] == f"{100 * val:.2f}" and row["to (%)"] == f"{100 * adv:.2f}"
+    assert row["increase"] == f"{(adv - val) / val:.1f}×"
+    paired = (3 + 1 / 3) / 6 - 1 / 4
+    assert row["paired difference (points)"] == f"+{100 * paired:.2f}"
+    assert (row["scenes paired"], row["not paired"]) == ("2", "2")
+    assert {"val → adv: 1 scenes only in val (s2).", "val → adv: 1 scenes only in adv (lost-1)."} <= set(table.notes)
+    same = cells(table, splits="val → val-r")
+    assert (same["increase"], same["paired difference (points)"]) == ("0.0×", "0.00")
+
+
+def test_runs_of_a_part_are_in_no_comparison_and_named() -> None:
+    part = hand_made("p", ADV, scenes_in_split=9)
+    assert split_table("d", "exact", [pair()[0], part]) is None
+    table = planner_table("d", "adv", "exact", [*pair("a"), *pair("b"), part])
+    assert table is not None and column(table, "first") == ["a"] and column(table, "second") == ["b"]
+    assert any("p on adv: 4 of 9 scenes of the split." in note for note in table.notes)
+
+
+def test_coverage_below_100_is_said() -> None:
+    failing = hand_made("p", {"s0": [HIT, FAILED], "s1": [CLEAN, CLEAN]})
+    table = collision_table("d", "exact", [failing])
+    assert column(table, "coverage") == ["75.0"]
+    assert any("p on adv: 1 samples failed. The rates cover 75.0 % of 4 samples." in note for note in table.notes)
+    other = hand_made("q", {"s0": [HIT, HIT], "s1": [CLEAN, CLEAN]})
+    compared = planner_table("d", "adv", "exact", [failing, other])
+    assert compared is not None
+    assert (column(compared, "samples"), column(compared, "failed samples")) == (["3"], ["1"])
+
+
+def test_planners_that_are_the_same_differ_by_nothing() -> None:
+    table = planner_table("d", "adv", "vad", [*pair("a"), *pair("b")])
+    assert table is not None
+    assert column(table, "second − first (points)") == ["0.00"]
+    agreement = agreement_table("d", transfer([pair("a")[0], pair("b")[0]], protocol="vad"))
+    assert (column(agreement, "φ"), column(agreement, "lift")) == (["1.00"], ["1.50"])
+
+
+def test_native_transfer_says_whose_verdicts_they_are() -> None:
+    matrix = transfer([pair("a", "vad")[1], pair("b", "uniad")[1]], protocol="native")
+    table = transfer_table("d", matrix)
+    assert column(table, "surrogate") == ["a (vad)", "b (uniad)", "all scenes"]
+    assert column(table, "a (vad)")[0] == UNDEFINED
+    assert table.title == "d, split adv: transfer of failures (%), each planner under its own protocol"
+
+
+def test_few_recordings_are_few_however_many_versions_they_have() -> None:
+    versions = {f"s{index:02}": "one" if index else "two" for index in range(30)}
+    records = [hand_made(planner, {name: [HIT] for name in versions}, sources=versions) for planner in ("a", "b")]
+    tables = [
+        collision_table("d", "exact", records),
+        planner_table("d", "adv", "exact", records),
+        transfer_table("d", transfer(records)),
+        agreement_table("d", transfer(records)),
+    ]
+    assert all(table is not None and FEW_NOTE in table.notes for table in tables)
+
+
+def test_records_with_other_weights_are_left_out_with_the_reason() -> None:
+    records = [hand_made("p", VAL, split="val", weights="1" * 64), hand_made("p", ADV, weights="2" * 64)]
+    table = split_table("d", "exact", records)
+    assert table is not None and table.rows == ()
+    assert any("different weights" in note for note in table.notes)
+
+
+def every_table(records: Sequence[RunRecord]) -> list[str]:
+    return [
+        f"{table.markdown()}{table.latex()}{table.csv()}{table.plain()}"
+        for table in data_set_tables("d", records).tables
+    ]
+
+
+def test_where_records_lie_is_in_no_table() -> None:
+    records = [*pair("a", "vad"), *pair("b"), hand_made("c", VAL, split="val", versions={"exact": 0})]
+    moved = [replace(record, directory=record.directory / "elsewhere") for record in records]
+    assert every_table(records) == every_table(moved)

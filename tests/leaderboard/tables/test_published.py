@@ -1,0 +1,53 @@
+"""The paper's numbers beside ours: only beside the same model under the same protocol."""
+
+import pytest
+
+from benchmark.records.run import RunRecord
+from benchmark.report.cells import UNDEFINED
+from benchmark.report.table import Table
+from leaderboard.tables.collision import collision_table, native_table
+from leaderboard.tables.published import TABLE_1, PublishedRate
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+
+SCENES = {"s0": [HIT, CLEAN], "s1": [CLEAN, CLEAN]}
+
+
+def run(planner: str, native: str | None, split: str = "adv") -> RunRecord:
+    return hand_made(planner, SCENES, split=split, protocols=("exact", "uniad", "vad"), native=native)
+
+
+def paper_of(table: Table, planner: str) -> tuple[str, ...]:
+    (row,) = [row for row in table.rows if row[0] == planner]
+    return row[table.columns.index("paper 1s") :]
+
+
+def test_the_papers_row_stands_beside_the_model_of_that_name_under_its_protocol() -> None:
+    records = [run("uniad", "uniad"), run("vad-mini", "vad"), run("idm", None)]
+    table = native_table("d", records)
+    assert paper_of(table, "uniad") == ("0.80", "4.10", "6.96", "3.95", "12.6×")
+    assert paper_of(table, "idm") == paper_of(table, "vad-mini") == (UNDEFINED,) * 5
+    assert table.groups[-1] == ("paper, collision rate in %, own protocol", 5)
+    assert table.sources and any("No published row stands beside vad-mini:" in note for note in table.notes)
+    of_uniad = collision_table("d", "uniad", records)
+    assert paper_of(of_uniad, "uniad")[3] == "3.95" and not any("vad-mini" in note for note in of_uniad.notes)
+
+
+@pytest.mark.parametrize("protocol", ["exact", "vad"])
+def test_under_another_protocol_nothing_stands_beside(protocol: str) -> None:
+    table = collision_table("d", protocol, [run("uniad", "uniad")])
+    assert not any(column.startswith("paper") for column in table.columns) and table.sources == ()
+
+
+@pytest.mark.parametrize("name", ["uniad-mini", "uniad-unoptimised", "vad-tiny", "mine"])
+def test_a_variant_is_not_the_model(name: str) -> None:
+    table = native_table("d", [run(name, "vad" if "vad" in name else "uniad")])
+    assert "paper 1s" not in table.columns
+    assert any(name in note for note in table.notes) == (name != "mine")
+
+
+@pytest.mark.parametrize("row", TABLE_1)
+def test_every_published_row_finds_its_place(row: PublishedRate) -> None:
+    split = {"nuScenes-val": "val", "nuScenes-val-R": "val-r", "Adv-nuSc": "adv"}[row.data_set]
+    model, protocol = row.model, row.protocol
+    record = hand_made(model.lower(), SCENES, split=split, protocols=(protocol,), native=protocol)
+    assert paper_of(native_table("d", [record]), model.lower())[:4] == row.percent
