@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from benchmark import api
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -198,15 +199,6 @@ def name_list(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def worker_count(count: int) -> int:
-    """Number of processes: 0 is all processors; raises `InputError` if negative."""
-    from benchmark.machine.workers import default_workers
-
-    if count < 0:
-        raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
-    return count or default_workers()
-
-
 def executor_of(name: ExecutorName, address: str | None, workers: int) -> "Executor":
     """Where work is done; raises `InputError` if the options contradict each other."""
     if name is ExecutorName.LOCAL:
@@ -214,7 +206,7 @@ def executor_of(name: ExecutorName, address: str | None, workers: int) -> "Execu
 
         if address is not None:
             raise InputError("--address belongs to --executor ray; add it or leave the address out")
-        return LocalProcesses(worker_count(workers))
+        return LocalProcesses(api.worker_count(workers))
     from benchmark.machine.ray_cluster import RayCluster
 
     return RayCluster(address or "auto")

@@ -20,8 +20,13 @@ class Renderer(Protocol):
         version: Changes when the pictures change.
     """
 
-    name: str
-    version: str
+    @property
+    def name(self) -> str:
+        """Recorded in the data set's provenance."""
+
+    @property
+    def version(self) -> str:
+        """Changes when the pictures change."""
 
     def cameras(self, scene: Scene) -> tuple[Camera, ...]:
         """The scene's cameras at the size that is rendered."""

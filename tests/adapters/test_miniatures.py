@@ -14,7 +14,7 @@ from adapters.miniatures import EMBEDDED_DATA, MINIATURES, PACKAGED, miniature, 
 from adapters.registry import MINIATURES as REGISTERED
 from adapters.registry import planner, planner_factory
 from adapters.training.plan_figures import Images, shown
-from benchmark.cli.app import _model_on
+from benchmark.api import model_on
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -163,7 +163,7 @@ def test_a_miniature_is_a_value() -> None:
 
 
 def test_the_command_says_which_model_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert _model_on(EMBEDDED_DATA, "vad", None) == "vad-mini"
+    assert model_on(EMBEDDED_DATA, "vad", None) == "vad-mini"
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")
-    assert _model_on(EMBEDDED_DATA, "vad-mini", None) == "vad-mini" and capsys.readouterr().err == ""
+    assert model_on(EMBEDDED_DATA, "vad-mini", None) == "vad-mini" and capsys.readouterr().err == ""

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.cli.app import _results_from
+from benchmark.cli.demo import _results_from
 from benchmark.machine.storage import read_json
 from benchmark.records.run import RunRecord
 from leaderboard.results import NUMBERS, PAGE, stale_results, write_results

@@ -1,0 +1,156 @@
+"""Commands on data sets: ``data info|stats|show|check|import|build``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmark import api
+from benchmark.cli.options import (
+    Frames,
+    FramesOption,
+    JsonOption,
+    LimitOption,
+    QuickRendererName,
+    ScenesOption,
+    SeedOption,
+    SizeOption,
+    TablesOption,
+    WorkersOption,
+    image_size,
+    name_list,
+    print_json,
+)
+from benchmark.errors import InputError
+
+app = typer.Typer(help="Look at, check, import and build data sets.", no_args_is_help=True)
+
+
+@app.command("info")
+def data_info_command(
+    root: Annotated[str, typer.Argument(help="mini or the root of a data set.")] = "mini",
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """What a data set holds: splits, scenes, samples, annotations, fingerprint."""
+    from benchmark.datasets.contents import contents
+
+    found = contents(api.open_data(root, tables=tables, workers=workers))
+    if json_output:
+        print_json(found)
+        return
+    for name, value in found.items():
+        typer.echo(f"{name}: {value}")
+
+
+@app.command("stats")
+def data_stats_command(
+    root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")] = "mini",
+    split: Annotated[str | None, typer.Option(help="Only this split; every row of the tables if not given.")] = None,
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """The paper's data-set table for any split, and what generated adversaries do where."""
+    from benchmark.datasets.statistics import statistics
+    from benchmark.machine.workspace import EMBEDDED
+
+    folder = api.open_data(root, tables=tables, workers=workers).root if root == EMBEDDED else Path(root)
+    found = statistics(folder, split=split, version=tables)
+    if json_output:
+        print_json(found.as_json())
+    else:
+        typer.echo(found.plain())
+
+
+@app.command("show")
+def data_show_command(
+    root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")],
+    to: Annotated[Path, typer.Option(help="Folder for the pictures.")],
+    conditions: Annotated[bool, typer.Option("--conditions", help="Draw what MagicDriveDiT would be told.")] = False,
+    tables: TablesOption = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    workers: WorkersOption = 0,
+) -> None:
+    """Draw each scene: from above over time, and the camera that sees the adversary best."""
+    from generation.render.magicdrive.condition_pictures import write_condition_pictures
+    from generation.render.pictures import write_pictures
+    from generation.render.schematic import SchematicRenderer
+
+    dataset = api.open_data(root, tables=tables, workers=workers)
+    names = (name_list(scenes) or dataset.scene_names(None))[:limit]
+    write = write_condition_pictures if conditions else write_pictures
+    written = write(dataset, names, to, SchematicRenderer())
+    typer.echo(f"{len(written)} pictures in {to}")
+
+
+@app.command("check")
+def data_check_command(
+    root: Annotated[Path, typer.Argument(help="Root of a data set.")],
+    tables: TablesOption = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Look for faults in the tables and files of a data set."""
+    from benchmark.datasets.integrity import check_tables
+
+    faults = check_tables(root, version=tables)
+    errors = sum(fault.severity == "error" for fault in faults)
+    if json_output:
+        rows = [{"severity": f.severity, "table": f.table, "token": f.token, "says": f.sentence} for f in faults]
+        print_json({"errors": errors, "faults": rows})
+    else:
+        for fault in faults:
+            typer.echo(f"{fault.severity}: {fault.table}: {fault.sentence}")
+        typer.echo(f"{errors} errors, {len(faults) - errors} warnings in {root}")
+    raise typer.Exit(1 if errors else 0)
+
+
+@app.command("import")
+def data_import_command(
+    form: Annotated[str, typer.Argument(help="Form of the recordings: scenarionet.")],
+    source: Annotated[Path, typer.Argument(help="A file or a folder of recordings.")],
+    out: Annotated[Path, typer.Option("--out", help="Root of the data set to write.")],
+    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images (these recordings have none).")] = (
+        QuickRendererName.SCHEMATIC
+    ),
+    size: SizeOption = "448x256",
+    frames: FramesOption = Frames.ALL,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Bring recordings of another form into nuScenes format."""
+    from generation.sources.importing import ImportSettings, import_scenarionet
+
+    if form != "scenarionet":
+        raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
+    width, height = image_size(size)
+    settings = ImportSettings(width, height, frames.value, images=renderer is not QuickRendererName.NONE)
+    names = import_scenarionet(source, out, settings, workers=api.worker_count(workers))
+    if json_output:
+        print_json({"root": str(out), "scenes": names})
+    else:
+        typer.echo(f"{len(names)} scenes in {out}: {', '.join(names)}")
+
+
+@app.command("build")
+def data_build_command(
+    root: Annotated[Path | None, typer.Option(help="Where to; the user's cache if not given.")] = None,
+    town_scenes: Annotated[int, typer.Option(help="Evaluation scenes.")] = 10,
+    train_scenes: Annotated[int, typer.Option(help="Training scenes.")] = 0,
+    size: SizeOption = "448x256",
+    frames: FramesOption = Frames.ALL,
+    renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+) -> None:
+    """Build the embedded town, with any number of scenes; the same command resumes."""
+    from benchmark.machine.workspace import EMBEDDED, cache_root
+    from generation.sources.mini import TownSettings, build_town
+
+    width, height = image_size(size)
+    images = renderer is not QuickRendererName.NONE
+    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images)
+    target = root or cache_root() / settings.folder_name(EMBEDDED)
+    typer.echo(str(build_town(target, settings, workers=api.worker_count(workers))))

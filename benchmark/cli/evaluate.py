@@ -1,0 +1,277 @@
+"""Commands that judge planners and pictures: ``eval``, ``rescore``, ``transfer`` and ``quality``."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from benchmark import api
+from benchmark.cli.options import (
+    DataOption,
+    DryRunOption,
+    Frames,
+    FramesOption,
+    JsonOption,
+    LimitOption,
+    OutOption,
+    RecordsOption,
+    ScenesOption,
+    SeedOption,
+    SplitOption,
+    TablesOption,
+    WeightsFolderOption,
+    WorkersOption,
+    name_list,
+    print_json,
+)
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+    from benchmark.machine.workspace import Workspace
+    from benchmark.records.run import RunRecord
+    from benchmark.runs.plan_rows import PlannerFactory
+
+
+def eval_command(
+    model: Annotated[
+        list[str], typer.Option("--model", help="Planner name or package.module:Class; may be repeated.")
+    ] = [],  # noqa: B006 - typer reads the default, nothing changes it
+    split: SplitOption = "val",
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
+    ] = None,
+    precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
+    native: Annotated[
+        str | None, typer.Option(help="With --plans: the protocol of the repository that the planner comes from.")
+    ] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    allow_partial: Annotated[
+        bool, typer.Option("--allow-partial", help="Print rates even where the planner failed on samples.")
+    ] = False,
+    protocol: Annotated[
+        list[str] | None,
+        typer.Option(help="Tables to print: a protocol, native or all; may be repeated. Records always hold all."),
+    ] = None,
+    explain_protocols: Annotated[
+        bool,
+        typer.Option("--explain-protocols", help="Where each protocol differs from exact, why, and pictures of it."),
+    ] = False,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Run planners on a split, write run records, and print the table."""
+    from adapters.registry import planner_factory
+    from benchmark.evaluation import EvalSettings, evaluate
+
+    if not model and plans is None:
+        raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
+    if native is not None and plans is None:
+        raise InputError("--native belongs to --plans; planners that --model names say it themselves")
+    shown = _protocols_to_show(protocol)
+    source = api.open_data(data, tables=tables, workers=workers)
+    dataset = api.open_split(source, split, out, workers=workers)
+    settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=api.worker_count(workers))
+    factories: list[PlannerFactory] = [
+        planner_factory(
+            api.model_on(data, name, checkpoint), checkpoint=checkpoint, seed=seed, device=device, precision=precision
+        )
+        for name in model
+    ]
+    if plans is not None:
+        from adapters.plan_file import plan_file_factory
+
+        chosen = settings.chosen(dataset, split)
+        factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native))
+    if dry_run:
+        count = len(settings.chosen(dataset, split))
+        typer.echo(f"would run {', '.join(factory.facts.name for factory in factories)} on {count} scenes of {split}")
+        return
+    run_root = api.workspace(out).run_root()
+    records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
+    if explain_protocols:
+        _explain(source.name, dataset, records, api.workspace(out), json_output=json_output)
+    _show_runs(source.name, records, shown, allow_partial=allow_partial, json_output=json_output)
+
+
+def rescore_command(
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    records: RecordsOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Judge the stored plans of run records anew under every protocol, without running a planner."""
+    from benchmark.protocols import PROTOCOLS
+    from benchmark.runs.rescoring import rescore_all
+
+    source = api.open_data(data, tables=tables, workers=workers)
+    space = api.workspace(out)
+    folders = records or [space.run_root()]
+    results = [
+        result
+        for folder in folders
+        for result in rescore_all(folder, lambda split: space.open_split(source, split), source.name, tuple(PROTOCOLS))
+    ]
+    if json_output:
+        print_json([{"directory": str(result.directory), "says": result.sentence} for result in results])
+    else:
+        for result in results:
+            typer.echo(f"{result.directory}: {result.sentence}")
+    raise typer.Exit(1 if any(result.failed for result in results) else 0)
+
+
+def transfer_command(
+    split: SplitOption = "adv",
+    out: OutOption = api.OUT,
+    records: RecordsOption = None,
+    protocol: Annotated[str, typer.Option(help="Whose verdicts count; native: of each planner's own.")] = "exact",
+    data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Write a heat map to this .png or .svg file.")] = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
+    from benchmark.metrics.transfer import transfer
+    from benchmark.records.planner_versions import labelled
+    from leaderboard.figures.heat_map import write_heat_map
+    from leaderboard.tables.collision import in_table_order
+    from leaderboard.tables.transfer import agreement_table, transfer_table
+
+    known = [record for record in labelled(api.records_below(out, records)) if record.run.split == split]
+    found = [record for record in known if record.covers_split]
+    for record in known:
+        if not record.covers_split:
+            typer.echo(f"left out: {record.directory} holds a part of the split only", err=True)
+    names = sorted({record.run.data.name for record in found})
+    wanted = [data] if data is not None else names
+    matrices = {
+        name: transfer(in_table_order([r for r in found if r.run.data.name == name]), protocol=protocol)
+        for name in wanted
+        if name in names
+    }
+    if not matrices:
+        raise InputError(
+            f"no complete run records of split {split!r} below {', '.join(map(str, records or [out / 'runs']))}"
+            f"{'' if data is None else f' for data set {data!r}'}; run challenger-bench eval --split {split} first"
+        )
+    if figure is not None:
+        if len(matrices) > 1:
+            raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
+        write_heat_map(next(iter(matrices.values())), figure)
+    if json_output:
+        print_json({name: asdict(matrix) for name, matrix in matrices.items()})
+        return
+    for name, matrix in matrices.items():
+        typer.echo(transfer_table(name, matrix).plain())
+        typer.echo(agreement_table(name, matrix).plain())
+
+
+def quality_command(
+    split: SplitOption = "val",
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    masks: Annotated[
+        str, typer.Option(help="Source of masks: grounded-sam2 (the paper's), sam2-boxes, boxes (no network).")
+    ] = "grounded-sam2",
+    frames: FramesOption = Frames.KEYFRAMES,
+    lossless: Annotated[bool, typer.Option("--lossless", help="Score the PNG frames beside the split's own.")] = False,
+    weights_folder: WeightsFolderOption = None,
+    device: Annotated[str, typer.Option(help="Where networks run: cpu, cuda, cuda:1; the first GPU if any.")] = "auto",
+    batch: Annotated[int, typer.Option(min=1, help="Pictures that go through a network together.")] = 16,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Subject consistency and imaging quality of a split's videos; the same command goes on."""
+    from benchmark.quality.definition import Definition, mask_source
+    from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
+    from leaderboard.tables.quality import quality_tables
+
+    files: Literal["own", "lossless"] = "lossless" if lossless else "own"
+    definition = Definition(mask_source(masks), frames.value, files, batch=batch)
+    settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
+    dataset = api.open_split(api.open_data(data, tables=tables, workers=workers), split, out, workers=workers)
+    if dry_run:
+        typer.echo(plan_of(dataset, split, settings))
+        return
+    record = measure_quality(dataset, split, api.workspace(out).quality_root(), settings)
+    if json_output:
+        facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
+        print_json({"directory": str(record.directory), **facts})
+    else:
+        typer.echo(quality_tables([record])[0].plain())
+
+
+def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:
+    """What ``--protocol`` asks for; ``None`` is the default: exact, and the planners' own where they have one."""
+    from benchmark.protocols import PROTOCOLS, protocol
+
+    if names is None:
+        return None
+    if "all" in names:
+        return tuple(PROTOCOLS)
+    return tuple(dict.fromkeys(name if name == "native" else protocol(name).name for name in names))
+
+
+def _explain(
+    data_name: str, dataset: "DataSet", records: "Sequence[RunRecord]", space: "Workspace", *, json_output: bool
+) -> None:
+    """Where protocols differ from exact on these runs: the table, and a picture of the clearest case of each cause."""
+    from benchmark.protocols.explain.pictures import explain
+    from leaderboard.tables.disagreement import disagreement_table
+
+    split = records[0].run.split
+    folder = space.out / "explained" / data_name / split
+    pictures = explain(records, dataset, folder)
+    typer.echo(disagreement_table(data_name, split, records).plain(), err=json_output)
+    for picture in pictures:
+        typer.echo(f"{picture.path}: {picture.sentence}", err=json_output)
+
+
+def _show_runs(
+    data_name: str,
+    records: "Sequence[RunRecord]",
+    protocols: tuple[str, ...] | None,
+    *,
+    allow_partial: bool,
+    json_output: bool,
+) -> None:
+    """Print the tables of runs; a run that failed on samples is an error unless allowed, and then said."""
+    from leaderboard.tables.collision import collision_table, native_table
+
+    partial = [record for record in records if not record.complete]
+    if json_output:
+        rows = [
+            {"directory": str(r.directory), "status": r.run.status, **r.summary.model_dump(mode="json")}
+            for r in records
+        ]
+        print_json(rows)
+    shown = records if allow_partial else [record for record in records if record.complete]
+    if not json_output and shown:
+        own = any(record.run.planner.native_protocol for record in shown)
+        for name in protocols or (("exact", "native") if own else ("exact",)):
+            table = native_table(data_name, shown) if name == "native" else collision_table(data_name, name, shown)
+            typer.echo(table.plain())
+    for record in partial:
+        typer.echo(
+            f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples "
+            f"(tracebacks in {record.directory}); "
+            + ("rates leave them out" if allow_partial else "--allow-partial prints the rates of the others"),
+            err=True,
+        )
+    if partial and not allow_partial:
+        raise typer.Exit(1)

@@ -1,0 +1,244 @@
+"""Commands that make scenes: ``generate`` and ``ablate``."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from benchmark import api
+from benchmark.cli.options import (
+    AddressOption,
+    AskedLook,
+    AskedLookOption,
+    CallsOption,
+    DataOption,
+    DenoiserOption,
+    DeviceOption,
+    DrawnSize,
+    DrawnSizeOption,
+    DropoutOption,
+    DryRunOption,
+    ExecutorName,
+    ExecutorOption,
+    Frames,
+    FramesOption,
+    JsonOption,
+    Layout,
+    LimitOption,
+    LosslessOption,
+    OutOption,
+    Preset,
+    PresetOption,
+    RenderDeviceOption,
+    RendererName,
+    ScenesOption,
+    SeedOption,
+    SetOption,
+    SizeOption,
+    SpeedOption,
+    SplitOption,
+    TablesOption,
+    TogetherOption,
+    WeightsFolderOption,
+    WorkersOption,
+    WrittenSize,
+    WrittenSizeOption,
+    executor_of,
+    image_size,
+    name_list,
+    print_json,
+)
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from generation.render.contract import Renderer
+    from generation.search.attempts import PriorFactory
+    from generation.search.hyperparameters import HyperParameters
+
+
+def generate_command(
+    split: SplitOption = "adv",
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    adversaries: Annotated[int, typer.Option(min=1, help="Adversaries in each scene.")] = 1,
+    surrogate: Annotated[str | None, typer.Option(help="Keep only scenes in which this planner collides.")] = None,
+    surrogate_checkpoint: Annotated[Path | None, typer.Option(help="Weights of the surrogate.")] = None,
+    vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
+    per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
+    top: Annotated[int | None, typer.Option(min=1, help="Keep only the so many most challenging scenes.")] = None,
+    candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
+    rounds: Annotated[int | None, typer.Option(min=0, help="Refinement rounds per planning step.")] = None,
+    parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
+    preset: PresetOption = Preset.DEFAULT,
+    changes: SetOption = None,
+    denoiser: DenoiserOption = None,
+    calls: CallsOption = None,
+    dropout: DropoutOption = False,
+    device: DeviceOption = "cpu",
+    together: TogetherOption = 1,
+    layout: Annotated[Layout, typer.Option(help="One root with suffixed names, or one root per variant.")] = (
+        Layout.SUFFIXED
+    ),
+    renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
+    size: SizeOption = "448x256",
+    render_size: DrawnSizeOption = DrawnSize.SMALL,
+    written_size: WrittenSizeOption = WrittenSize.MODEL,
+    prompt_look: AskedLookOption = AskedLook.RECORDED,
+    lossless: LosslessOption = False,
+    weights_folder: WeightsFolderOption = None,
+    render_device: RenderDeviceOption = "auto",
+    tflops: SpeedOption = None,
+    frames: FramesOption = Frames.ALL,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    executor: ExecutorOption = ExecutorName.LOCAL,
+    address: AddressOption = None,
+    profile: Annotated[bool, typer.Option(help="Say where the time went, beside the paper's table.")] = False,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
+    from generation.build.split import BuildSettings, source_scenes
+
+    api.require_generated(split)
+    shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
+    hyper = _hyper_parameters(preset, shortcuts, changes)
+    if surrogate is None and surrogate_checkpoint is not None:
+        raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
+    under_test = None
+    if surrogate is not None:
+        under_test = api.planner_under_test(surrogate, surrogate_checkpoint, data=data, seed=seed, workers=workers)
+    drawing: Renderer | None = None
+    if renderer is RendererName.SCHEMATIC:
+        drawing = api.schematic_renderer(image_size(size))
+    place = executor_of(executor, address, workers)
+    rendering, photorealistic = None, None
+    if renderer is RendererName.MAGICDRIVE:
+        from generation.render.magicdrive.command import magicdrive_renderer, rendering_executor
+
+        drawing = photorealistic = magicdrive_renderer(
+            api.workspace(out).rendering_root(),
+            weights_folder,
+            drawn_size=render_size.value,
+            written_size=written_size.value,
+            look=prompt_look.value,
+            device=render_device,
+            seed=seed,
+            tera_operations=tflops,
+            estimates_only=dry_run,
+        )
+        # Estimates for a GPU are wanted on machines that have none.
+        rendering = None if dry_run else rendering_executor(place, render_device)
+    # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
+    source = api.open_data(data, tables=tables, workers=workers)
+    settings = BuildSettings(
+        out=api.workspace(out).split_root(source.name, split),
+        hyper=hyper,
+        prior=_prior(preset, denoiser, device, calls, dropout=dropout),
+        source_split=source_split,
+        scenes=name_list(scenes),
+        limit=limit,
+        adversaries=adversaries,
+        surrogate=under_test,
+        per_scene=per_scene,
+        total=top,
+        layout=layout.value,
+        renderer=drawing,
+        frames=frames.value,
+        lossless=lossless,
+        seed=seed,
+        executor=place,
+        rendering=rendering,
+        together=together,
+        dry_run=dry_run,
+    )
+    if photorealistic is not None:
+        typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
+    report = api.build_split(source, split, settings)
+    runtime = report.runtime if profile else None
+    if json_output:
+        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.as_json()}))
+        return
+    typer.echo(report.summary())
+    if runtime is not None:
+        typer.echo(runtime.plain())
+
+
+def ablate_command(
+    model: Annotated[str, typer.Option("--model", help="Planner that has to drive.")] = "constant-velocity",
+    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    source_split: Annotated[str, typer.Option(help="Split of the data set to start from.")] = "val",
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
+    candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
+    preset: PresetOption = Preset.DEFAULT,
+    changes: SetOption = None,
+    denoiser: DenoiserOption = None,
+    device: DeviceOption = "cpu",
+    together: TogetherOption = 1,
+    size: SizeOption = "448x256",
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    executor: ExecutorOption = ExecutorName.LOCAL,
+    address: AddressOption = None,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """The paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
+    from benchmark.machine.storage import file_name
+    from generation.build.ablation import ablate, ablation_estimate
+    from generation.build.split import BuildSettings
+
+    planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
+    hyper = _hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes)
+    drawing, place = api.schematic_renderer(image_size(size)), executor_of(executor, address, workers)
+    source = api.open_data(data, tables=tables, workers=workers)
+    settings = BuildSettings(
+        out=out / "ablation" / source.name / file_name(planner.factory.facts.name),
+        hyper=hyper,
+        prior=_prior(preset, denoiser, device, None, dropout=False),
+        source_split=source_split,
+        scenes=name_list(scenes),
+        limit=limit,
+        renderer=drawing,
+        frames="keyframes",
+        seed=seed,
+        executor=place,
+        together=together,
+    )
+    if dry_run:
+        typer.echo(ablation_estimate(source, planner, settings))
+        return
+    report = ablate(source, planner, settings)
+    if json_output:
+        print_json(report.model_dump(mode="json", by_alias=True))
+    else:
+        typer.echo(report.plain())
+
+
+def _hyper_parameters(preset: Preset, shortcuts: dict[str, Any], changes: list[str] | None) -> "HyperParameters":
+    """Settings of the search: the preset, options that name one setting, and changes by text, each over the last."""
+    from generation.search.hyperparameters import HyperParameters
+
+    start = HyperParameters.paper() if preset is Preset.PAPER else HyperParameters()
+    return replace(start, **{name: value for name, value in shortcuts.items() if value is not None}).changed(
+        changes or []
+    )
+
+
+def _prior(preset: Preset, weights: Path | None, device: str, calls: int | None, *, dropout: bool) -> "PriorFactory":
+    """The trajectory model; with the paper's preset nothing that it draws is drawn again."""
+    from generation.diffusion.prior import SamplerSettings
+    from generation.search.attempts import PackagedPrior
+
+    literal = preset is Preset.PAPER
+    return PackagedPrior(weights, device, SamplerSettings(mutation_steps=calls, drivable=not literal, dropout=dropout))

@@ -1,0 +1,177 @@
+"""Commands that show results: ``sheets``, ``film`` and ``leaderboard``."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from benchmark import api
+from benchmark.cli.options import (
+    DataOption,
+    DryRunOption,
+    FilmFormatName,
+    FilmFormatOption,
+    FilmLayoutName,
+    FilmLayoutOption,
+    JsonOption,
+    LimitOption,
+    OutOption,
+    RecordsOption,
+    ScenesOption,
+    SheetPictures,
+    SplitOption,
+    TablesOption,
+    WorkersOption,
+    name_list,
+    print_json,
+)
+
+if TYPE_CHECKING:
+    pass
+
+leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
+
+
+def sheets_command(
+    split: SplitOption = "val",
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    pictures: Annotated[
+        SheetPictures, typer.Option(help="Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.")
+    ] = SheetPictures.KEYFRAMES,
+    cell_width: Annotated[int, typer.Option(help="Width of one camera in them, pixels; never enlarged.")] = 320,
+    rounds: Annotated[bool, typer.Option("--rounds", help="Search again, to show the rounds of refinement.")] = False,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
+    from benchmark.sheets.writing import SheetSettings, plan_of
+
+    settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers))
+    source, root = api.open_data(data, tables=tables, workers=workers), api.workspace(out).sheet_root()
+    dataset = api.open_split(source, split, out, workers=workers)
+    if dry_run:
+        typer.echo(plan_of(dataset, split, root, settings))
+        return
+    written, traced = api.write_sheets(source, dataset, split, root, settings, rounds=rounds)
+    if json_output:
+        print_json(written.as_json() | ({} if traced is None else {"traced": traced}))
+        return
+    typer.echo(written.sentence())
+    if traced is not None:
+        typer.echo(f"rounds of refinement of {traced} scenes")
+
+
+@leaderboard_app.callback(invoke_without_command=True)
+def leaderboard_command(
+    context: typer.Context,
+    out: OutOption = api.OUT,
+    records: RecordsOption = None,
+    to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
+    site: Annotated[bool, typer.Option("--site/--no-site", help="Whether to write the site too.")] = True,
+    check: Annotated[bool, typer.Option("--check", help="Only say whether the written tables are current.")] = False,
+    json_output: JsonOption = False,
+) -> None:
+    """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
+    if context.invoked_subcommand is not None:
+        return
+    from benchmark.records.ablation import find_ablations
+    from benchmark.records.quality import find_quality
+    from benchmark.records.scenes import find_sheets
+    from leaderboard.build import stale_files, write_leaderboard
+
+    space, folder = api.workspace(out), to or out / "leaderboard"
+    quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
+    ablations = find_ablations(space.out / "ablation")
+    no_runs = bool(quality or sheets.splits or ablations) and records is None and not space.run_root().exists()
+    found = [] if no_runs else api.records_below(out, records)
+    if check:
+        stale = stale_files(found, folder, quality, sheets, ablations, site=site)
+        if json_output:
+            print_json({"stale": stale})
+        else:
+            typer.echo("\n".join(stale) or f"{folder} is current")
+        raise typer.Exit(1 if stale else 0)
+    written = write_leaderboard(found, folder, quality, sheets, ablations, site=site)
+    if json_output:
+        print_json({"files": [str(path) for path in written]})
+    else:
+        typer.echo(
+            f"{len(written)} files in {folder}; start with {folder / ('site/index.html' if site else 'README.md')}"
+        )
+
+
+@leaderboard_app.command("submit-check")
+def submit_check_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of submitted run records.")],
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    json_output: JsonOption = False,
+) -> None:
+    """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
+    from benchmark.runs.submissions import Level, check_submission
+
+    source, space = api.open_data(data, tables=tables, workers=workers), api.workspace(out)
+    sound, findings = check_submission(folder, source.name, lambda split: space.open_split(source, split))
+    if json_output:
+        print_json(
+            {"sound": [str(record.directory) for record in sound], "findings": [found.as_json() for found in findings]}
+        )
+    else:
+        for found in findings:
+            typer.echo(f"{found.level}: {found.directory}: {found.sentence}")
+        for record in sound:
+            typer.echo(f"fit: {record.directory}: {record.planner} on {record.run.split}, {len(record.rows)} samples")
+    raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
+
+
+def film_command(
+    to: Annotated[Path, typer.Option(help="Folder to write to.")],
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    model: Annotated[list[str] | None, typer.Option("--model", help="Planner to show; may be repeated.")] = None,
+    data: DataOption = "mini",
+    split: SplitOption = "adv",
+    out: OutOption = api.OUT,
+    records: RecordsOption = None,
+    layout: FilmLayoutOption = FilmLayoutName.BOTH,
+    form: FilmFormatOption = FilmFormatName.WEBM,
+    begin_s: Annotated[float, typer.Option("--from", help="First moment, seconds.")] = 0.0,
+    end_s: Annotated[float | None, typer.Option("--until", help="Last moment, seconds.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames a second; the film is as fast as the scene.")] = 12.0,
+    width: Annotated[int, typer.Option(help="Width of the frames in pixels, which are 16:9.")] = 1280,
+    extent: Annotated[float, typer.Option(help="Half the width of what is seen from above, metres.")] = 24.0,
+    north_up: Annotated[bool, typer.Option("--north-up", help="North points up, not the ego's heading.")] = False,
+    candidates: Annotated[bool, typer.Option(help="Whether to draw what the search chose from.")] = True,
+    protocol: Annotated[str, typer.Option(help="Whose verdicts are shown; native: of each planner's own.")] = "exact",
+    json_output: JsonOption = False,
+) -> None:
+    """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
+    from benchmark.protocols import protocol as known_protocol
+    from leaderboard.films.film import FilmLayout, FilmSettings
+    from leaderboard.films.filming import FilmFormat, planner_folder, sheet_folders, write_film
+
+    judge = protocol if protocol == "native" else known_protocol(protocol).name
+    shown, target, space = FilmLayout(layout.value), FilmFormat(form.value), api.workspace(out)
+    settings = FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates)
+    folders = sheet_folders(space.sheet_root(), data, split, name_list(scenes))[:limit]
+    plans = api.records_below(out, records or [planner_folder(space.run_root(), data, split)]) if model else []
+    films = []
+    for folder in folders:
+        films.append(str(write_film(folder, plans, model or [], to, target, settings, watch=_watch)))
+        typer.echo(films[-1], err=json_output)
+    if json_output:
+        print_json({"films": films})
+
+
+def _watch(items: Iterable[Any], total: int, label: str) -> Iterable[Any]:
+    from benchmark.machine.workers import progress
+
+    return progress(items, total=total, label=label)

@@ -1,0 +1,83 @@
+"""Commands that train the small models of this package: ``train denoiser|planner|judge|ego-status``."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmark import api
+from benchmark.cli.options import DeviceOption, SeedOption, SplitOption, WorkersOption, name_list, print_json
+
+app = typer.Typer(help="Train the small models that this package carries.", no_args_is_help=True)
+
+
+@app.command("denoiser")
+def train_denoiser_command(
+    tracks: Annotated[
+        Path, typer.Option(help="Folder of track files (.npz), nuPlan databases (.db) or nuScenes roots.")
+    ],
+    out: Annotated[Path, typer.Option(help="Weights file to write; log and progress lie beside it.")],
+    steps: Annotated[int | None, typer.Option(min=1, help="Optimisation steps.")] = None,
+    held_out: Annotated[str | None, typer.Option(help="Sources that only check, separated by commas.")] = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Train the trajectory model and describe it; the same command resumes."""
+    from generation.diffusion.bank import write_bank
+    from generation.diffusion.training.card import write_model_card
+    from generation.diffusion.training.loop import TrainingConfig, train_denoiser
+
+    default = TrainingConfig(tracks=tracks, out=out, seed=seed)
+    checking = default.held_out if held_out is None else name_list(held_out) or ()
+    weights = train_denoiser(replace(default, steps=steps or default.steps, held_out=checking))
+    write_bank(weights)
+    typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
+
+
+@app.command("planner")
+def train_planner_command(
+    model: Annotated[str, typer.Option("--model", help="A miniature (uniad-mini, ...) or image-encoder.")],
+    data: Annotated[Path, typer.Option(help="Root of a data set in nuScenes format.")],
+    out: Annotated[Path, typer.Option(help="Weights file to write; log, progress and card lie beside it.")],
+    split: SplitOption = "train",
+    steps: Annotated[int | None, typer.Option(help="Steps of all parts together, instead of the usual.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Instead of the usual.")] = None,
+    image_encoder: Annotated[Path | None, typer.Option(help="Weights of train planner --model image-encoder.")] = None,
+    start_from: Annotated[
+        Path | None, typer.Option(help="Weights to start from, where names and shapes agree.")
+    ] = None,
+    judged_on: Annotated[Path | None, typer.Option(help="Data set whose split val gives the scores.")] = None,
+    seed: SeedOption = 0,
+    device: DeviceOption = "auto",
+    workers: WorkersOption = 0,
+) -> None:
+    """Train a miniature of a native model on a data set; the same command resumes."""
+    from adapters.training.planners import PlannerTraining, train_planner
+
+    processes, start = api.worker_count(workers), (image_encoder, start_from, judged_on)
+    print_json(
+        train_planner(PlannerTraining(model, data, split, out, steps, seed, learning_rate, *start, device, processes))
+    )
+
+
+@app.command("judge")
+def train_judge_command(
+    weights: Annotated[Path, typer.Argument(help="Weights file of train planner, with its .json beside it.")],
+    data: Annotated[Path, typer.Option(help="Data set whose split val gives the scores.")],
+) -> None:
+    """Measure a trained miniature again; writes its facts and its card anew."""
+    from adapters.training.planners import judge_again
+
+    print_json(judge_again(weights, data))
+
+
+@app.command("ego-status")
+def train_ego_status_command(
+    tracks: Annotated[Path, typer.Option(help="Folder of track files (npz).")],
+    out: Annotated[Path, typer.Option(help="Weights file to write (safetensors).")],
+    seed: SeedOption = 0,
+) -> None:
+    """Train the planner that sees its own motion and the command only."""
+    from adapters.training.ego_status import train_ego_status
+
+    print_json(train_ego_status(tracks, out, seed=seed))
