@@ -15,7 +15,6 @@ from adapters.checkpoints.importing import resolve_checkpoint
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.devices import Precision, device_of, require_precision, single_precision
 from benchmark.geometry import Floats
-from benchmark.plan_rows import code_sha256
 from benchmark.planning import Forecasts, Observation, Plan
 from benchmark.storage import file_sha256
 
@@ -106,8 +105,6 @@ class NativePlanner(ABC, Generic[Network]):
             "device": self._device.type,
             "precision": precision,
             "forecast_score": FORECAST_SCORE,
-            # The network's layers and its inputs are outside its package, whose code the run's key covers already.
-            "shared_code_sha256": code_sha256(ImageFormat),
         }
 
     def plan(self, observation: Observation) -> Plan:

@@ -24,9 +24,10 @@ from benchmark.errors import InputError
 from benchmark.evaluate import EvalSettings
 from benchmark.geometry import Floats
 from benchmark.labels import PLANS_SHA256
-from benchmark.plan_rows import code_sha256, known_native
+from benchmark.plan_rows import known_native
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records import PlannerFacts
+from benchmark.runs.code_identity import code_sha256
 from benchmark.storage import file_sha256
 from benchmark.truth import SampleTruth
 

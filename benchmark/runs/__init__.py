@@ -1,0 +1,1 @@
+"""Runs of planners: what their plans depend on."""
