@@ -142,11 +142,12 @@ def _identity(
     contract = PrivilegedPlanner if hasattr(planner_class, "reveal") else Planner
     for each in (planner_class, contract, *given):
         reach.start(each.__module__, each.__qualname__)
-    module, _, maker = (made_by or "").partition(":")
+    name_of_class = planner_class.__qualname__
+    module, _, maker = (made_by or f":{name_of_class}").partition(":")
     if made_by is not None:
         files.followed.add(top_package(module))
         reach.start(module, maker)
-    return content_key(planner_class.__qualname__, maker, reach.entries()), tuple(sorted(reach.found))
+    return content_key(name_of_class, maker, reach.entries()), tuple(sorted(reach.found))
 
 
 class _Reach:
@@ -186,7 +187,7 @@ class _Reach:
 
     def _text(self, found: Definition) -> str:
         source = self._source(found.module)
-        if source.is_outside(found.name):
+        if found.name in source.outside:
             return ""
         reading = source.read(found.name, self._entries)
         return reading.sha256 if reading.text else ""
@@ -198,7 +199,7 @@ class _Reach:
         return source
 
     def _reach(self, found: Definition) -> None:
-        if found not in self.found and not self._source(found.module).is_outside(found.name):
+        if found not in self.found and found.name not in self._source(found.module).outside:
             self.found.add(found)
             self._waiting.append(found)
 

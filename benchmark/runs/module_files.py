@@ -58,11 +58,14 @@ class ModuleFiles:
         # A module that is in no package belongs with those that lie beside it.
         self._beside = file.parent if alone else None
         self._known: dict[str, tuple[Path | None, tuple[Path, ...]]] = {module: (file, _folders(file))}
+        self._sources: dict[str, SourceFile | None] = {}
 
     def source(self, module: str) -> SourceFile | None:
         """The module, if it is followed and has a file that can be read."""
-        file = self._located(module)[0] if self.follows(module) else None
-        return None if file is None else source_file(file, module)
+        if module not in self._sources:
+            file = self._located(module)[0] if self.follows(module) else None
+            self._sources[module] = None if file is None else source_file(file, module)
+        return self._sources[module]
 
     def exists(self, module: str) -> bool:
         """Whether there is such a module or folder of modules."""

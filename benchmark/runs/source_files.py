@@ -68,7 +68,10 @@ class SourceFile:
         module: Name of its module.
 
     Attributes:
+        package: Which the module is in, or is.
         definitions: Statements by the name they define; those that define none under `ON_IMPORT`.
+        outside: Definitions that are marked with `outside_identity`.
+        tables: Definitions that are marked with `one_entry_counts`.
         imports: What import statements outside definitions make of names.
         modules: Modules that importing this one imports.
         offered: Names that a module-level ``__getattr__`` hands on, by the tables that say from where: a name to
@@ -101,6 +104,7 @@ class SourceFile:
             for name in sorted(set(_bound_within(statement))):
                 self.definitions[name].append(statement)
         self.definitions[ON_IMPORT] = on_import
+        self.outside, self.tables = self._all_marked(_OUTSIDE), self._all_marked(_TABLE)
         first = self.read(ON_IMPORT)
         self.imports, self.modules = first.imports, first.modules
 
@@ -114,20 +118,15 @@ class SourceFile:
         Returns:
             Its statements in order, read once.
         """
-        key = (name, entries if self.is_table(name) else frozenset())
+        key = (name, entries if name in self.tables else frozenset())
         if key not in self._readings:
             reader = _Reader(self.package, entries)
             reader.statements(self.definitions[name])
             self._readings[key] = reader.done()
         return self._readings[key]
 
-    def is_outside(self, name: str) -> bool:
-        """Whether a definition is marked with `outside_identity`."""
-        return any(_marked(statement, _OUTSIDE) for statement in self.definitions[name])
-
-    def is_table(self, name: str) -> bool:
-        """Whether a definition is marked with `one_entry_counts`."""
-        return any(_marked(statement, _TABLE) for statement in self.definitions[name])
+    def _all_marked(self, marker: str) -> frozenset[str]:
+        return frozenset(name for name, said in self.definitions.items() if any(_marked(each, marker) for each in said))
 
 
 def source_file(path: Path, module: str) -> SourceFile | None:

@@ -2,15 +2,21 @@
 
 import importlib
 import shutil
+import sys
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 
 import adapters
 import benchmark
-from adapters.registry import BUILT_IN, MINIATURES, WITH_WEIGHTS
+from adapters.registry import BUILT_IN, MINIATURES, WITH_WEIGHTS, planner
+from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.planning import PrivilegedPlanner, SceneInfo
 from benchmark.runs import code_identity
-from benchmark.runs.code_identity import code_sha256, dependencies_of
+from benchmark.runs.code_identity import Definition, code_sha256, dependencies_of
+from generation.mini import TownSettings, build_town
 
 PLANNERS = {
     "vad": "adapters.vad.planner:VADPlanner",
@@ -67,7 +73,7 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def edited(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text
-    path.write_text(text.replace(old, new))
+    path.write_text(text.replace(old, new, 1))
 
 
 @pytest.mark.parametrize("name", ["vad-tiny", "vad-mini", "uniad-mini", "diffusiondrive-mini"])
@@ -84,3 +90,41 @@ def test_an_edit_of_the_network_counts_and_of_anything_else_does_not(copied: Pat
     assert identity() == before is not None
     edited(copied / "adapters/layers/resnet.py", "EXPANSION = 4", "EXPANSION = 3")
     assert identity() != before
+
+
+def test_a_planner_that_is_made_by_its_own_class_has_one_identity() -> None:
+    made = class_of("constant-velocity")
+    assert code_sha256(made, made_by=BUILT_IN["constant-velocity"], name="constant-velocity") == code_sha256(made)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
+    root = build_town(tmp_path_factory.mktemp("town"), TownSettings(val_scenes=1, frames="keyframes"), workers=1)
+    return NuScenesData.open(root)
+
+
+@pytest.mark.parametrize("name", BUILT_IN | MINIATURES)
+def test_all_that_runs_while_a_planner_plans_is_in_its_identity(town: NuScenesData, name: str) -> None:
+    scene = town.scene(town.scene_names("val")[0])
+    observations = list(town.observations(scene.name))[:3]
+    ran: set[Definition] = set()
+
+    def note(frame: FrameType, event: str, _: Any) -> None:
+        module = frame.f_globals.get("__name__", "")
+        # Images are read by the data set, which the planner is given.
+        ours = module.startswith(("adapters.", "benchmark.")) and "datasets" not in module
+        if ours and event == "call" and frame.f_code.co_filename.endswith(".py"):
+            ran.add(Definition(module, frame.f_code.co_qualname.partition(".")[0]))
+
+    driver = planner(name)
+    sys.setprofile(note)
+    try:
+        driver.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
+        if isinstance(driver, PrivilegedPlanner):
+            driver.reveal(scene)
+        for observation in observations:
+            driver.plan(observation)
+    finally:
+        sys.setprofile(None)
+    found = set(dependencies_of(type(driver), made_by=MADE_BY[name], name=name))
+    assert ran and {each for each in ran if not each.name.startswith("<")} <= found
