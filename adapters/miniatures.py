@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from adapters.checkpoints.cache import cached_weights, weights_folder
 from benchmark.errors import InputError
 from benchmark.machine.devices import Precision
+from benchmark.runs.code_identity import one_entry_counts
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -270,21 +271,41 @@ def _planner_uniad(network: Any, **known: Any) -> "NativePlanner[Any]":
     return UniADPlanner(network, **known)
 
 
-MINIATURES: Final = {
-    "uniad-mini": Miniature("uniad-mini", ("uniad",), _build_uniad, _untrained_uniad, _phases_uniad, _planner_uniad),
-    "vad-mini": Miniature(
-        "vad-mini", ("vad-tiny", "vad", "vad-base"), _build_vad, _untrained_vad, _phases_vad, _planner_vad
-    ),
-    **{
-        f"{full}-mini": Miniature(
-            f"{full}-mini",
-            (full,),
-            partial(_build_sparse, f"{full}-mini"),
-            partial(_untrained_sparse, f"{full}-mini"),
-            partial(_phases_sparse, f"{full}-mini"),
-            _planner_sparse,
-            _renamed_diffusion if full == "diffusiondrive" else dict,
-        )
-        for full in ("sparsedrive", "diffusiondrive")
+MINIATURES: Final = one_entry_counts(
+    {
+        "uniad-mini": Miniature(
+            "uniad-mini",
+            ("uniad",),
+            build=_build_uniad,
+            untrained=_untrained_uniad,
+            phases=_phases_uniad,
+            planner=_planner_uniad,
+        ),
+        "vad-mini": Miniature(
+            "vad-mini",
+            ("vad-tiny", "vad", "vad-base"),
+            build=_build_vad,
+            untrained=_untrained_vad,
+            phases=_phases_vad,
+            planner=_planner_vad,
+        ),
+        "sparsedrive-mini": Miniature(
+            "sparsedrive-mini",
+            ("sparsedrive",),
+            build=partial(_build_sparse, "sparsedrive-mini"),
+            untrained=partial(_untrained_sparse, "sparsedrive-mini"),
+            phases=partial(_phases_sparse, "sparsedrive-mini"),
+            planner=_planner_sparse,
+        ),
+        "diffusiondrive-mini": Miniature(
+            "diffusiondrive-mini",
+            ("diffusiondrive",),
+            build=partial(_build_sparse, "diffusiondrive-mini"),
+            untrained=partial(_untrained_sparse, "diffusiondrive-mini"),
+            phases=partial(_phases_sparse, "diffusiondrive-mini"),
+            planner=_planner_sparse,
+            renamed=_renamed_diffusion,
+        ),
     },
-}
+    counted=("build", "planner"),
+)

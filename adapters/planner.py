@@ -17,7 +17,6 @@ from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Forecasts, Observation, Plan
-from benchmark.runs.plan_rows import code_sha256
 
 FORECAST_SCORE: Final = 0.3
 """Boxes of a lower score are not counted as what a model expects: it always reports a hundred or more."""
@@ -106,8 +105,6 @@ class NativePlanner(ABC, Generic[Network]):
             "device": self._device.type,
             "precision": precision,
             "forecast_score": FORECAST_SCORE,
-            # The network's layers and its inputs are outside its package, whose code the run's key covers already.
-            "shared_code_sha256": code_sha256(ImageFormat),
         }
 
     def plan(self, observation: Observation) -> Plan:

@@ -100,7 +100,8 @@ def planner_factory(
     Raises:
         InputError: As `planner` does.
     """
-    facts = facts_of(planner(name, checkpoint=checkpoint, data=data, seed=seed, device=device, precision=precision))
+    built = planner(name, checkpoint=checkpoint, data=data, seed=seed, device=device, precision=precision)
+    facts = facts_of(built, made_by=_reference(name))
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
@@ -148,6 +149,14 @@ def planner(
         raise InputError(f"there is no checkpoint {checkpoint}")
     offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
     return _checked(_build(made, name, offered), name)
+
+
+def _reference(name: str) -> str:
+    """What makes a planner that there is, as ``package.module:name``."""
+    installed = installed_planners()
+    if name in installed:
+        return f"{installed[name].module}:{installed[name].attr}"
+    return (BUILT_IN | WITH_WEIGHTS | MINIATURES).get(name, name)
 
 
 def installed_planners() -> dict[str, EntryPoint]:

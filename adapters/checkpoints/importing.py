@@ -24,6 +24,7 @@ from adapters.native_models import NativeModel, native_model
 from benchmark import __version__
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
+from benchmark.runs.code_identity import outside_identity
 from benchmark.weights.foreign import read_checkpoint
 
 _NORM: Final = re.compile(
@@ -98,6 +99,7 @@ def import_checkpoint(
     return ImportedWeights(target, provenance, len(tensors), sum(tensor.numel() for tensor in tensors.values()))
 
 
+@outside_identity
 def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None = None) -> Path:
     """The weights file for a model, from what ``--checkpoint`` says or from what has been imported.
 

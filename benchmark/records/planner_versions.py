@@ -50,6 +50,7 @@ def _differs(name: str, records: Sequence[RunRecord], values: Sequence[str | Non
 def _version(record: RunRecord) -> dict[str, str]:
     """What tells versions of a planner apart, as text by what it is."""
     planner = record.run.planner
+    # Records of before name the code of native planners in their settings too (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
     facts: dict[str, Any] = {"seed": planner.seed, **settings}
     if planner.weights_sha256 is not None:

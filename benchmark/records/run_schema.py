@@ -21,7 +21,7 @@ class PlannerFacts(_Row):
         name: Shown in tables.
         privileged: Whether it saw boxes, the map or the recorded future.
         weights_sha256: Of its weights file, if it has one.
-        code_sha256: Of its source files.
+        code_sha256: Of the code that its plans depend on (`benchmark.runs.code_identity`).
         settings: Its own settings.
         seed: Its seed.
         native_protocol: Protocol of the planner's own repository, if it has one.

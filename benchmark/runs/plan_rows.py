@@ -1,7 +1,6 @@
 """Plans of one scene as rows of JSON: the part of a run that needs the planner, done once and kept."""
 
 import contextlib
-import inspect
 import random
 import re
 import sys
@@ -9,7 +8,6 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,6 +21,7 @@ from benchmark.machine.storage import content_key, content_seed, file_name, read
 from benchmark.planning import Forecasts, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import PlannerFacts
+from benchmark.runs.code_identity import code_sha256, parts_of
 from benchmark.scene import Scene
 
 ROW_FORMAT = 2
@@ -75,15 +74,16 @@ class PlannedScene:
     seconds: float | None
 
 
-def facts_of(planner: Planner) -> PlannerFacts:
-    """Identity of a planner that was built by hand.
+def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
+    """Identity of a planner.
 
     Args:
         planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
             taken over.
+        made_by: The function or class that made it, as ``package.module:name``, if it was not built by hand.
 
     Returns:
-        Its identity, with the hash of its class's source files.
+        Its identity, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
 
     Raises:
         InputError: If its settings are not plain values, or its native protocol is not known.
@@ -99,7 +99,7 @@ def facts_of(planner: Planner) -> PlannerFacts:
         name=planner.name,
         privileged=isinstance(planner, PrivilegedPlanner),
         weights_sha256=getattr(planner, "weights_sha256", None),
-        code_sha256=code_sha256(type(planner)),
+        code_sha256=code_sha256(type(planner), made_by=made_by, name=planner.name, parts=parts_of(planner)),
         settings=settings,
         seed=int(getattr(planner, "seed", 0)),
         native_protocol=known_native(getattr(planner, "native_protocol", None), f"planner {planner.name!r}"),
@@ -122,31 +122,6 @@ def known_native(name: str | None, whose: str) -> str | None:
     if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
         raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
     return name
-
-
-@cache
-def code_sha256(planner_class: type) -> str | None:
-    """Hash of the Python files that a planner class lives among, so that changed code is never taken for done work.
-
-    Args:
-        planner_class: The class.
-
-    Returns:
-        Hash of its name and module, and of the rest of its package if it is in one; ``None`` if it has no source file.
-    """
-    try:
-        source = inspect.getsourcefile(planner_class)
-    except TypeError:
-        return None
-    if source is None or not Path(source).is_file():
-        return None
-    file = Path(source)
-    package = file.parent if (file.parent / "__init__.py").is_file() else None
-    files = sorted(package.rglob("*.py")) if package else [file]
-    base = file.parent
-    return content_key(
-        planner_class.__qualname__, [(path.relative_to(base).as_posix(), path.read_text()) for path in files]
-    )
 
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
