@@ -14,6 +14,7 @@ import argparse
 import hashlib
 import json
 import platform
+import resource
 import shutil
 import subprocess
 import sys
@@ -73,9 +74,16 @@ def wanted_parts(only: Iterable[str], *, start: bool) -> list[str]:
     return ordered
 
 
+def processor_seconds() -> float:
+    """What finished subprocesses took of all processors; other work on the machine does not change it."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def run_side(tree: Tree, kind: Kind, parts: list[str], kept: Path | None = None) -> Seen:
     """Run parts in a tree, two at a time, but for those whose outcome is kept."""
     tree.check()
+    side_began, used_before = time.monotonic(), processor_seconds()
     running: dict[str, Future[Seen]] = {}
 
     def outcome(name: str, needs: list[Future[Seen]]) -> Seen:
@@ -97,6 +105,11 @@ def run_side(tree: Tree, kind: Kind, parts: list[str], kept: Path | None = None)
         for name in parts:
             needs = [running[need] for need in needs_of(name, start=tree.code_is_start) if need in running]
             running[name] = pool.submit(outcome, name, needs)
+    print(
+        f"{tree.name}: {time.monotonic() - side_began:.0f} s, of processors {processor_seconds() - used_before:.0f} s",
+        file=sys.stderr,
+        flush=True,
+    )
     return {thing: found for name in PARTS if name in running for thing, found in running[name].result().items()}
 
 

@@ -49,6 +49,7 @@ class Kind:
         scenes: Of the town.
         build: Options of ``data build``.
         search: Options of ``generate`` that bound the search.
+        alone: Further ones for what one process makes.
         golden: Folder of golden numbers; the built-in ones are used without.
     """
 
@@ -56,6 +57,7 @@ class Kind:
     scenes: int
     build: tuple[str, ...]
     search: tuple[str, ...]
+    alone: tuple[str, ...]
     golden: Path | None
 
     @property
@@ -68,8 +70,9 @@ def kind_of(*, quick: bool, golden: Path | None) -> Kind:
     """The quick or the whole freeze."""
     keyframes = ("--frames", "keyframes")
     if quick:
-        return Kind("quick", 2, keyframes, ("--candidates", "64", "--vehicles", "3"), None)
-    return Kind("whole", 4, (), ("--vehicles", "8"), golden)
+        search = ("--candidates", "64", "--vehicles", "3", "--per-scene", "1")
+        return Kind("quick", 2, keyframes, search, (*keyframes, "--limit", "1"), None)
+    return Kind("whole", 4, (), ("--vehicles", "8"), keyframes, golden)
 
 
 def data(tree: Tree, kind: Kind) -> None:
@@ -82,8 +85,8 @@ def data(tree: Tree, kind: Kind) -> None:
 
 def generate(tree: Tree, kind: Kind) -> None:
     """Splits adv and val-r, made by one and by two processes."""
-    # Every twelfth of a second is drawn once, in the whole freeze.
-    drawn = {1: ("--frames", "keyframes"), 2: kind.build}
+    # The whole freeze draws every twelfth of a second once, with two processes.
+    drawn = {1: kind.alone, 2: kind.build}
     keeps = "--keep-rounds" in tree.run("generate", "--help")
     for workers in (2, 1):
         out = f"out{workers}"
