@@ -60,7 +60,7 @@ class Tree:
             codes: Exit codes that are expected.
 
         Returns:
-            What it printed on stdout; after an unexpected exit code, that code and stderr, which then shows as a
+            What it printed on stdout; behind it, after an unexpected exit code, that code and stderr, which show as a
             difference. Of the start that is an error: nothing could be compared with it.
         """
         done = self._start(["-m", "benchmark", *arguments])
@@ -68,7 +68,7 @@ class Tree:
             return done.stdout
         if self.code_is_start:
             raise SystemExit(f"the start fails at {' '.join(arguments)} (exit code {done.returncode}): {done.stderr}")
-        return f"exit code {done.returncode}: {done.stderr}"
+        return f"{done.stdout}exit code {done.returncode}: {done.stderr}"
 
     def refusal(self, *arguments: str) -> str:
         """Exit code and stderr of a command that must refuse."""
