@@ -8,6 +8,7 @@ import contextlib
 import functools
 import os
 import socket
+import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
@@ -25,10 +26,10 @@ Result = TypeVar("Result")
 
 LOCAL_OBJECT_STORE_BYTES: Final = 200 * 10**6
 """Shared memory of a Ray that is started here: scenes on their way to workers, a few MB each."""
-PROBE_S: Final = 5.0
-"""How long a cluster may take to answer at all."""
-_HTTP2_PREFACE: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
-_HTTP2_SETTINGS: Final = 4
+CONNECTION_S: Final = 5.0
+"""How long an address may take to accept a connection."""
+ANSWER_S: Final = 20.0
+"""How long a cluster may take to say that it is well; one that is takes some three seconds."""
 _ADVICE: Final = "start it with ray start --head and give the HOST:PORT that it prints as --address"
 _PACKAGES: Final = ("adapters", "benchmark", "generation", "leaderboard")
 
@@ -134,8 +135,8 @@ def _joined(address: str | None) -> Iterator[Any]:
     if address is None:
         where["object_store_memory"] = LOCAL_OBJECT_STORE_BYTES
     else:
-        where = {"address": _current_address() if address == "auto" else address}
-        require_answer(where["address"])
+        where = {"address": address}
+        require_answer(address)
     try:
         # Output of workers would mix with the command's own.
         ray.init(**where, log_to_driver=False, logging_level="ERROR")
@@ -151,41 +152,36 @@ def _joined(address: str | None) -> Iterator[Any]:
         ray.shutdown()
 
 
-def _current_address() -> str:
-    """What ``auto`` means to Ray: the cluster of the environment, or the one last started on this machine."""
-    note = Path(os.environ.get("RAY_TMPDIR", "/tmp")) / "ray" / "ray_current_cluster"
-    return os.environ.get("RAY_ADDRESS") or (note.read_text().strip() if note.is_file() else "") or "auto"
-
-
+@functools.cache
 def require_answer(address: str) -> None:
-    """Find out quickly whether a cluster is there; Ray waits for minutes where nothing answers, or something else.
+    """Find out soon whether a cluster is there; Ray waits for minutes where nothing answers, or something else.
 
     Args:
-        address: HOST:PORT, ``ray://HOST:PORT``, or ``auto``, where Ray finds nothing at once.
+        address: HOST:PORT, ``ray://HOST:PORT``, or ``auto`` for what Ray finds on this machine.
 
     Raises:
-        InputError: If it is no address, or no server like Ray's answers there.
+        InputError: If it is no address, or no Ray cluster answers there.
     """
-    if address == "auto":
-        return
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"the address of a Ray cluster is HOST:PORT, auto or ray://HOST:PORT, not {address!r}")
+    if address != "auto":
+        host, _, port = address.removeprefix("ray://").rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+            raise InputError(f"the address of a Ray cluster is HOST:PORT, auto or ray://HOST:PORT, not {address!r}")
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECTION_S).close()
+        except OSError as error:
+            raise InputError(f"no Ray cluster answers at {address} ({error.strerror or error}); {_ADVICE}") from error
+    if not address.startswith("ray://") and not _is_healthy(address):
+        raise InputError(f"no Ray cluster answers at {address}; {_ADVICE}")
+
+
+def _is_healthy(address: str) -> bool:
+    """Whether Ray's own check succeeds, in a process of its own: it cannot be told how long to wait."""
+    where = [] if address == "auto" else ["--address", address]
+    check = [sys.executable, "-m", "ray.scripts.scripts", "health-check", *where]
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=PROBE_S) as connection:
-            encrypted = os.environ.get("RAY_USE_TLS", "0") not in ("", "0")
-            speaks_http2 = encrypted or _speaks_http2(connection)
-    except OSError as error:
-        raise InputError(f"no Ray cluster answers at {address} ({error.strerror or error}); {_ADVICE}") from error
-    if not speaks_http2:
-        raise InputError(f"what answers at {address} is no Ray cluster; {_ADVICE}")
-
-
-def _speaks_http2(connection: socket.socket) -> bool:
-    """Whether a server answers as those of gRPC do, which Ray's are: with its settings."""
-    connection.sendall(_HTTP2_PREFACE)
-    frame = connection.recv(9)
-    return len(frame) == 9 and frame[3] == _HTTP2_SETTINGS
+        return subprocess.run(check, capture_output=True, timeout=ANSWER_S, check=False).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
 
 
 def _places(ray: Any, address: str | None, gpus: int) -> int:

@@ -4,9 +4,7 @@ Results come in the order of the items whatever the number of workers; every pro
 one worker and many give the same bytes. Items are drawn only a little ahead of the results: they may be large.
 """
 
-import ctypes
 import functools
-import importlib
 import multiprocessing
 import os
 import signal
@@ -32,12 +30,6 @@ UNFINISHED_PER_WORKER: Final = 3
 WAITING_PER_WORKER: Final = 60
 """Finished and unfinished units for each worker; one slow unit holds up the results of no more than these."""
 _SLOW_TO_IMPORT: Final = ("torch", "cv2", "shapely", "benchmark.datasets.nuscenes")
-_OPENBLAS_SETTERS: Final = (
-    "openblas_set_num_threads64_",
-    "scipy_openblas_set_num_threads64_",
-    "openblas_set_num_threads",
-)
-"""What the function is called in the builds of OpenBLAS that come with numpy."""
 
 _number = 0
 
@@ -67,16 +59,14 @@ class Executor(Protocol):
 def single_threaded() -> None:
     """Make the numerical libraries of this process use one thread, whatever the environment says."""
     import cv2
+    import numpy as np  # noqa: F401 - limits hold for the libraries that are loaded by then
     import torch
+    from threadpoolctl import threadpool_limits
 
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    # numpy has no switch of its own, and its products round differently with more threads. A build with another
-    # library than OpenBLAS has none of these functions; there the environment (OMP_NUM_THREADS) decides.
-    linear_algebra = ctypes.CDLL(str(importlib.import_module("numpy.linalg._umath_linalg").__file__))
-    for name in _OPENBLAS_SETTERS:
-        if hasattr(linear_algebra, name):
-            getattr(linear_algebra, name)(1)
+    # numpy has no switch of its own, and its products round differently with more threads.
+    threadpool_limits(1, user_api="blas")
 
 
 def default_workers() -> int:

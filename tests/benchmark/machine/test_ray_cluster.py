@@ -1,5 +1,6 @@
 """One cluster of two nodes on this machine for the whole module: starting one takes seconds."""
 
+import contextlib
 import socket
 import sys
 import threading
@@ -137,7 +138,7 @@ class LosesANode:
         node = self.cluster.add_node(num_cpus=1, object_store_memory=80 * 2**20) if dies else None
         for number, result in enumerate(self.joined.map(function, items, total=total, label=label)):
             yield result
-            if node is not None and 2 * (number + 1) >= total and not self.lost and busy(node.node_id):
+            if node is not None and number + 1 < total and not self.lost and busy(node.node_id):
                 self.cluster.remove_node(node, allow_graceful=False)
                 self.lost.append((number + 1, total))
 
@@ -156,7 +157,7 @@ def test_a_build_that_loses_a_node_has_the_bytes_of_local_processes(
     source = write_source(tmp_path / "town", town_scene("val", 0))
     settings = BuildSettings(
         out=tmp_path / "here",
-        hyper=HyperParameters(candidates=16, multi_round=False, candidate_limit=6),
+        hyper=HyperParameters(candidates=64, multi_round=False, candidate_limit=16),
         prior=PackagedPrior(),
         frames="keyframes",
         executor=LocalProcesses(1),
@@ -166,7 +167,7 @@ def test_a_build_that_loses_a_node_has_the_bytes_of_local_processes(
     report = build_split(source, "adv", replace(settings, out=tmp_path / "there", executor=loses))
     assert report.written
     [(there, total)] = loses.lost
-    assert total // 2 <= there < total
+    assert 0 < there < total
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
@@ -177,7 +178,8 @@ def test_a_cluster_that_is_no_more_is_a_sentence(tmp_path: Path, monkeypatch: py
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     monkeypatch.setenv("RAY_TMPDIR", str(tmp_path))
     monkeypatch.setattr("ray.is_initialized", lambda: False)
-    with pytest.raises(InputError, match=r"no Ray cluster answers at 127.0.0.1:1 \(Connection refused\)"):
+    monkeypatch.setattr(ray_cluster, "ANSWER_S", 5.0)
+    with pytest.raises(InputError, match=r"no Ray cluster answers at auto; start it with"):
         list(RayCluster("auto").map(units_of_work.doubled, [1], total=1, label="doubling"))
 
 
@@ -198,24 +200,27 @@ def test_where_no_cluster_answers_a_sentence_comes_at_once(
     answer: bytes | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another kind of server, one that hangs up, one that says nothing, and then none at all."""
-    monkeypatch.setattr(ray_cluster, "PROBE_S", 0.2)
+    monkeypatch.setattr(ray_cluster, "ANSWER_S", 3.0)
     ended = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
 
         def serve() -> None:
-            connection, _ = server.accept()
-            with connection:
-                if answer is None:
-                    ended.wait(10.0)
-                else:
-                    connection.sendall(answer)
+            while not ended.is_set():
+                connection, _ = server.accept()
+                with connection, contextlib.suppress(OSError):
+                    if answer is None:
+                        ended.wait(10.0)
+                    else:
+                        connection.sendall(answer)
 
         thread = threading.Thread(target=serve)
         thread.start()
         with pytest.raises(InputError, match=r"no Ray cluster"):
             ray_cluster.require_answer(address)
         ended.set()
+        # The server may be waiting for one more connection.
+        socket.create_connection(server.getsockname()).close()
         thread.join()
     with pytest.raises(InputError, match=f"no Ray cluster answers at {address}"):
         ray_cluster.require_answer(address)
