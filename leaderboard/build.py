@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.drawing.figures import png_size
+from benchmark.drawing.plots import png_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport

@@ -13,7 +13,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from benchmark.constants import HORIZON_STEPS
-from benchmark.drawing.figures import drawable, new_figure, picture
+from benchmark.drawing.lettering import drawable
+from benchmark.drawing.plots import new_figure, picture
 from benchmark.metrics.confusion import EXACT, comparisons
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
 from leaderboard.tables.collision import SPLIT_ORDER, in_table_order, judges, marked

@@ -15,8 +15,9 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from benchmark.drawing.figures import drawable, new_figure, picture
+from benchmark.drawing.lettering import drawable
 from benchmark.drawing.palette import INK
+from benchmark.drawing.plots import new_figure, picture
 from benchmark.errors import InputError
 from benchmark.records.scenes import (
     ROUNDS_FILE,

@@ -11,8 +11,7 @@ import numpy as np
 from benchmark.constants import FRAME_HZ
 from benchmark.drawing.birdseye import SceneFromAbove
 from benchmark.drawing.captions import draw_scale_bar
-from benchmark.drawing.figures import drawable
-from benchmark.drawing.lettering import Picture, text_width, write_text
+from benchmark.drawing.lettering import Picture, drawable, text_width, write_text
 from benchmark.drawing.overlays import EXACT, Overlay, candidates_overlay
 from benchmark.drawing.palette import PANEL, TITLE, TITLE_FAINT, TITLE_INK
 from benchmark.errors import InputError
