@@ -25,6 +25,8 @@ class PlannerFacts(_Row):
         settings: Its own settings.
         seed: Its seed.
         native_protocol: Protocol of the planner's own repository, if it has one.
+        published_as: The paper's name for it, if the paper ran it.
+        miniature: Whether it is a small stand-in for a published model.
     """
 
     name: str
@@ -34,6 +36,8 @@ class PlannerFacts(_Row):
     settings: dict[str, Any] = Field(default_factory=dict)
     seed: int = 0
     native_protocol: str | None = None
+    published_as: str | None = None
+    miniature: bool = False
 
 
 class SceneFacts(_Row):

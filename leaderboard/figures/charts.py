@@ -17,7 +17,7 @@ from benchmark.drawing.lettering import drawable
 from benchmark.drawing.plots import new_figure, picture
 from benchmark.metrics.confusion import EXACT, comparisons
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
-from leaderboard.tables.collision import SPLIT_ORDER, in_table_order, judges, marked
+from leaderboard.tables.rows import SPLIT_ORDER, in_table_order, judges, marked
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d31")
 """Told apart with and without colour-blindness (Okabe and Ito's, the yellow replaced); they repeat after eight."""

@@ -13,7 +13,7 @@ from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord, SampleRow, scene_failures
 from benchmark.records.scenes import Sheet, Sheets
-from leaderboard.tables.collision import SPLIT_ORDER
+from leaderboard.tables.rows import SPLIT_ORDER
 
 SceneName = tuple[str, str, str]
 """Data set, split and scene."""

@@ -12,11 +12,12 @@ from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
-from leaderboard.tables.collision import SPLIT_ORDER, collision_table, in_table_order, native_table
+from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
+from leaderboard.tables.rows import SPLIT_ORDER, in_table_order
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.statistics import statistics_tables

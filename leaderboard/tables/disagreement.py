@@ -6,7 +6,7 @@ from benchmark.metrics.confusion import CAUSES, EXACT, RUNGS, Comparison, Confus
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, number, record_name
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import (
+from leaderboard.tables.rows import (
     PRIVILEGED_NOTE,
     STALE_MARK,
     completeness_notes,

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.machine.storage import content_key
+from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3
 from benchmark.records.quality import QualityRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import FEW_NOTE, FEW_SCENES, SPLIT_ORDER
-from leaderboard.tables.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3, quoted
+from leaderboard.tables.published import quoted
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, SPLIT_ORDER
 
 _COLUMNS: Final = (
     "split",
