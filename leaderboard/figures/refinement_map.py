@@ -12,19 +12,8 @@ from matplotlib.patches import PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
-from benchmark.drawing.palette import (
-    ADVERSARY,
-    CAR_PARK,
-    CROSSING,
-    EGO,
-    INK,
-    LAND,
-    PAINT,
-    ROAD,
-    VEHICLE,
-    WALKWAY,
-    Rgb,
-)
+from benchmark.drawing.ground import ground_of
+from benchmark.drawing.palette import ADVERSARY, EGO, INK, LAND, PAINT, VEHICLE, Rgb
 from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.geometry import Floats, box_corners, to_local
 from benchmark.records.scenes import Sheet, TraceFrame
@@ -95,16 +84,14 @@ def draw_road(axes: Axes, sheet: Sheet, view: View) -> None:
     """
     axes.set_facecolor(rgb(LAND))
     window = shapely.box(view.left - 1, view.bottom - 1, view.right + 1, view.top + 1)
-    road = sheet.road
-    for areas, colour in (
-        (road.walkways, WALKWAY), (road.drivable, ROAD), (road.carparks, CAR_PARK), (road.crossings, CROSSING)
-    ):  # fmt: skip
-        for area in areas:
-            rings = [view.here(np.array(ring)) for ring in area if len(ring) > 3]
+    ground = ground_of(sheet)
+    for layer in (ground.below, ground.drivable, *ground.above):
+        for area in layer.areas:
+            rings = [view.here(ring) for ring in area if len(ring) > 3]
             if rings:
                 seen = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
-                _fill(axes, seen, rgb(colour))
-    for line in road.dividers:
+                _fill(axes, seen, rgb(layer.colour))
+    for line in sheet.road.dividers:
         name = next((each for each in PAINT if line.paint.endswith(f"-{each}")), None)
         if name is None or len(line.points) < 2:
             continue

@@ -1,6 +1,6 @@
 """What rows of tables share: their order, names and marks, and what has to be said of the runs behind them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.run import NATIVE, RunRecord
@@ -14,15 +14,19 @@ FEW_SCENES = 20
 FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
 
 
+def split_place(split: str) -> tuple[int, str]:
+    """To sort splits by: the paper's three first, the others by name."""
+    return SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split
+
+
+def splits_of(records: Iterable[RunRecord]) -> list[str]:
+    """Splits that were run, in their order."""
+    return sorted({record.run.split for record in records}, key=split_place)
+
+
 def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
     """Records by planner (privileged ones last), then split."""
-
-    def place(record: RunRecord) -> tuple[bool, str, int, str]:
-        split = record.run.split
-        known = SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER)
-        return record.run.planner.privileged, record.planner, known, split
-
-    return sorted(records, key=place)
+    return sorted(records, key=lambda each: (each.run.planner.privileged, each.planner, split_place(each.run.split)))
 
 
 def marked(planner: str, *, privileged: bool) -> str:
