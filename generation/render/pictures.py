@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.roots import DataSet
 from benchmark.drawing.birdseye import SceneFromAbove
+from benchmark.drawing.canvas import png
 from benchmark.drawing.captions import draw_captions, draw_time
 from benchmark.drawing.lettering import Picture, write_text
 from benchmark.drawing.palette import PAPER
@@ -133,10 +134,8 @@ def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: 
     written = []
     for name in names:
         scene = data.scene(name)
-        image = scene_strip(scene, moments(scene), renderer)
-        _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         path = folder / f"{file_name(name)}.png"
-        write_bytes(path, encoded.tobytes())
+        write_bytes(path, png(scene_strip(scene, moments(scene), renderer)))
         written.append(path)
     return written
 

@@ -29,7 +29,7 @@ from benchmark.records.scenes import (
     TraceRound,
 )
 from leaderboard.figures.charts import NamedFigure
-from leaderboard.figures.refinement_map import View, draw_candidates, draw_road, draw_traffic, rgb, view_of
+from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, rgb, view_of
 
 SCENES_OF_A_SPLIT: Final = 3
 """Figures of one split: the first traced scenes by name."""
@@ -160,7 +160,7 @@ def _best_score(entry: TraceRound) -> float | None:
     return min((score for score in entry.scores if score is not None), default=None)
 
 
-def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: View) -> Figure:
+def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView) -> Figure:
     shown = _shown_rounds(len(at.rounds))
     columns, lines = min(len(shown), _COLUMNS), -(-len(shown) // _COLUMNS)
     width = _LEFT + columns * (_PANEL_WIDTH + _GAP) + _BESIDE
@@ -221,7 +221,7 @@ def _colours() -> Colormap:
     return ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 256)))
 
 
-def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: View, searched: int) -> None:
+def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searched: int) -> None:
     entry, best = at.rounds[number], _best_score(at.rounds[number])
     name = "first batch" if number == 0 else f"round {number}"
     score = "no finite score" if best is None else f"best {best:.2f}"

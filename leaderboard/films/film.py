@@ -180,29 +180,6 @@ class Film:
         write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
 
 
-def film_frames(
-    stored: StoredSheet,
-    records: Sequence[RunRecord],
-    models: Sequence[str],
-    layout: FilmLayout = FilmLayout.BOTH,
-) -> Iterator[Picture]:
-    """The frames of a scene's film from its first frame to its last.
-
-    Args:
-        stored: The scene.
-        records: Run records that have the planners' plans.
-        models: Planners to show, as tables name them.
-        layout: What a frame shows.
-
-    Returns:
-        Frames, (720, 1280, 3) RGB, 12 a second.
-
-    Raises:
-        InputError: As `Film`.
-    """
-    return iter(Film(stored, records, models, FilmSettings(layout=layout)))
-
-
 def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
     if stored.sheet.pictures and stored.sheet.cameras:
         return layout
