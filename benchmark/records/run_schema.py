@@ -25,8 +25,8 @@ class PlannerFacts(_Row):
         settings: Its own settings.
         seed: Its seed.
         native_protocol: Protocol of the planner's own repository, if it has one.
-        published_as: The paper's name for it, if the paper ran it.
-        miniature: Whether it is a small stand-in for a published model.
+        published_as: What the paper calls it, if it ran it.
+        miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
     """
 
     name: str
