@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.drawing.figures import png_size
+from benchmark.drawing.plots import png_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport
@@ -22,7 +22,7 @@ from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
 from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
-from leaderboard.tables.paper import published_tables
+from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 
 Files = dict[str, bytes]

@@ -12,9 +12,10 @@ from benchmark.records.ablation import AblationReport
 from benchmark.records.run import RunRecord
 from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
-from leaderboard.tables.collision import collision_table, in_table_order, native_table
+from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
+from leaderboard.tables.rows import in_table_order
 from leaderboard.tables.transfer import agreement_table, transfer_table
 
 PAGE: Final = "README.md"

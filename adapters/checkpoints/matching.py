@@ -15,7 +15,7 @@ from benchmark.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class TensorMatch:
     """Tensors against those that a model needs; all in the order of the model or of the file.
 
     Attributes:
@@ -114,7 +114,7 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
     Raises:
         InputError: If they fit no model, or not the wanted one; or hold NaN or infinity.
     """
-    compared = [Comparison.of(renamed(tensors, model), model) for model in NATIVE_MODELS.values()]
+    compared = [TensorMatch.of(renamed(tensors, model), model) for model in NATIVE_MODELS.values()]
     fitting = [found for found in compared if found.fits and wanted in (None, found.model.name)]
     if not fitting:
         raise InputError(_does_not_fit(path, compared, wanted))
@@ -131,7 +131,7 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
     return model, converted
 
 
-def _does_not_fit(path: Path, compared: Sequence[Comparison], wanted: str | None) -> str:
+def _does_not_fit(path: Path, compared: Sequence[TensorMatch], wanted: str | None) -> str:
     other = next((found.model.name for found in compared if found.fits), None)
     if other is not None:
         return f"{path} holds the weights of {other}, not of {wanted}; use it with --model {other}"

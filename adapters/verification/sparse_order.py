@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from adapters.networks.sparse.decoder import Decoded, Remembered, SparseDecoder
 from adapters.networks.sparse.model import Memory, SparseNetwork
-from adapters.networks.sparse.selection import Predictions, select_boxes, select_lines
+from adapters.networks.sparse.selection import SparsePredictions, select_boxes, select_lines
 from adapters.networks.sparse.tracks import Tracks
 from benchmark.geometry import Floats
 from benchmark.verification.golden import GoldenArrays
@@ -38,7 +38,7 @@ class Order:
     vectors: Rows
 
     @classmethod
-    def of(cls, network: SparseNetwork, predictions: Predictions, stored: GoldenArrays) -> "Order":
+    def of(cls, network: SparseNetwork, predictions: SparsePredictions, stored: GoldenArrays) -> "Order":
         """Find the order of a frame's rows; what a set does not store stays as it is."""
         agents, lines = predictions.agents, predictions.lines
         boxes, vectors = select_boxes(network.config, agents), select_lines(network.config, lines)
@@ -66,7 +66,7 @@ class Order:
 
 def follow(
     network: SparseNetwork,
-    predictions: Predictions,
+    predictions: SparsePredictions,
     before: Memory | None,
     order: Order,
     stored: GoldenArrays,

@@ -13,7 +13,13 @@ from torch import Tensor
 from adapters.networks.sparse.boxes import decode_boxes
 from adapters.networks.sparse.model import Memory, SparseNetwork
 from adapters.networks.sparse.noise_schedule import TIMESTEPS
-from adapters.networks.sparse.selection import Predictions, forecast_centres, select_boxes, select_lines, select_plan
+from adapters.networks.sparse.selection import (
+    SparsePredictions,
+    forecast_centres,
+    select_boxes,
+    select_lines,
+    select_plan,
+)
 from adapters.verification.sparse_order import Order, Rows
 
 
@@ -50,7 +56,7 @@ class Quantity:
 
 
 def frame_quantities(
-    network: SparseNetwork, predictions: Predictions, order: Order, command: int, fresh: bool | None
+    network: SparseNetwork, predictions: SparsePredictions, order: Order, command: int, fresh: bool | None
 ) -> dict[str, Quantity]:
     """Everything but feature maps that a set may store of a frame.
 
@@ -90,7 +96,7 @@ def _batch(tensor: Tensor, rule: Rule, rows: Rows | None = None) -> Quantity:
     return replace(found := _numbers(tensor, rule, rows), values=found.values[None])
 
 
-def _stages(predictions: Predictions, order: Order) -> dict[str, Quantity]:
+def _stages(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
     agents, lines = predictions.agents, predictions.lines
     found = {
         "det_instance_feature": _batch(agents.features, Rule.ROWS, order.agents),
@@ -110,7 +116,7 @@ def _stages(predictions: Predictions, order: Order) -> dict[str, Quantity]:
     return found
 
 
-def _planner(predictions: Predictions, order: Order) -> dict[str, Quantity]:
+def _planner(predictions: SparsePredictions, order: Order) -> dict[str, Quantity]:
     planner = predictions.planner
     return {
         "motion_cls": _batch(planner.motion_logits, Rule.FORECASTS, order.agents),
@@ -121,7 +127,9 @@ def _planner(predictions: Predictions, order: Order) -> dict[str, Quantity]:
     }
 
 
-def _reported(network: SparseNetwork, predictions: Predictions, order: Order, command: int) -> dict[str, Quantity]:
+def _reported(
+    network: SparseNetwork, predictions: SparsePredictions, order: Order, command: int
+) -> dict[str, Quantity]:
     config, planner = network.config, predictions.planner
     boxes, lines = select_boxes(config, predictions.agents), select_lines(config, predictions.lines)
     plan = select_plan(config, predictions, command)
@@ -160,7 +168,7 @@ def _numbers_of(memory: Memory, order: Order) -> Tensor:
     return numbers
 
 
-def _denoising(predictions: Predictions) -> dict[str, Quantity]:
+def _denoising(predictions: SparsePredictions) -> dict[str, Quantity]:
     steps: Mapping[str, Tensor] = predictions.planner.denoising
     if not steps:
         return {}

@@ -7,7 +7,7 @@ import numpy as np
 
 from adapters.networks.uniad.collision_optimiser import Solver, move_plan, nearby_cells
 from adapters.networks.uniad.collision_solvers import cost
-from adapters.networks.uniad.frames import Predictions
+from adapters.networks.uniad.frames import UniADPredictions
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.verification.checks import Comparison
@@ -23,7 +23,7 @@ WHOLE: Final = "sdc_traj behind the network"
 LOWEST: Final = "lowest cost above the stored plan's"
 
 
-def compare_optimiser(comparison: Comparison, predictions: Predictions, stored: GoldenArrays, where: str) -> None:
+def compare_optimiser(comparison: Comparison, predictions: UniADPredictions, stored: GoldenArrays, where: str) -> None:
     """Compare moved plans.
 
     Args:
@@ -68,7 +68,7 @@ def compare_optimiser(comparison: Comparison, predictions: Predictions, stored: 
 
 
 def _behind_the_network(
-    comparison: Comparison, predictions: Predictions, stored_cells: Bools, golden: Floats, where: str
+    comparison: Comparison, predictions: UniADPredictions, stored_cells: Bools, golden: Floats, where: str
 ) -> None:
     """The plan from our own occupancy, but for points near which cells that are too close to call are different."""
     occupied = predictions.occupancy.occupied.cpu().numpy()

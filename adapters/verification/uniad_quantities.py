@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.layers.coders import extent_corners
-from adapters.networks.uniad.frames import Predictions
+from adapters.networks.uniad.frames import UniADPredictions
 from adapters.networks.uniad.map_masks import INSIDE, paste_masks, ranked
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.occupancy import SEEN
@@ -41,7 +41,7 @@ TOO_CLOSE_MASK: Final = 2e-2
 
 
 def frame_quantities(
-    network: UniAD, predictions: Predictions, seen: Tensor, taps: Mapping[str, Tensor], stored: GoldenArrays
+    network: UniAD, predictions: UniADPredictions, seen: Tensor, taps: Mapping[str, Tensor], stored: GoldenArrays
 ) -> dict[str, Quantity]:
     """All quantities of a frame.
 
@@ -75,7 +75,7 @@ def frame_quantities(
     return found
 
 
-def _decoder(network: UniAD, p: Predictions) -> dict[str, Quantity]:
+def _decoder(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
     found, of = p.detections, Quantity.of
     return {
         "all_cls_scores": of(found.class_logits, DECODED),
@@ -88,7 +88,7 @@ def _decoder(network: UniAD, p: Predictions) -> dict[str, Quantity]:
     }
 
 
-def _life_cycle(network: UniAD, p: Predictions) -> dict[str, Quantity]:
+def _life_cycle(network: UniAD, p: UniADPredictions) -> dict[str, Quantity]:
     after, following, of = p.after, p.next_instances, Quantity.of
     fresh, active = network.config.queries + 1, p.after.track_ids >= 0
     return {
@@ -117,7 +117,7 @@ def _places_of(ids: Tensor, stored: GoldenArrays, name: str) -> Tensor:
     return torch.tensor([place[number] for number in golden], dtype=torch.int64, device=ids.device)
 
 
-def _boxes(network: UniAD, p: Predictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
+def _boxes(network: UniAD, p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
     tracks = Boxes(*(getattr(p.tracks, name)[order] for name in p.tracks.__slots__))
     found = _listed(tracks, "track") | {"track_ids": replace(Quantity.of(tracks.track_ids, EXACT), listed=True)}
     instances = p.after
@@ -133,7 +133,7 @@ def _boxes(network: UniAD, p: Predictions, order: Tensor, stored: GoldenArrays) 
     return found | _listed(strongest_boxes(instances, network.config), "det") | _listed(p.ego, "sdc")
 
 
-def _inside(network: UniAD, p: Predictions) -> Tensor:
+def _inside(network: UniAD, p: UniADPredictions) -> Tensor:
     """Indices of the instances whose boxes may be reported."""
     config = replace(network.config, max_boxes=len(p.after.scores))
     numbered = replace(p.after, track_ids=torch.arange(len(p.after.scores), device=p.after.scores.device))
@@ -149,7 +149,7 @@ def _listed(boxes: Boxes, kind: str) -> dict[str, Quantity]:
     return {name: replace(quantity, listed=True) for name, quantity in quantities.items()}
 
 
-def _map(p: Predictions) -> dict[str, Quantity]:
+def _map(p: UniADPredictions) -> dict[str, Quantity]:
     elements, of = p.elements, Quantity.of
     return {
         "seg_memory": of(elements.cells, EXACT),
@@ -160,7 +160,7 @@ def _map(p: Predictions) -> dict[str, Quantity]:
     }
 
 
-def _masks(network: UniAD, p: Predictions, stored: GoldenArrays) -> dict[str, Quantity]:
+def _masks(network: UniAD, p: UniADPredictions, stored: GoldenArrays) -> dict[str, Quantity]:
     """Masks of the elements that the set chose, pasted in the order of the set."""
     elements, config = p.elements, network.config
     if "seg_outputs_classes" in stored.names:
@@ -210,7 +210,7 @@ def _area(inside: Tensor, hanging: Bools, stored: GoldenArrays, name: str, *shap
     return Quantity(own, EXACT, np.abs(own - golden) <= doubtful)
 
 
-def _motion(p: Predictions, order: Tensor) -> dict[str, Quantity]:
+def _motion(p: UniADPredictions, order: Tensor) -> dict[str, Quantity]:
     found, of = p.forecasts, Quantity.of
     agents = torch.cat([order, order.new_tensor([len(order)])])
     return {
@@ -225,7 +225,7 @@ def _motion(p: Predictions, order: Tensor) -> dict[str, Quantity]:
     }
 
 
-def _occupancy(p: Predictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
+def _occupancy(p: UniADPredictions, order: Tensor, stored: GoldenArrays) -> dict[str, Quantity]:
     """Occupancy; from the step on in which a cell might attend to another vehicle, larger errors are left out."""
     found = p.occupancy
     ours = torch.full((len(order),), -1, device=order.device)

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
-from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
 from adapters.verification.parity_set import ParitySet
 from adapters.verification.quantities import Quantity, Tolerance, compare_frame, golden_list
@@ -121,7 +121,7 @@ def _tapped(network: VAD) -> Iterator[dict[str, Tensor]]:
             handle.remove()
 
 
-def _undecided_agents(config: VADConfig, predictions: Predictions) -> Bools:
+def _undecided_agents(config: VADConfig, predictions: VADPredictions) -> Bools:
     """(A,) agents of which it hangs on the last bits which lanes they see."""
     points = predictions.map_points[-1]
     nearest = points.norm(dim=-1).argmin(1)
@@ -136,7 +136,7 @@ def _undecided_agents(config: VADConfig, predictions: Predictions) -> Bools:
     return undecided
 
 
-def _raw(predictions: Predictions, undecided: Bools, taps: dict[str, Tensor]) -> dict[str, Quantity]:
+def _raw(predictions: VADPredictions, undecided: Bools, taps: dict[str, Tensor]) -> dict[str, Quantity]:
     """Everything that is not a list, under the names of the set."""
     p, of = predictions, Quantity.of
     modes = predictions.mode_logits.shape[1]
@@ -163,7 +163,7 @@ def _raw(predictions: Predictions, undecided: Bools, taps: dict[str, Tensor]) ->
 
 
 def _listed_boxes(
-    boxes: SelectedBoxes, predictions: Predictions, undecided: Bools, stored: GoldenArrays
+    boxes: SelectedBoxes, predictions: VADPredictions, undecided: Bools, stored: GoldenArrays
 ) -> dict[str, Quantity]:
     """Reported boxes in the order of the set."""
     trajectories = predictions.mode_offsets[boxes.agents].flatten(2)

@@ -45,7 +45,8 @@ def demo_command(
     from generation.search.hyperparameters import HyperParameters
     from generation.sources.mini import TownSettings, build_town
     from leaderboard.build import write_leaderboard
-    from leaderboard.tables.collision import collision_table, in_table_order
+    from leaderboard.tables.collision import collision_table
+    from leaderboard.tables.rows import in_table_order
     from leaderboard.tables.transfer import transfer_table
 
     space, processes = api.workspace(out), api.worker_count(workers)

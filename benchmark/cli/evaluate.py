@@ -145,7 +145,7 @@ def transfer_command(
     from benchmark.metrics.transfer import transfer
     from benchmark.records.planner_versions import labelled
     from leaderboard.figures.heat_map import write_heat_map
-    from leaderboard.tables.collision import in_table_order
+    from leaderboard.tables.rows import in_table_order
     from leaderboard.tables.transfer import agreement_table, transfer_table
 
     known = [record for record in labelled(api.records_below(out, records)) if record.run.split == split]

@@ -166,7 +166,7 @@ def generate_command(
         return
     typer.echo(report.summary())
     if runtime is not None:
-        typer.echo(runtime.plain())
+        typer.echo(runtime.table().plain(indent="  ", least=(10, 9, 9, 9)), nl=False)
 
 
 def ablate_command(
@@ -222,7 +222,7 @@ def ablate_command(
     if json_output:
         print_json(report.model_dump(mode="json", by_alias=True))
     else:
-        typer.echo(report.plain())
+        typer.echo(report.table().plain(), nl=False)
 
 
 def _hyper_parameters(preset: Preset, shortcuts: dict[str, Any], changes: list[str] | None) -> "HyperParameters":

@@ -20,6 +20,7 @@ from benchmark.datasets.tables import find_version
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 from benchmark.published import ADV_NUSC
+from benchmark.report.table import table_of
 
 _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 
@@ -82,13 +83,14 @@ class Statistics:
     def plain(self) -> str:
         """Everything as text tables."""
         which = "all scenes" if self.split is None else f"split {self.split}"
-        blocks = [f"{self.root}, {which}", _plain(_count_rows(self.counts))]
+        tables = [_count_rows(self.counts)]
         if self.adversaries_per_scene:
-            rows = [("adversaries", "scenes"), *sorted(self.adversaries_per_scene.items())]
-            blocks.append(_plain(rows))
+            tables.append([("adversaries", "scenes"), *sorted(self.adversaries_per_scene.items())])
         if self.labelled:
-            blocks += [_plain(_manoeuvre_rows(self.manoeuvres, self.places)), _plain(_quantile_rows(self))]
-        return "\n\n".join(blocks)
+            tables += [_manoeuvre_rows(self.manoeuvres, self.places), _quantile_rows(self)]
+        texts = ([tuple(map(str, row)) for row in rows] for rows in tables)
+        blocks = (table_of("", "", head, rows).plain() for head, *rows in texts)
+        return "\n".join([f"{self.root}, {which}\n", *blocks]).removesuffix("\n")
 
 
 class _Seconds(BaseModel):
@@ -247,14 +249,3 @@ def _quantile_rows(found: Statistics) -> list[tuple[Any, ...]]:
         times = (f"{value:.1f}" for value in found.time_to_collision_s.values())
         rows.append(("time to collision, s", found.within_5_s, *times))
     return rows
-
-
-def _plain(rows: Sequence[Sequence[Any]]) -> str:
-    """Text columns: the first to the left, numbers to the right."""
-    texts = [[str(cell) for cell in row] for row in rows]
-    widths = [max(len(row[column]) for row in texts) for column in range(len(texts[0]))]
-    lines = []
-    for row in texts:
-        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.drawing.canvas import GroundView, fill_box, mark_at, outline_box, stroke, view_around
 from benchmark.drawing.captions import draw_captions
-from benchmark.drawing.ground import Ground, draw_ground, ground_of
+from benchmark.drawing.ground import SheetGround, draw_ground, ground_of
 from benchmark.drawing.lettering import Picture
 from benchmark.drawing.overlays import CandidatesOverlay, Overlay, PlanOverlay
 from benchmark.drawing.palette import ADVERSARY, CYCLE, EGO, INK, PAPER, PERSON, THING, VEHICLE, Rgb, mixed
@@ -47,7 +47,7 @@ class SceneFromAbove:
             )
         self.sheet = sheet
         self.seconds: Floats = frame_seconds(sheet)
-        self._ground: Ground = ground_of(sheet)
+        self._ground: SheetGround = ground_of(sheet)
         self._ego: list[Floats] = [ego_box(sheet, frame) for frame in range(len(self.seconds))]
 
     def draw(

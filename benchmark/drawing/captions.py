@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from benchmark.drawing.canvas import SHIFT, GroundView, dashes, mark_at
-from benchmark.drawing.figures import drawable
-from benchmark.drawing.lettering import Picture, text_width, write_text
+from benchmark.drawing.lettering import Picture, drawable, text_width, write_text
 from benchmark.drawing.overlays import CandidatesOverlay, Overlay, PlanOverlay
 from benchmark.drawing.palette import (
     ADVERSARY,
@@ -133,6 +132,11 @@ def draw_scale_bar(image: Picture, view: GroundView) -> None:
     write_text(image, f"{metres} m", ((left + right) / 2, row - 10), size_px=11, anchor="centre")
 
 
+def draw_time(image: Picture, seconds: float) -> None:
+    """The time of a frame in the upper left corner."""
+    write_text(image, f"t = {seconds:.1f} s", (10.0, 14.0), size_px=13, bold=True, plate=PAPER)
+
+
 def draw_captions(image: Picture, view: GroundView, sheet: Sheet, seconds: float, overlays: Sequence[Overlay]) -> None:
     """Time above on the left, scale below on the right, the legend and the verdicts below on the left.
 
@@ -143,7 +147,7 @@ def draw_captions(image: Picture, view: GroundView, sheet: Sheet, seconds: float
         seconds: Time of the frame.
         overlays: What is drawn over it.
     """
-    write_text(image, f"t = {seconds:.1f} s", (10.0, 14.0), size_px=13, bold=True, plate=PAPER)
+    draw_time(image, seconds)
     draw_scale_bar(image, view)
     entries = legend_of(sheet, overlays)
     plans = [each for each in overlays if isinstance(each, PlanOverlay)]

@@ -64,7 +64,7 @@ class Layer:
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class SheetGround:
     """The map of one sheet.
 
     Attributes:
@@ -82,7 +82,7 @@ class Ground:
     paint: tuple[Layer, ...]
 
 
-def ground_of(sheet: Sheet) -> Ground:
+def ground_of(sheet: Sheet) -> SheetGround:
     """Make a sheet's map ready.
 
     Args:
@@ -94,7 +94,7 @@ def ground_of(sheet: Sheet) -> Ground:
     road = sheet.road
     crossings = [area for area in _areas(road.crossings) if area]
     strokes = {name: [_strokes(line) for line in road.dividers if line.paint.endswith(f"-{name}")] for name in PAINT}
-    return Ground(
+    return SheetGround(
         below=Layer.of(_areas(road.walkways), WALKWAY),
         drivable=Layer.of(_areas(road.drivable), ROAD),
         above=(Layer.of(_areas(road.carparks), CAR_PARK), Layer.of(crossings, CROSSING)),
@@ -105,7 +105,7 @@ def ground_of(sheet: Sheet) -> Ground:
     )
 
 
-def draw_ground(image: Picture, view: GroundView, ground: Ground) -> None:
+def draw_ground(image: Picture, view: GroundView, ground: SheetGround) -> None:
     """Fill a picture with the map.
 
     Args:

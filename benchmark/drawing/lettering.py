@@ -13,6 +13,8 @@ from benchmark.drawing.palette import INK, Rgb
 
 Picture = NDArray[np.uint8]
 Anchor = Literal["left", "centre", "right"]
+NAME_CHARACTERS: Final = 36
+"""Longer names are cut."""
 _FONTS: Final = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}
 
 
@@ -76,6 +78,13 @@ def fitted(text: str, width_px: int, *, size_px: int = 14, bold: bool = False) -
         if text_width(f"{text[:length]}…", size_px=size_px, bold=bold) <= width_px:
             return f"{text[:length]}…"
     return ""
+
+
+def drawable(name: str) -> str:
+    """A stranger's name on one line, cut, without characters that cannot be drawn or written into an SVG."""
+    text = "".join(character if character.isprintable() else " " for character in name)
+    text = " ".join(text.split())
+    return text if len(text) <= NAME_CHARACTERS else f"{text[: NAME_CHARACTERS - 1]}…"
 
 
 def _fill(image: Picture, x1: int, y1: int, x2: int, y2: int, colour: Rgb) -> None:

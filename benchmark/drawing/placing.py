@@ -1,19 +1,16 @@
 """Where things of a sheet and plans of run records are: everything in the sheet's own metres."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.errors import InputError
-from benchmark.geometry import Floats, ego_footprints, poses_between, to_global, wrap_angle
+from benchmark.geometry import Floats, ego_footprints, to_global, wrap_angle
+from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
 from benchmark.records.run import SampleRow
 from benchmark.records.scenes import Sheet, SheetAgent
-from benchmark.waypoints import chord_headings, points_in_lidar, waypoints_in_lidar
-
-INSTANTS_PER_STEP: Final = 5
-"""Instants at which ``exact`` compares in each half second."""
+from benchmark.waypoints import points_in_lidar, waypoints_in_lidar
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +43,11 @@ class PlacedPlan:
     start: Floats
     modes: Floats
     forecasts: PlacedForecasts | None
+
+    @property
+    def at_waypoints(self) -> Floats:
+        """(6, 5) the footprints at the waypoints alone."""
+        return self.footprints[INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP]
 
 
 def ego_pose(sheet: Sheet, frame: int) -> Floats:
@@ -133,20 +135,11 @@ def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
     other = np.abs(modes - waypoints).max(axis=(1, 2)) > 0.05
     return PlacedPlan(
         waypoints=to_global(waypoints, lidar),
-        footprints=_boxes_of(_footprints(waypoints), lidar),
+        footprints=_boxes_of(ego_boxes(waypoints), lidar),
         start=_boxes_of(ego_footprints(np.array([0.0, 0.0, np.pi / 2])), lidar),
         modes=to_global(modes[other], lidar),
         forecasts=forecasts,
     )
-
-
-def _footprints(waypoints: Floats) -> Floats:
-    """(30, 5) in the lidar frame: linear between waypoints, the heading by the shortest arc."""
-    heading = chord_headings(waypoints, start_heading_rad=np.pi / 2)
-    poses = np.concatenate([waypoints, heading[:, None]], axis=-1)
-    before = np.concatenate([[[0.0, 0.0, np.pi / 2]], poses[:-1]])
-    shares = np.arange(1, INSTANTS_PER_STEP + 1) / INSTANTS_PER_STEP
-    return ego_footprints(poses_between(before[:, None], poses[:, None], shares)).reshape(-1, 5)
 
 
 def _forecasts(row: SampleRow, lidar: Floats) -> PlacedForecasts:

@@ -19,7 +19,6 @@ from benchmark.drawing.canvas import (
 from benchmark.drawing.lettering import Picture, text_width, write_text
 from benchmark.drawing.overlays import CandidatesOverlay, Contact, PlanOverlay
 from benchmark.drawing.palette import BEST, CONTACT, INK, PAPER, WORST, Rgb, mixed
-from benchmark.drawing.placing import INSTANTS_PER_STEP
 from benchmark.geometry import Floats, box_corners
 
 _LABEL_PX, _LABEL_LINE_PX = 114, 18
@@ -93,20 +92,19 @@ def draw_plan(image: Picture, view: GroundView, overlay: PlanOverlay) -> None:
     if plan is None:
         return
     style = overlay.style
-    at_waypoints = plan.footprints[INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP]
     way = np.concatenate([plan.start[None, :2], plan.footprints[:, :2]])
 
     def outlines() -> None:
-        for box in at_waypoints:
+        for box in plan.at_waypoints:
             outline_box(image, view, box, style.colour, 1)
 
     def line() -> None:
         stroke(image, view, way, PAPER, 5)
         stroke(image, view, way, style.colour, 3, dash=style.dash)
-        for point in view.pixels(at_waypoints[:, :2]):
+        for point in view.pixels(plan.at_waypoints[:, :2]):
             mark_at(image, point, style.mark, 4.0, style.colour, PAPER)
 
-    through(image, view, box_corners(at_waypoints).reshape(-1, 2), 0.6 * overlay.opacity, outlines)
+    through(image, view, box_corners(plan.at_waypoints).reshape(-1, 2), 0.6 * overlay.opacity, outlines)
     through(image, view, way, overlay.opacity, line)
 
 

@@ -14,8 +14,8 @@ __all__ = [
     "CAUSES",
     "EXACT",
     "RUNGS",
-    "Comparison",
     "Confusion",
+    "ProtocolComparison",
     "comparisons",
     "confusion",
     "sample_confusion",
@@ -104,7 +104,7 @@ def step_confusion(exact: Outcomes, official: Outcomes, *, masked: bool = True) 
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ProtocolComparison:
     """One protocol against ``exact`` on one run.
 
     Attributes:
@@ -122,7 +122,7 @@ class Comparison:
     causes: Counter[str] | None
 
 
-def comparisons(record: RunRecord) -> dict[str, Comparison]:
+def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
     """What protocols miss and invent on a run, from its rows alone.
 
     Args:
@@ -136,7 +136,7 @@ def comparisons(record: RunRecord) -> dict[str, Comparison]:
     return {name: _compared(record, name, exact) for name in sorted(record.run.protocols) if name != EXACT}
 
 
-def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> Comparison:
+def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComparison:
     rows = [row for row in record.rows if row.status == "ok"]
     official = outcomes_of(rows, protocol)
     both = compared(exact, official)
@@ -144,7 +144,7 @@ def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> Comparison:
     wrong = both & (any_contact(exact) != any_contact(official))
     differing = [row for row, differs in zip(rows, wrong.tolist()) if differs]
     known = all(protocol in row.disagreements for row in differing)
-    return Comparison(
+    return ProtocolComparison(
         samples=sample_confusion(exact, official),
         steps=step_confusion(exact, official),
         mask_removed_steps=int(removed.sum()),

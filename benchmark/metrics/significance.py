@@ -21,7 +21,7 @@ from benchmark.metrics.scores import Scored, named, source_of_scenes
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class RateComparison:
     """Two collision rates and what lies between them.
 
     Attributes:
@@ -61,8 +61,8 @@ class SplitComparison:
     protocol: str
     baseline_split: str
     split: str
-    everything: dict[str, Comparison]
-    paired: dict[str, Comparison]
+    everything: dict[str, RateComparison]
+    paired: dict[str, RateComparison]
     sources: tuple[str, ...]
     only_baseline: tuple[str, ...]
     only_split: tuple[str, ...]
@@ -88,7 +88,7 @@ class PlannerComparison:
     privileged: tuple[bool, bool]
     protocol: str
     split: str
-    by_horizon: dict[str, Comparison]
+    by_horizon: dict[str, RateComparison]
     samples: int
     failed: int
     unshared: tuple[str, ...]
@@ -197,7 +197,7 @@ def _resolved(source: str, known: set[str]) -> str:
     return shorter if shorter in known else source
 
 
-def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: int) -> dict[str, Comparison]:
+def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: int) -> dict[str, RateComparison]:
     """Comparison at each horizon over the named recordings."""
     sides = first.over(names), second.over(names)
     # One recording with counted samples has nothing to be drawn against.
@@ -207,7 +207,7 @@ def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: i
     difference, increase = rates[1] - rates[0], _ratio(rates[1] - rates[0], rates[0])
     differences, increases = drawn[1] - drawn[0], _ratio(drawn[1] - drawn[0], drawn[0])
     return {
-        horizon: Comparison(
+        horizon: RateComparison(
             first=_number(rates[0][column]),
             second=_number(rates[1][column]),
             difference=_estimate(difference[column], differences[:, column], (-1.0, 1.0)),

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json
-from benchmark.published import PAPER
+from benchmark.published import ABLATION
 from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
+from benchmark.report.table import Table, table_of
 
 SCHEMA: Final = 1
 RECORD: Final = "ablation.json"
-SOURCE: Final = f'{PAPER}, section "Ablation Study"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,21 +29,24 @@ class Variant:
         label: As the paper calls it.
         multi_round: Whether trajectories are refined in several rounds.
         scored: Whether trajectories are scored.
-        paper_rate: The paper's number: UniAD on 20 scenes of the nuScenes validation set, rendered by MagicDriveDiT.
     """
 
     name: str
     label: str
     multi_round: bool
     scored: bool
-    paper_rate: float
+
+    @property
+    def published(self) -> str:
+        """The paper's number in per cent, as printed."""
+        return f"{100 * ABLATION[self.name]:.2f}"
 
 
 VARIANTS: Final = (
-    Variant("full", "Challenger", True, True, 0.0617),
-    Variant("no-mtr", "- MTR", False, True, 0.0349),
-    Variant("no-ts", "- TS", True, False, 0.0013),
-    Variant("no-mtr-no-ts", "- MTR - TS", False, False, 0.0080),
+    Variant("full", "Challenger", True, True),
+    Variant("no-mtr", "- MTR", False, True),
+    Variant("no-ts", "- TS", True, False),
+    Variant("no-mtr-no-ts", "- MTR - TS", False, False),
 )
 
 
@@ -65,7 +68,6 @@ class AblationRow(_Stored):
         rate_attempted: Colliding samples over ``samples_attempted``, with its interval over recorded scenes.
         rate_kept: Colliding samples over ``samples_kept``.
         mean_gap_m: Mean over kept attempts of the smallest gap between adversary and ego.
-        paper_rate: Quoted from the paper, which had another set-up.
     """
 
     name: str
@@ -78,7 +80,14 @@ class AblationRow(_Stored):
     rate_attempted: RateRow
     rate_kept: RateRow
     mean_gap_m: float | None
-    paper_rate: float
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_the_papers_number(cls, value: Any) -> Any:
+        """Earlier records quote the paper in each row."""
+        return (
+            {name: each for name, each in value.items() if name != "paper_rate"} if isinstance(value, dict) else value
+        )
 
 
 class AblationReport(_Stored):
@@ -108,25 +117,28 @@ class AblationReport(_Stored):
 
     @property
     def content_id(self) -> str:
-        """Twelve hexadecimal digits made of the study's content."""
-        return content_key(json.dumps(self.model_dump(mode="json"), sort_keys=True))[:12]
+        """Twelve hexadecimal digits made of the study's content.
 
-    def plain(self) -> str:
-        """The table as text."""
-        head = ("", "tried", "kept", "discarded", "collisions", "of tried, %", "of kept, %", "gap, m", "paper, %")
-        cells = [head, *(_cells(row) for row in self.rows)]
-        widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
-        lines = [
+        A study that is stored without the paper's numbers is still the same study.
+        """
+        content = self.model_dump(mode="json", exclude={"planner": {"published_as", "miniature"}})
+        for row in content["rows"]:
+            row |= {"paper_rate": ABLATION[row["name"]]} if row["name"] in ABLATION else {}
+        return content_key(json.dumps(content, sort_keys=True))[:12]
+
+    def table(self) -> Table:
+        """The study for a terminal."""
+        return table_of(
+            "ablation",
             f"{self.planner.name} on {len(self.scenes)} scenes of {self.data.name}, protocol {self.protocol[0]}, 95 % "
-            "intervals over scenes"
-        ]
-        for first, *others in cells:
-            lines.append("  ".join([first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]))
-        lines.append(
-            "of tried: colliding samples over the samples of all tried vehicles, the paper's reading; paper: quoted, "
-            "UniAD on 20 nuScenes scenes rendered by MagicDriveDiT"
+            "intervals over scenes",
+            ("", "tried", "kept", "discarded", "collisions", "of tried, %", "of kept, %", "gap, m", "paper, %"),
+            [_cells(row) for row in self.rows],
+            notes=(
+                "of tried: colliding samples over the samples of all tried vehicles, the paper's reading; paper: "
+                "quoted, UniAD on 20 nuScenes scenes rendered by MagicDriveDiT",
+            ),
         )
-        return "\n".join(lines)
 
 
 def read_ablation(path: Path) -> AblationReport:
@@ -175,10 +187,10 @@ def find_ablations(folder: Path) -> list[AblationReport]:
 
 
 def _cells(row: AblationRow) -> tuple[str, ...]:
-    label = next((variant.label for variant in VARIANTS if variant.name == row.name), row.name)
+    variant = next((variant for variant in VARIANTS if variant.name == row.name), None)
     share = f"{100 * sum(row.discarded.values()) / row.attempted:.0f} %" if row.attempted else "-"
     return (
-        label,
+        row.name if variant is None else variant.label,
         str(row.attempted),
         str(row.kept),
         share,
@@ -186,7 +198,7 @@ def _cells(row: AblationRow) -> tuple[str, ...]:
         _percent(row.rate_attempted),
         _percent(row.rate_kept),
         "-" if row.mean_gap_m is None else f"{row.mean_gap_m:.2f}",
-        f"{100 * row.paper_rate:.2f}",
+        "-" if variant is None else variant.published,
     )
 
 

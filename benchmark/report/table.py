@@ -97,18 +97,28 @@ class Table:
         lines += ["", *(f"- {escape_markdown(note)}" for note in self.remarks)] if self.remarks else []
         return "\n".join(lines) + "\n"
 
-    def plain(self) -> str:
-        """The table as aligned text for a terminal, with its title and notes."""
+    def plain(self, *, indent: str = "", least: Sequence[int] = ()) -> str:
+        """The table as aligned text for a terminal, with its title, if it has one, and notes.
+
+        Args:
+            indent: Before each line but the title.
+            least: Characters that each column has at least.
+
+        Returns:
+            Lines.
+        """
         lines = [self.columns, *self.rows]
-        widths = [max(len(line[column]) for line in lines) for column in range(len(self.columns))]
-        texts = [self.title]
+        least = least or (0,) * len(self.columns)
+        widths = [max(few, *(len(line[column]) for line in lines)) for column, few in enumerate(least)]
+        texts = []
         for line in lines:
             cells = [
                 cell.ljust(width) if column < self.text_columns else cell.rjust(width)
                 for column, (cell, width) in enumerate(zip(line, widths))
             ]
             texts.append("  ".join(cells).rstrip())
-        return "\n".join([*texts, *self.remarks]) + "\n"
+        title = [self.title] if self.title else []
+        return "\n".join([*title, *(f"{indent}{text}" for text in (*texts, *self.remarks))]) + "\n"
 
     def latex(self) -> str:
         """The table as a LaTeX ``table`` environment with booktabs rules, groups over their columns."""

@@ -102,36 +102,61 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
     Raises:
         InputError: If there is no such scene, or a number in it is not finite.
     """
-    scene, made = data.scene(name), data.provenance()
+    made = data.provenance()
     report = made["scenes"].get(name, {}).get("report") if made else None
-    origin = origin_of(scene)
     try:
-        return Sheet(
-            schema=SCHEMA,
-            data=facts,
-            split=split,
-            scene=name,
-            source=data.scene_facts([name])[name].source,
-            description=scene.description,
-            labels=tuple(found for found in labels_in(report) if isinstance(found, dict)),
-            origin_m=origin,
-            timestamps_us=tuple(scene.timestamps_us.tolist()),
-            keyframes=tuple(scene.keyframes.tolist()),
-            sample_tokens=tuple(truth.sample_token for truth in data.truth(name)),
-            ego=ego_of(scene, origin),
-            agents=agents_of(scene, origin),
-            road=road_around(scene.road_map, scene.ego.position[:, :2], origin),
-            cameras=(),
-            pictures=(),
-            adversary_edges={},
-            files={},
-        )
+        sheet = sheet_to_draw(data.scene(name))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise InputError(
             f"{data.root}: scene {name} cannot be shown, its {where} is not sound ({first['msg']}); correct the tables"
         ) from error
+    return sheet.model_copy(
+        update={
+            "data": facts,
+            "split": split,
+            "scene": name,
+            "source": data.scene_facts([name])[name].source,
+            "labels": tuple(found for found in labels_in(report) if isinstance(found, dict)),
+            "sample_tokens": tuple(truth.sample_token for truth in data.truth(name)),
+        }
+    )
+
+
+def sheet_to_draw(scene: Scene) -> Sheet:
+    """What is drawn of a scene, whatever data set it stands in: a sheet that is not stored.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        Its sheet without data set, split, labels, sample tokens and pictures.
+
+    Raises:
+        ValidationError: If a number in it is not finite.
+    """
+    origin = origin_of(scene)
+    return Sheet(
+        schema=SCHEMA,
+        data=DataFacts(name="", version="", fingerprint=""),
+        split="",
+        scene=scene.name,
+        source=scene.name,
+        description=scene.description,
+        labels=(),
+        origin_m=origin,
+        timestamps_us=tuple(scene.timestamps_us.tolist()),
+        keyframes=tuple(scene.keyframes.tolist()),
+        sample_tokens=(),
+        ego=ego_of(scene, origin),
+        agents=agents_of(scene, origin),
+        road=road_around(scene.road_map, scene.ego.position[:, :2], origin),
+        cameras=(),
+        pictures=(),
+        adversary_edges={},
+        files={},
+    )
 
 
 def written_sheet(job: Job, data: "DataSet", name: str) -> WrittenSheet:

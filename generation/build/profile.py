@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from benchmark.machine.storage import read_kept_json
 from benchmark.published import RUNTIME_S
+from benchmark.report.table import Table, table_of
 
 STAGES: Final = ("sampling", "physics", "scoring", "rendering", "other")
 
@@ -45,22 +46,21 @@ class RuntimeTable:
         """The table as JSON values."""
         return {"attempts": self.attempts, "scenes": self.scenes, "total_s": self.total_s}
 
-    def plain(self) -> str:
-        """The table as text, the paper's beside it."""
-        lines = [
-            f"processor seconds of {self.attempts} attempts and {self.scenes} scenes",
-            f"  {'':<10}{'total':>11}{'each':>11}{'paper':>11}",
-        ]
-        for stage in STAGES:
-            each, paper = self.each_s(stage), RUNTIME_S.get(stage)
-            lines.append(f"  {stage:<10}{self.total_s[stage]:>11.2f}{_cell(each)}{_cell(paper)}")
+    def table(self) -> Table:
+        """The same for a terminal, the paper's beside it."""
+        rows = [(stage, self.total_s[stage], self.each_s(stage), RUNTIME_S.get(stage)) for stage in STAGES]
         ours = sum(self.each_s(stage) or 0.0 for stage in STAGES)
-        lines.append(f"  {'all':<10}{sum(self.total_s.values()):>11.2f}{_cell(ours)}{_cell(sum(RUNTIME_S.values()))}")
-        lines.append(
-            "  each: one attempt, rendering one scene; paper: quoted, two Xeon 8457C and four L20, rendering by "
-            "MagicDriveDiT"
+        rows.append(("all", sum(self.total_s.values()), ours, sum(RUNTIME_S.values())))
+        return table_of(
+            "runtime",
+            f"processor seconds of {self.attempts} attempts and {self.scenes} scenes",
+            ("", "total", "each", "paper"),
+            [(name, *("-" if each is None else f"{each:.2f}" for each in seconds)) for name, *seconds in rows],
+            notes=(
+                "each: one attempt, rendering one scene; paper: quoted, two Xeon 8457C and four L20, rendering by "
+                "MagicDriveDiT",
+            ),
         )
-        return "\n".join(lines)
 
 
 def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTable:
@@ -111,7 +111,3 @@ def _notes(paths: Iterable[Path]) -> list[_Note]:
             # Times are a convenience; a damaged or absent note says nothing.
             continue
     return found
-
-
-def _cell(seconds: float | None) -> str:
-    return f"{'-' if seconds is None else format(seconds, '.2f'):>11}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -9,14 +10,24 @@ from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
 from benchmark.datasets.roots import DataSet
+from benchmark.drawing.birdseye import SceneFromAbove
+from benchmark.drawing.canvas import png
+from benchmark.drawing.captions import draw_captions, draw_time
+from benchmark.drawing.lettering import Picture, write_text
+from benchmark.drawing.palette import PAPER
+from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.scene import Scene
+from benchmark.sheets.making import sheet_to_draw
 from generation.labels.labelling import closest_approach
-from generation.render.birdseye import birdseye_strip
 from generation.render.contract import Renderer
+from generation.render.schematic.view import View
 
 PANELS = 6
 """Moments in a strip."""
+_PANEL_PX: Final = 360
+_EXTENT_M: Final = 30.0
+_GAP_PX: Final = 4
 
 
 def moments(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[int]:
@@ -43,17 +54,66 @@ def moments(scene: Scene, *, count: int = PANELS, step_s: float = 1.0) -> list[i
     return [min(first + index * step, last) for index in range(count)]
 
 
-def scene_strip(scene: Scene, renderer: Renderer) -> NDArray[np.uint8]:
-    """The decisive seconds of a scene from above, and through the camera that sees the adversary best.
+def scene_strip(
+    scene: Scene, frames: Sequence[int], renderer: Renderer, *, panel_px: int = _PANEL_PX
+) -> NDArray[np.uint8]:
+    """Several moments side by side, each from above and through the camera that sees the adversary best.
 
     Args:
         scene: The scene.
+        frames: Frame indices, left to right.
         renderer: Draws the camera pictures.
+        panel_px: Side of a panel.
 
     Returns:
-        (height, width, 3) uint8 RGB.
+        (height, width, 3) RGB.
+
+    Raises:
+        InputError: If there are no frames, or one is not in the scene.
     """
-    return birdseye_strip(scene, moments(scene), renderer)
+    if not len(frames):
+        raise InputError("a strip needs at least one frame")
+    sheet = sheet_to_draw(scene)
+    above = SceneFromAbove(sheet)
+    panels = [above.draw(frame, width_px=panel_px, height_px=panel_px, extent_m=_EXTENT_M) for frame in frames]
+    draw_captions(*panels[0], sheet, float(above.seconds[frames[0]]), ())
+    for frame, (panel, _) in zip(frames[1:], panels[1:]):
+        draw_time(panel, float(above.seconds[frame]))
+    channel = best_camera(scene, frames, renderer)
+    seen = [_labelled(images[channel], channel, panel_px) for images in renderer.render(scene, list(frames))]
+    return np.vstack([_side_by_side([panel for panel, _ in panels]), _side_by_side(seen)])[_GAP_PX:, _GAP_PX:]
+
+
+def best_camera(scene: Scene, frames: Sequence[int], renderer: Renderer) -> str:
+    """The camera in which the adversaries appear largest over some frames.
+
+    Args:
+        scene: The scene.
+        frames: Frame indices.
+        renderer: Gives the cameras.
+
+    Returns:
+        A camera name; ``CAM_FRONT``, or the first camera there is, where no adversary is in sight.
+    """
+    cameras = renderer.cameras(scene)
+    names = [camera.name for camera in cameras]
+    usual = "CAM_FRONT" if "CAM_FRONT" in names else names[0]
+    # The usual camera wins unless another one sees clearly more.
+    score = {name: 1e-6 if name == usual else 0.0 for name in names}
+    adversaries = [scene.agents.ids.index(name) for name in scene.adversaries]
+    for frame in frames:
+        for index in adversaries:
+            if not scene.agents.valid[index, frame]:
+                continue
+            for camera in cameras:
+                view = View.of(camera, scene.ego.position[frame], scene.ego.rotation[frame])
+                centre = view.to_camera(scene.agents.position[index, frame])
+                if centre[2] < 1.0:
+                    continue
+                column = float(view.to_pixels(centre)[0]) / camera.width
+                if 0.0 <= column <= 1.0:
+                    score[camera.name] += (2.0 if camera.name == usual else 1.0) / float(centre[2])
+    return max(names, key=lambda name: score[name])
 
 
 def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: Renderer) -> list[Path]:
@@ -73,9 +133,22 @@ def write_pictures(data: DataSet, names: Sequence[str], folder: Path, renderer: 
     """
     written = []
     for name in names:
-        image = scene_strip(data.scene(name), renderer)
-        _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+        scene = data.scene(name)
         path = folder / f"{file_name(name)}.png"
-        write_bytes(path, encoded.tobytes())
+        write_bytes(path, png(scene_strip(scene, moments(scene), renderer)))
         written.append(path)
     return written
+
+
+def _labelled(picture: Picture, channel: str, width_px: int) -> Picture:
+    """A camera's picture as wide as a panel, with the camera's name."""
+    height_px = max(round(picture.shape[0] * width_px / picture.shape[1]), 1)
+    small = np.asarray(cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA), np.uint8)
+    write_text(small, channel, (10.0, 14.0), size_px=13, plate=PAPER)
+    return small
+
+
+def _side_by_side(pictures: Sequence[Picture]) -> Picture:
+    """Pictures in a row, a white gap above and to the left of each."""
+    gap = ((_GAP_PX, 0), (_GAP_PX, 0), (0, 0))
+    return np.hstack([np.pad(each, gap, constant_values=255) for each in pictures])

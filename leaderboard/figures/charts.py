@@ -13,10 +13,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from benchmark.constants import HORIZON_STEPS
-from benchmark.drawing.figures import drawable, new_figure, picture
+from benchmark.drawing.lettering import drawable
+from benchmark.drawing.plots import new_figure, picture
 from benchmark.metrics.confusion import EXACT, comparisons
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
-from leaderboard.tables.collision import SPLIT_ORDER, in_table_order, judges, marked
+from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d31")
 """Told apart with and without colour-blindness (Okabe and Ito's, the yellow replaced); they repeat after eight."""
@@ -56,7 +57,6 @@ def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[Name
         The figures, in the order in which they are looked at.
     """
     own = any(run.run.planner.native_protocol is not None for run in records)
-    splits = [*SPLIT_ORDER, *sorted({run.run.split for run in records} - set(SPLIT_ORDER))]
     drawn = [
         (
             f"rates-{judge}",
@@ -67,7 +67,7 @@ def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[Name
     ]
     title = "Adversarial scenes failed by manoeuvre, protocol exact"
     drawn.append(("manoeuvres-exact", title, partial(manoeuvre_figure, data_name, EXACT, records)))
-    for split in splits:
+    for split in splits_of(records):
         title = f"Protocols against exact, split {split}"
         drawn.append((f"disagreement-{split}", title, partial(disagreement_figure, data_name, split, records)))
     found = []
@@ -138,8 +138,7 @@ def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]
 
 
 def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord]) -> Figure:
-    splits = [*SPLIT_ORDER, *sorted({run.run.split for run in runs} - set(SPLIT_ORDER))]
-    shown = [split for split in splits if any(run.run.split == split for run in runs)]
+    shown = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
     privileged = {run.planner: run.run.planner.privileged for run in runs}
     style = {name: _style(place) for place, name in enumerate(planners)}

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from benchmark.drawing.figures import FORMATS, drawable, new_figure, picture
+from benchmark.drawing.lettering import drawable
+from benchmark.drawing.plots import FORMATS, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_bytes
 from benchmark.metrics.rates import Rate

@@ -15,8 +15,9 @@ from matplotlib.colors import Colormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from benchmark.drawing.figures import drawable, new_figure, picture
+from benchmark.drawing.lettering import drawable
 from benchmark.drawing.palette import INK
+from benchmark.drawing.plots import new_figure, picture
 from benchmark.errors import InputError
 from benchmark.records.scenes import (
     ROUNDS_FILE,
@@ -28,7 +29,7 @@ from benchmark.records.scenes import (
     TraceRound,
 )
 from leaderboard.figures.charts import NamedFigure
-from leaderboard.figures.refinement_map import View, draw_candidates, draw_road, draw_traffic, rgb, view_of
+from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, rgb, view_of
 
 SCENES_OF_A_SPLIT: Final = 3
 """Figures of one split: the first traced scenes by name."""
@@ -159,7 +160,7 @@ def _best_score(entry: TraceRound) -> float | None:
     return min((score for score in entry.scores if score is not None), default=None)
 
 
-def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: View) -> Figure:
+def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView) -> Figure:
     shown = _shown_rounds(len(at.rounds))
     columns, lines = min(len(shown), _COLUMNS), -(-len(shown) // _COLUMNS)
     width = _LEFT + columns * (_PANEL_WIDTH + _GAP) + _BESIDE
@@ -220,7 +221,7 @@ def _colours() -> Colormap:
     return ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 256)))
 
 
-def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: View, searched: int) -> None:
+def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searched: int) -> None:
     entry, best = at.rounds[number], _best_score(at.rounds[number])
     name = "first batch" if number == 0 else f"round {number}"
     score = "no finite score" if best is None else f"best {best:.2f}"

@@ -12,19 +12,8 @@ from matplotlib.patches import PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
-from benchmark.drawing.palette import (
-    ADVERSARY,
-    CAR_PARK,
-    CROSSING,
-    EGO,
-    INK,
-    LAND,
-    PAINT,
-    ROAD,
-    VEHICLE,
-    WALKWAY,
-    Rgb,
-)
+from benchmark.drawing.ground import ground_of
+from benchmark.drawing.palette import ADVERSARY, EGO, INK, LAND, PAINT, VEHICLE, Rgb
 from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.geometry import Floats, box_corners, to_local
 from benchmark.records.scenes import Sheet, TraceFrame
@@ -36,7 +25,7 @@ _NO_SCORE: Final = "#777777"
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class MapView:
     """What the panels show: the adversary drives to the right from (0, 0).
 
     Attributes:
@@ -58,7 +47,7 @@ class View:
         return to_local(np.asarray(points, dtype=np.float64), self.pose)
 
 
-def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> View:
+def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapView:
     """The part of the map that holds all candidates and, where it is near, the ego.
 
     Args:
@@ -82,10 +71,10 @@ def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> View:
     wanted = max(high[0] - low[0], (high[1] - low[1]) * shape)
     half = float(np.clip(wanted, _LEAST_WIDTH_M, _MOST_WIDTH_M)) / 2
     x, y = ((low + high) / 2).tolist()
-    return View(pose, x - half, x + half, y - half / shape, y + half / shape)
+    return MapView(pose, x - half, x + half, y - half / shape, y + half / shape)
 
 
-def draw_road(axes: Axes, sheet: Sheet, view: View) -> None:
+def draw_road(axes: Axes, sheet: Sheet, view: MapView) -> None:
     """Draw the map of a sheet.
 
     Args:
@@ -95,16 +84,14 @@ def draw_road(axes: Axes, sheet: Sheet, view: View) -> None:
     """
     axes.set_facecolor(rgb(LAND))
     window = shapely.box(view.left - 1, view.bottom - 1, view.right + 1, view.top + 1)
-    road = sheet.road
-    for areas, colour in (
-        (road.walkways, WALKWAY), (road.drivable, ROAD), (road.carparks, CAR_PARK), (road.crossings, CROSSING)
-    ):  # fmt: skip
-        for area in areas:
-            rings = [view.here(np.array(ring)) for ring in area if len(ring) > 3]
+    ground = ground_of(sheet)
+    for layer in (ground.below, ground.drivable, *ground.above):
+        for area in layer.areas:
+            rings = [view.here(ring) for ring in area if len(ring) > 3]
             if rings:
                 seen = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
-                _fill(axes, seen, rgb(colour))
-    for line in road.dividers:
+                _fill(axes, seen, rgb(layer.colour))
+    for line in sheet.road.dividers:
         name = next((each for each in PAINT if line.paint.endswith(f"-{each}")), None)
         if name is None or len(line.points) < 2:
             continue
@@ -116,7 +103,7 @@ def draw_road(axes: Axes, sheet: Sheet, view: View) -> None:
         )
 
 
-def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: View) -> None:
+def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapView) -> None:
     """Draw who is where at a planning frame, and the ego's recorded way from there.
 
     Args:
@@ -139,7 +126,7 @@ def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: View
         _draw_box(axes, ego_box(sheet, frame), view, EGO, "E")
 
 
-def draw_candidates(axes: Axes, at: TraceFrame, number: int, view: View, scale: LogNorm, colours: Colormap) -> None:
+def draw_candidates(axes: Axes, at: TraceFrame, number: int, view: MapView, scale: LogNorm, colours: Colormap) -> None:
     """Draw the candidates of one round, the better over the worse, and the executed one if it is of this round.
 
     Args:
@@ -189,7 +176,7 @@ def _fill(axes: Axes, area: shapely.Geometry, colour: tuple[float, ...]) -> None
             axes.add_patch(PathPatch(outline, facecolor=colour, edgecolor=colour, linewidth=0.4, zorder=0.5))
 
 
-def _draw_box(axes: Axes, box: Floats, view: View, colour: Rgb, letter: str) -> None:
+def _draw_box(axes: Axes, box: Floats, view: MapView, colour: Rgb, letter: str) -> None:
     corners = view.here(box_corners(box))
     low, high = corners.min(axis=0), corners.max(axis=0)
     if high[0] < view.left or low[0] > view.right or high[1] < view.bottom or low[1] > view.top:

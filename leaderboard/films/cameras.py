@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 
 from benchmark.drawing.canvas import SHIFT
-from benchmark.drawing.figures import drawable
-from benchmark.drawing.lettering import Picture, write_text
+from benchmark.drawing.lettering import Picture, drawable, write_text
 from benchmark.drawing.palette import ADVERSARY, FAINT_INK, PANEL, PAPER, TITLE, TITLE_INK
 from benchmark.errors import InputError
 from benchmark.records.scenes import SheetCamera, StoredSheet

@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from fractions import Fraction
 from typing import Any, Final
 
-import cv2
 from PIL import Image
 
 from benchmark.drawing.lettering import Picture
@@ -53,13 +52,6 @@ def webm(frames: Iterable[Picture], fps: float) -> bytes:
         if stream is not None:
             container.mux(stream.encode(None))
     return target.getvalue()
-
-
-def png(frame: Picture) -> bytes:
-    """One frame without loss."""
-    done, data = cv2.imencode(".png", cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
-    assert done
-    return bytes(data)
 
 
 def animated_webp(frames: Iterable[Picture], fps: float) -> bytes:

@@ -11,8 +11,7 @@ import numpy as np
 from benchmark.constants import FRAME_HZ
 from benchmark.drawing.birdseye import SceneFromAbove
 from benchmark.drawing.captions import draw_scale_bar
-from benchmark.drawing.figures import drawable
-from benchmark.drawing.lettering import Picture, text_width, write_text
+from benchmark.drawing.lettering import Picture, drawable, text_width, write_text
 from benchmark.drawing.overlays import EXACT, Overlay, candidates_overlay
 from benchmark.drawing.palette import PANEL, TITLE, TITLE_FAINT, TITLE_INK
 from benchmark.errors import InputError
@@ -179,29 +178,6 @@ class Film:
         write_text(image, where, (x, y), size_px=14, colour=TITLE_FAINT)
         now = f"{self._above.seconds[frame]:.1f} s"
         write_text(image, now, (image.shape[1] - 14.0, y), size_px=18, colour=TITLE_INK, bold=True, anchor="right")
-
-
-def film_frames(
-    stored: StoredSheet,
-    records: Sequence[RunRecord],
-    models: Sequence[str],
-    layout: FilmLayout = FilmLayout.BOTH,
-) -> Iterator[Picture]:
-    """The frames of a scene's film from its first frame to its last.
-
-    Args:
-        stored: The scene.
-        records: Run records that have the planners' plans.
-        models: Planners to show, as tables name them.
-        layout: What a frame shows.
-
-    Returns:
-        Frames, (720, 1280, 3) RGB, 12 a second.
-
-    Raises:
-        InputError: As `Film`.
-    """
-    return iter(Film(stored, records, models, FilmSettings(layout=layout)))
 
 
 def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:

@@ -5,12 +5,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+from benchmark.drawing.canvas import png
 from benchmark.drawing.lettering import Picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, read_sheet, scene_folder, split_folder
-from leaderboard.films.encoding import animated_webp, png, require_webm, webm
+from leaderboard.films.encoding import animated_webp, require_webm, webm
 from leaderboard.films.film import Film, FilmSettings
 
 LONGEST_WEBP: Final = 400

@@ -9,8 +9,7 @@ import numpy as np
 
 from benchmark.drawing.canvas import SHIFT, mark_at
 from benchmark.drawing.captions import draw_entry, draw_swatch, legend_of
-from benchmark.drawing.figures import drawable
-from benchmark.drawing.lettering import Picture, fitted, text_width, write_text
+from benchmark.drawing.lettering import Picture, drawable, fitted, text_width, write_text
 from benchmark.drawing.overlays import Overlay, Verdict
 from benchmark.drawing.palette import ADVERSARY, CONTACT, FAINT_INK, INK, PANEL, PAPER, RULE, Rgb, mixed
 from benchmark.drawing.placing import agent_box, ego_box

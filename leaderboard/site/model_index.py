@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benchmark.records.run import ProtocolSummary, RateRow, RunRecord
-from leaderboard.tables.collision import in_table_order, recordings
+from leaderboard.tables.rows import in_table_order, recordings
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")
 _DIGITS: Final = 6

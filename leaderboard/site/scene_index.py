@@ -13,7 +13,7 @@ from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord, SampleRow, scene_failures
 from benchmark.records.scenes import Sheet, Sheets
-from leaderboard.tables.collision import SPLIT_ORDER
+from leaderboard.tables.rows import split_place
 
 SceneName = tuple[str, str, str]
 """Data set, split and scene."""
@@ -61,13 +61,8 @@ def scene_index(
         _add_record(seen, record)
     _require_same_content(records, sheets)
     qualities = _qualities(quality)
-    names = sorted({*seen, *sheets.scenes}, key=_place)
+    names = sorted({*seen, *sheets.scenes}, key=lambda name: (name[0], split_place(name[1]), name[2]))
     return [_entry(name, seen.get(name), sheets, qualities.get(name, []), written) for name in names]
-
-
-def _place(name: SceneName) -> tuple[str, int, str, str]:
-    data_name, split, scene = name
-    return data_name, SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split, scene
 
 
 def _entry(

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import PLAN_STEP_S
-from benchmark.drawing.placing import INSTANTS_PER_STEP, PlacedForecasts, placed_plan
+from benchmark.drawing.placing import PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.confusion import EXACT
 from benchmark.records.run import OutcomeRow, PlanRow, RunRecord, SampleRow
@@ -88,7 +88,7 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
     judged = [row.outcomes.get(name) for name in protocols]
     entry: dict[str, Any] = {
         "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
-        "yaw": packed(placed.footprints[INSTANTS_PER_STEP - 1 :: INSTANTS_PER_STEP, 4].tolist(), MILLIRADIAN),
+        "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
         "modes": [packed_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
         "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
         "verdicts": [None if outcome is None else _bits(outcome) for outcome in judged],

@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.records.ablation import SOURCE, VARIANTS, AblationReport, AblationRow
+from benchmark.published import ABLATION_SOURCE
+from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.published import quoted
@@ -57,7 +58,7 @@ def _table(study: AblationReport, suffix: str) -> Table:
             ("smallest gap in m", 1),
             ("paper, collision rate in %, uniad", 1),
         ),
-        sources=(SOURCE,),
+        sources=(ABLATION_SOURCE,),
     )
 
 
@@ -69,7 +70,7 @@ def _row(study: AblationReport, row: AblationRow) -> tuple[str | Shown, ...]:
     colliding = judged.count(row.colliding_samples, "samples", row.samples_kept)
     published: Shown | str = UNDEFINED
     if variant is not None:
-        published = quoted(f"{100 * variant.paper_rate:.2f}", PERCENT, Origin("uniad", source=SOURCE))
+        published = quoted(variant.published, PERCENT, Origin("uniad", source=ABLATION_SOURCE))
     return (
         row.name if variant is None else variant.label,
         plain.count(row.attempted, "vehicles").shown(),

@@ -3,19 +3,22 @@
 from collections.abc import Callable, Sequence
 
 from benchmark.metrics.rates import HORIZONS
-from benchmark.metrics.scores import registered_version, source_of_scenes
-from benchmark.records.run import NATIVE, RunRecord
+from benchmark.published import TABLE_1_SOURCE
+from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.published import SOURCE, is_variant, published_cells, published_rate
+from leaderboard.tables.published import is_variant, published_cells, published_rate
+from leaderboard.tables.rows import (
+    FEW_NOTE,
+    FEW_SCENES,
+    PRIVILEGED_NOTE,
+    completeness_notes,
+    in_table_order,
+    recordings,
+    row_name,
+    stale_notes,
+)
 
-SPLIT_ORDER = ("val", "val-r", "adv")
-PRIVILEGED_MARK = "†"
-PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
-STALE_MARK = "‡"
-FEW_SCENES = 20
-"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
-FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
 RATES_NOTE = (
     "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
     "agree. Increase: (adv − val) / val of the averages, as the paper computes it; beside it the same over val-r."
@@ -76,76 +79,11 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
     )
 
 
-def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
-    """Records by planner (privileged ones last), then split."""
-
-    def place(record: RunRecord) -> tuple[bool, str, int, str]:
-        split = record.run.split
-        known = SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER)
-        return record.run.planner.privileged, record.planner, known, split
-
-    return sorted(records, key=place)
-
-
-def marked(planner: str, *, privileged: bool) -> str:
-    """The planner's name; a mark tells that it saw what no car sees."""
-    return f"{planner} {PRIVILEGED_MARK}" if privileged else planner
-
-
-def row_name(record: RunRecord, judge: str) -> str:
-    """The planner's name with its marks: privileged, and judged by an earlier version of the protocol."""
-    name = marked(record.planner, privileged=record.run.planner.privileged)
-    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
-
-
-def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
-    """One sentence for each of the protocols that judged a run in another version than the present one."""
-    return [
-        f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
-        f"protocol {name}, now {registered_version(name)}; run challenger-bench rescore."
-        for name in protocols
-        if name in record.stale_protocols
-    ]
-
-
-def judges(protocol: str) -> str:
-    """Who judges, as titles say it."""
-    return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
-
-
 def increase_over(baseline: float | None, rate: float | None) -> float | None:
     """The paper's "× increase": (rate - baseline) / baseline, ``None`` where the baseline is zero or unknown."""
     if baseline is None or rate is None or baseline == 0:
         return None
     return (rate - baseline) / baseline
-
-
-def recordings(record: RunRecord) -> int:
-    """How many recorded scenes a run's scenes come from: what its intervals rest on."""
-    return len(set(source_of_scenes(record).values()))
-
-
-def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
-    """What has to be said of runs that are not whole.
-
-    Args:
-        records: Runs.
-
-    Returns:
-        One sentence for each run with failed samples and each run of a part of its split.
-    """
-    notes = []
-    for record in records:
-        who = f"{record.planner} on {record.run.split}"
-        if not record.complete:
-            summary = record.summary
-            notes.append(
-                f"{who}: {summary.failed} samples failed. The rates cover {100 * summary.coverage:.1f} % of "
-                f"{summary.samples} samples."
-            )
-        if not record.covers_split:
-            notes.append(f"{who}: {len(record.run.scenes)} of {record.run.scenes_in_split} scenes of the split.")
-    return notes
 
 
 def _table(
@@ -200,7 +138,7 @@ def _table(
             (f"counted, {who}", 4),
             (f"paper, collision rate in %, {who}", 5 if has_paper else 0),
         ),
-        sources=(SOURCE,) if has_paper else (),
+        sources=(TABLE_1_SOURCE,) if has_paper else (),
     )
 
 

@@ -11,7 +11,7 @@ from benchmark.metrics.significance import PlannerComparison, SplitComparison, c
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.report.cells import Cell, Origin, Shown, record_name
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import (
+from leaderboard.tables.rows import (
     FEW_NOTE,
     FEW_SCENES,
     PRIVILEGED_NOTE,

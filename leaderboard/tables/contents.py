@@ -12,11 +12,12 @@ from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
-from leaderboard.tables.collision import SPLIT_ORDER, collision_table, in_table_order, native_table
+from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
+from leaderboard.tables.rows import in_table_order, splits_of
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.statistics import statistics_tables
@@ -60,7 +61,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         The tables.
     """
     protocols = {name for record in records for name in record.summary.protocols}
-    splits, verdicts = _splits(records), Verdicts()
+    splits, verdicts = splits_of(records), Verdicts()
     front: list[Table | None] = []
     matrices: dict[str, TransferMatrix] = {}
     names = [name for name in (EXACT, NATIVE) if name in protocols or (name == NATIVE and _has_native(records))]
@@ -159,9 +160,3 @@ def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
 
 def _has_native(records: Sequence[RunRecord]) -> bool:
     return any(record.run.planner.native_protocol is not None for record in records)
-
-
-def _splits(records: Sequence[RunRecord]) -> list[str]:
-    """Names of splits, the paper's three first."""
-    found = {record.run.split for record in records}
-    return [*(name for name in SPLIT_ORDER if name in found), *sorted(found - set(SPLIT_ORDER))]

@@ -13,7 +13,7 @@ from benchmark.metrics.scores import source_of_scenes
 from benchmark.records.run import CAUSES, RunRecord, SampleRow
 from benchmark.report.cells import Cell, Origin, Shown, origin_of
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import (
+from leaderboard.tables.rows import (
     FEW_NOTE,
     FEW_SCENES,
     PRIVILEGED_NOTE,

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from benchmark.metrics.confusion import CAUSES, EXACT, RUNGS, Comparison, Confusion, comparisons
+from benchmark.metrics.confusion import CAUSES, EXACT, RUNGS, Confusion, ProtocolComparison, comparisons
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, number, record_name
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import (
+from leaderboard.tables.rows import (
     PRIVILEGED_NOTE,
     STALE_MARK,
     completeness_notes,
@@ -19,7 +19,7 @@ _SHORT = dict(zip(RUNGS, ("between", "class", "later", "range", "points", "headi
 """Column heads."""
 
 
-_Found = tuple[RunRecord, str, Comparison]
+_Found = tuple[RunRecord, str, ProtocolComparison]
 """A run, a protocol, and how the two compare."""
 
 
@@ -69,7 +69,7 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
     )
 
 
-def _row(record: RunRecord, protocol: str, one: Comparison, shown: Sequence[str]) -> tuple[str | Shown, ...]:
+def _row(record: RunRecord, protocol: str, one: ProtocolComparison, shown: Sequence[str]) -> tuple[str | Shown, ...]:
     origin = Origin(f"{protocol} against {EXACT}", record_name(record))
     samples, steps, causes = one.samples, one.steps, one.causes
     compared = samples.compared

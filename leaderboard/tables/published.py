@@ -1,73 +1,131 @@
-"""The numbers printed in the paper, and beside which of ours they may stand.
+"""The paper's tables as printed, apart from ours, and which of its numbers may stand beside ours.
 
 Each model's row was computed with the protocol of the model's own repository, so rows of different models are not
 comparable, and none of them is comparable with the ``exact`` protocol.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
-from benchmark.published import PAPER
+from benchmark.published import (
+    ABLATION_SOURCE,
+    ADV_NUSC,
+    DATA_SET_OF_SPLIT,
+    DATA_SET_SOURCE,
+    INCREASE,
+    MODEL_OF_PLANNER,
+    QUALITY_SOURCE,
+    RUNTIME_MACHINE,
+    RUNTIME_S,
+    RUNTIME_SOURCE,
+    TABLE_1,
+    TABLE_1_SOURCE,
+    TABLE_3,
+    PublishedRate,
+)
+from benchmark.records.ablation import VARIANTS
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown
+from benchmark.report.table import Table, table_of
 
-SOURCE: Final = f"{PAPER}, Table 1"
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedRate:
-    """One row of the paper's Table 1.
-
-    Attributes:
-        model: Model name.
-        protocol: Protocol of the model's own repository, which the row quotes.
-        data_set: Name in the paper.
-        percent: Collision rate at 1 s, 2 s, 3 s and their average, per cent, as printed.
-    """
-
-    model: str
-    protocol: str
-    data_set: str
-    percent: tuple[str, str, str, str]
+_RATES: Final = "collision rate in %, the protocol of the row"
 
 
-TABLE_1: Final = (
-    PublishedRate("UniAD", "uniad", "nuScenes-val", ("0.10", "0.15", "0.61", "0.29")),
-    PublishedRate("UniAD", "uniad", "nuScenes-val-R", ("0.07", "0.24", "0.64", "0.32")),
-    PublishedRate("UniAD", "uniad", "Adv-nuSc", ("0.80", "4.10", "6.96", "3.95")),
-    PublishedRate("VAD", "vad", "nuScenes-val", ("0.11", "0.24", "0.42", "0.26")),
-    PublishedRate("VAD", "vad", "nuScenes-val-R", ("0.19", "0.32", "0.59", "0.37")),
-    PublishedRate("VAD", "vad", "Adv-nuSc", ("4.46", "7.59", "9.08", "7.05")),
-    PublishedRate("SparseDrive", "sparsedrive", "nuScenes-val", ("0.020", "0.063", "0.238", "0.107")),
-    PublishedRate("SparseDrive", "sparsedrive", "nuScenes-val-R", ("0.010", "0.090", "0.370", "0.156")),
-    PublishedRate("SparseDrive", "sparsedrive", "Adv-nuSc", ("0.029", "0.618", "2.430", "1.026")),
-    PublishedRate("DiffusionDrive", "diffusiondrive", "nuScenes-val", ("0.059", "0.068", "0.169", "0.099")),
-    PublishedRate("DiffusionDrive", "diffusiondrive", "nuScenes-val-R", ("0.030", "0.055", "0.403", "0.163")),
-    PublishedRate("DiffusionDrive", "diffusiondrive", "Adv-nuSc", ("0.068", "1.299", "3.646", "1.671")),
-)
-"""Collision rates over 3 seconds on the paper's three data sets."""
+def published_tables() -> tuple[Table, ...]:
+    """Every table of the paper that has a counterpart among ours."""
+    return (
+        published_table(),
+        published_ablation_table(),
+        published_quality_table(),
+        published_data_set_table(),
+        published_runtime_table(),
+    )
 
-INCREASE: Final = {"UniAD": "12.6", "VAD": "26.1", "SparseDrive": "8.6", "DiffusionDrive": "15.9"}
-"""The paper's "× increase": (adv - val) / val of the averages, so an increase *by* that many times the baseline."""
 
-QUALITY_SOURCE: Final = f"{PAPER}, Table 3"
-TABLE_3: Final = {
-    "nuScenes-val": ("0.8349", "0.3801"),
-    "nuScenes-val-R": ("0.8173", "0.3471"),
-    "Adv-nuSc": ("0.8093", "0.3469"),
-}
-"""Subject consistency and imaging quality of each data set, as printed."""
+def published_table() -> Table:
+    """The paper's Table 1, with the protocol behind each row."""
+    return table_of(
+        "published",
+        "Published numbers, not ours: collision rate (%)",
+        ("planner", "data set", "protocol", "col. 1s", "col. 2s", "col. 3s", "col. avg", "increase"),
+        [(rate.model, rate.data_set, rate.protocol, *published_cells(rate)) for rate in TABLE_1],
+        notes=(
+            "Each row quotes the protocol of the model's own repository; rows of different protocols are not "
+            "comparable with each other, nor with our tables unless the protocol is the same.",
+        ),
+        text_columns=3,
+        groups=(("", 3), (_RATES, 5)),
+        sources=(TABLE_1_SOURCE,),
+    )
 
-DATA_SET_OF_SPLIT: Final = {"val": "nuScenes-val", "val-r": "nuScenes-val-R", "adv": "Adv-nuSc"}
-"""The paper's name of each split."""
-_MODEL_OF_PLANNER: Final = {
-    "uniad": "UniAD",
-    "vad": "VAD",
-    "vad-base": "VAD",
-    "sparsedrive": "SparseDrive",
-    "diffusiondrive": "DiffusionDrive",
-}
-"""Whom the paper ran, by the names of planners; it does not say which VAD, whose larger one is the usual one."""
+
+def published_ablation_table() -> Table:
+    """The paper's ablation study."""
+    origin = Origin(protocol="uniad", source=ABLATION_SOURCE)
+    return table_of(
+        "ablation-published",
+        "Published numbers, not ours: ablation, collision rate (%)",
+        ("search", "collision rate"),
+        [(variant.label, quoted(variant.published, PERCENT, origin)) for variant in VARIANTS],
+        notes=("UniAD on 20 scenes of the nuScenes validation set; MTR: multi-round refinement, TS: scoring.",),
+        groups=(("", 1), ("samples on which UniAD fails in %, uniad", 1)),
+        sources=(ABLATION_SOURCE,),
+    )
+
+
+def published_quality_table() -> Table:
+    """The paper's Table 3."""
+    origin = Origin(source=QUALITY_SOURCE)
+    return table_of(
+        "quality-published",
+        "Published numbers, not ours: video quality",
+        ("data set", "SC", "IQ"),
+        [
+            (name, quoted(consistency, "SC", origin), quoted(imaging, "IQ", origin))
+            for name, (consistency, imaging) in TABLE_3.items()
+        ],
+        notes=("SC: subject consistency, IQ: imaging quality.",),
+        sources=(QUALITY_SOURCE,),
+    )
+
+
+def published_data_set_table() -> Table:
+    """The paper's overview of its data set."""
+    return table_of(
+        "data-set-published",
+        "Published numbers, not ours: rows of Adv-nuSc",
+        ("rows of", "Adv-nuSc"),
+        [(name.replace("_", " "), published_rows(name)) for name in ADV_NUSC],
+        sources=(DATA_SET_SOURCE,),
+    )
+
+
+def published_runtime_table() -> Table:
+    """The paper's runtime of one scene."""
+    total = sum(RUNTIME_S.values())
+    seconds = {**RUNTIME_S, "all": total}
+    origin = Origin(source=RUNTIME_SOURCE)
+    return table_of(
+        "runtime-published",
+        "Published numbers, not ours: seconds for one scene",
+        ("stage", "seconds", "%"),
+        [
+            (stage, published_seconds(stage), origin.cell(value / total, PERCENT, None, scale=100.0).shown(1))
+            for stage, value in seconds.items()
+        ],
+        notes=(f"About 240 frames and six cameras on {RUNTIME_MACHINE}.",),
+        sources=(RUNTIME_SOURCE,),
+    )
+
+
+def published_rows(name: str) -> Shown:
+    """Rows of a table of Adv-nuSc, as printed."""
+    return quoted(f"{ADV_NUSC[name]:,}", "rows", Origin(source=DATA_SET_SOURCE))
+
+
+def published_seconds(stage: str) -> Shown | str:
+    """Seconds of a stage of one scene as printed, of ``all`` stages together, or a dash where none are printed."""
+    seconds = sum(RUNTIME_S.values()) if stage == "all" else RUNTIME_S.get(stage)
+    return Origin(source=RUNTIME_SOURCE).cell(seconds, "s", None).shown(2)
 
 
 def published_rate(record: RunRecord, judge: str) -> PublishedRate | None:
@@ -80,7 +138,7 @@ def published_rate(record: RunRecord, judge: str) -> PublishedRate | None:
     Returns:
         The row of the model of that name on the split of that name, if the paper quotes the same protocol.
     """
-    model = _MODEL_OF_PLANNER.get(record.run.planner.name.lower())
+    model = model_of(record)
     data_set = DATA_SET_OF_SPLIT.get(record.run.split)
     return next(
         (row for row in TABLE_1 if (row.model, row.data_set, row.protocol) == (model, data_set, judge)),
@@ -90,16 +148,23 @@ def published_rate(record: RunRecord, judge: str) -> PublishedRate | None:
 
 def is_variant(record: RunRecord, judge: str) -> bool:
     """Whether a planner is named after a model of the paper that was judged likewise, and is not that model."""
-    name = record.run.planner.name.lower()
-    stems = {model.lower() for model in INCREASE if any((row.model, row.protocol) == (model, judge) for row in TABLE_1)}
-    return name not in _MODEL_OF_PLANNER and any(name.startswith(f"{stem}-") for stem in stems)
+    planner = record.run.planner
+    stems = {row.model.lower() for row in TABLE_1 if row.protocol == judge}
+    alike = any(planner.name.lower().startswith(f"{stem}-") for stem in stems)
+    return model_of(record) is None and (alike or (planner.miniature and planner.native_protocol == judge))
+
+
+def model_of(record: RunRecord) -> str | None:
+    """The paper's name of a planner that it ran."""
+    planner = record.run.planner
+    return planner.published_as or (None if planner.miniature else MODEL_OF_PLANNER.get(planner.name.lower()))
 
 
 def published_cells(row: PublishedRate | None) -> tuple[Shown, ...]:
     """The paper's rates at 1, 2, 3 s, their average and its increase, as printed; dashes without a row."""
     if row is None:
         return (Shown(UNDEFINED),) * 5
-    origin = Origin(protocol=row.protocol, source=SOURCE)
+    origin = Origin(protocol=row.protocol, source=TABLE_1_SOURCE)
     increase = INCREASE[row.model] if row.data_set == "Adv-nuSc" else None
     shown = [quoted(text, PERCENT, origin) for text in row.percent]
     return (*shown, Shown(UNDEFINED) if increase is None else quoted(increase, "×", origin, after="×"))

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.machine.storage import content_key
+from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3
 from benchmark.records.quality import QualityRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import FEW_NOTE, FEW_SCENES, SPLIT_ORDER
-from leaderboard.tables.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3, quoted
+from leaderboard.tables.published import quoted
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, split_place
 
 _COLUMNS: Final = (
     "split",
@@ -146,8 +147,7 @@ def _one_each(records: Sequence[QualityRecord]) -> list[QualityRecord]:
     best: dict[str, QualityRecord] = {}
     for record in sorted(records, key=lambda record: (-len(record.facts.scenes), record.directory.as_posix())):
         best.setdefault(record.facts.split, record)
-    rank = {split: index for index, split in enumerate(SPLIT_ORDER)}
-    return [best[split] for split in sorted(best, key=lambda split: (rank.get(split, len(rank)), split))]
+    return [best[split] for split in sorted(best, key=split_place)]
 
 
 def _kind(record: QualityRecord) -> str:

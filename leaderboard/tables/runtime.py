@@ -6,7 +6,7 @@ from benchmark.published import RUNTIME_MACHINE, RUNTIME_S, RUNTIME_SOURCE
 from benchmark.records.scenes import Sheets
 from benchmark.report.cells import PERCENT, Shown
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.paper import published_seconds
+from leaderboard.tables.published import published_seconds
 from leaderboard.tables.split_facts import Runtime, SplitFacts, facts_by_data_set
 
 RENDERING: Final = "rendering"

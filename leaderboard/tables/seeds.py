@@ -10,7 +10,7 @@ from benchmark.metrics.scores import require_current
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.report.cells import Cell, Origin, Shown, record_name
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import in_table_order, judges, marked
+from leaderboard.tables.rows import in_table_order, judges, marked
 
 _RULE = (
     "Runs of one planner on one split that differ in the seed and in nothing else that a record names. Deviation: of "

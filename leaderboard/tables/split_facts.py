@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from benchmark.errors import InputError
 from benchmark.records.scenes import Sheets, SplitSheet
 from benchmark.report.cells import Origin, named_record
-from leaderboard.tables.collision import SPLIT_ORDER
+from leaderboard.tables.rows import SPLIT_ORDER
 
 QUANTILES: Final = ("least", "tenth", "median", "ninetieth", "most")
 

@@ -7,7 +7,7 @@ from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
 from benchmark.records.scenes import AttemptFacts, Sheets
 from benchmark.report.cells import PERCENT, UNDEFINED, Shown
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.paper import published_rows
+from leaderboard.tables.published import published_rows
 from leaderboard.tables.split_facts import QUANTILES, SplitFacts, facts_by_data_set
 
 KEPT = "kept"

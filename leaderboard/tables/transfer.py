@@ -5,7 +5,7 @@ from benchmark.metrics.transfer import Agreement, TransferMatrix
 from benchmark.records.run import NATIVE
 from benchmark.report.cells import UNDEFINED, Origin, Shown, interval, named_record
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.collision import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, judges, marked
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, judges, marked
 
 
 def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:

@@ -117,10 +117,11 @@ def test_records_hold_every_protocol_and_the_facts_of_their_scenes(tmp_path: Pat
     assert record.missing_protocols == record.stale_protocols == ()
 
 
-def test_a_native_protocol_changes_neither_directory_nor_kept_plans(tmp_path: Path) -> None:
+def test_what_tables_say_of_a_planner_changes_neither_directory_nor_kept_plans(tmp_path: Path) -> None:
     plain = evaluate(town_of_two(), "val", Factory(), tmp_path)
     rows = contents(plain.directory / "rows")
-    named = replace(Factory(), facts=plain.run.planner.model_copy(update={"native_protocol": "vad"}))
+    said = {"native_protocol": "vad", "published_as": "VAD", "miniature": True}
+    named = replace(Factory(), facts=plain.run.planner.model_copy(update=said))
     record = evaluate(town_of_two(), "val", replace(named, made=Failing), tmp_path)
     assert record.directory == plain.directory and contents(plain.directory / "rows") == rows
     assert record.complete and load_record(record.directory).native_protocol == "vad"

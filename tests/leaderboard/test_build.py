@@ -13,11 +13,11 @@ from adapters.baselines.log_replay import LogReplay
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame
+from benchmark.published import TABLE_1
 from benchmark.records.run import RunRecord, find_records
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
 from leaderboard.selection import one_run_each
-from leaderboard.tables.paper import published_table
-from leaderboard.tables.published import TABLE_1
+from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
 from tests.leaderboard.csv_rows import csv_rows

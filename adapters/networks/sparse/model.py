@@ -15,7 +15,7 @@ from adapters.networks.sparse.keyframe_pose import Moment, Passage
 from adapters.networks.sparse.motion_planner import Scene
 from adapters.networks.sparse.queue import QueueMemory
 from adapters.networks.sparse.regression import RegressionPlanner
-from adapters.networks.sparse.selection import Predictions, SparseOutputs, select
+from adapters.networks.sparse.selection import SparseOutputs, SparsePredictions, select
 from adapters.networks.sparse.tracks import Tracks, number_instances
 from benchmark.machine.storage import content_seed
 
@@ -87,7 +87,7 @@ class SparseHead(nn.Module):
 
     def forward(
         self, cameras: CameraFeatures, front: Tensor, moment: Moment, command: int, noise: Tensor, past: Memory | None
-    ) -> tuple[Predictions, Memory]:
+    ) -> tuple[SparsePredictions, Memory]:
         """Predict one key frame.
 
         Args:
@@ -120,7 +120,7 @@ class SparseHead(nn.Module):
         )
         planned = self.motion_plan_head(scene, noise)
         memory = Memory(moment, kept_agents, kept_lines, tracks, planned.memory)
-        return Predictions(agents, lines, ids, planned), memory
+        return SparsePredictions(agents, lines, ids, planned), memory
 
 
 class SparseNetwork(nn.Module):
@@ -163,7 +163,7 @@ class SparseNetwork(nn.Module):
         """
         return select(self.config, self.predict(inputs, noise), inputs.command)
 
-    def predict(self, inputs: SparseInputs, noise: Tensor | None = None) -> Predictions:
+    def predict(self, inputs: SparseInputs, noise: Tensor | None = None) -> SparsePredictions:
         """The same before selection, and remember it.
 
         Args:
@@ -184,7 +184,7 @@ class SparseNetwork(nn.Module):
         projections = inputs.projections.to(images.device, torch.float32)
         cameras = CameraFeatures.of(maps, projections, config.image_height_px, config.image_width_px)
         drawn = self.frame_noise(inputs) if noise is None else noise
-        predictions: Predictions
+        predictions: SparsePredictions
         predictions, self.memory = self.head(
             cameras, maps[-1][:1], moment_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
         )

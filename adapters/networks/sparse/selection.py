@@ -18,7 +18,7 @@ REFUSED: Final = -999.0
 
 
 @dataclass(frozen=True, slots=True)
-class Predictions:
+class SparsePredictions:
     """Everything that a sparse network computed for one key frame, before selection.
 
     Attributes:
@@ -116,7 +116,7 @@ class SelectedPlan:
     scores: Tensor
 
 
-def select(config: SparseConfig, predictions: Predictions, command: int) -> SparseOutputs:
+def select(config: SparseConfig, predictions: SparsePredictions, command: int) -> SparseOutputs:
     """What is reported for a key frame.
 
     Args:
@@ -167,7 +167,7 @@ def select_lines(config: SparseConfig, lines: Decoded) -> SelectedLines:
     return SelectedLines(points, scores, pairs % classes)
 
 
-def select_plan(config: SparseConfig, predictions: Predictions, command: int) -> SelectedPlan:
+def select_plan(config: SparseConfig, predictions: SparsePredictions, command: int) -> SelectedPlan:
     """The most likely plan for the command that hits nobody; if all of them hit somebody, the most likely one."""
     planner, agents = predictions.planner, predictions.agents
     modes = planner.plan_offsets.cumsum(-2)
@@ -180,6 +180,6 @@ def select_plan(config: SparseConfig, predictions: Predictions, command: int) ->
     return SelectedPlan(modes[command, logits[command].argmax()], modes, logits.sigmoid())
 
 
-def forecast_centres(predictions: Predictions) -> Tensor:
+def forecast_centres(predictions: SparsePredictions) -> Tensor:
     """(N, modes, steps, 2) metres, lidar frame."""
     return predictions.planner.motion_offsets.cumsum(-2) + predictions.agents.anchors[:, None, None, :2]

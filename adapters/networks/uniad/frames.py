@@ -10,7 +10,7 @@ from adapters.networks.uniad.map_head import MapElements
 from adapters.networks.uniad.map_masks import RoadMap
 from adapters.networks.uniad.motion import Forecasts
 from adapters.networks.uniad.occupancy import Occupancy
-from adapters.networks.uniad.planning import Plan
+from adapters.networks.uniad.planning import UniADPlan
 from adapters.networks.uniad.tracking import Boxes, Instances
 
 
@@ -72,7 +72,7 @@ class UniADOutputs:
 
 
 @dataclass(frozen=True, slots=True)
-class Predictions:
+class UniADPredictions:
     """Everything that the network computes for one key frame.
 
     Attributes:
@@ -103,4 +103,4 @@ class Predictions:
     forecasts: Forecasts
     vehicles: Tensor
     occupancy: Occupancy
-    plan: Plan
+    plan: UniADPlan

@@ -11,7 +11,7 @@ from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.uniad.bev import DetectionHead
 from adapters.networks.uniad.collision_optimiser import MovedPlan, Solver, move_plan
 from adapters.networks.uniad.config import UniADConfig
-from adapters.networks.uniad.frames import Predictions, UniADInputs, UniADOutputs
+from adapters.networks.uniad.frames import UniADInputs, UniADOutputs, UniADPredictions
 from adapters.networks.uniad.map_head import MapHead, MapMasks
 from adapters.networks.uniad.map_masks import RoadMap, paste_masks, ranked
 from adapters.networks.uniad.motion import MotionHead
@@ -149,7 +149,7 @@ class UniAD(nn.Module):
             road=road,
         )
 
-    def collision_free(self, predictions: Predictions, solver: Solver) -> MovedPlan:
+    def collision_free(self, predictions: UniADPredictions, solver: Solver) -> MovedPlan:
         """The plan of a frame, moved away from the cells that will be occupied."""
         return move_plan(
             predictions.plan.positions_m.double().cpu().numpy(), predictions.occupancy.occupied.cpu().numpy(), solver
@@ -161,7 +161,7 @@ class UniAD(nn.Module):
         classes = self.config.map_classes
         return paste_masks(masks.values, scores, order, masks.labels, masks.drivable_values, classes)
 
-    def predict(self, inputs: UniADInputs) -> Predictions:
+    def predict(self, inputs: UniADInputs) -> UniADPredictions:
         """Everything up to the plan, and remember it.
 
         Args:
@@ -205,7 +205,7 @@ class UniAD(nn.Module):
         self._memory = Memory(inputs.scene_token, bev, next_instances, pose)
         self._can_bus = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
         self._next_id = next_id
-        return Predictions(
+        return UniADPredictions(
             bev=bev,
             moved_references=moved,
             entering=entering,

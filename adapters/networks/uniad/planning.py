@@ -9,7 +9,7 @@ from adapters.networks.uniad.config import UniADConfig
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class UniADPlan:
     """The plan before it is moved away from occupied cells.
 
     Attributes:
@@ -47,7 +47,9 @@ class PlanningHead(nn.Module):
             )
         )
 
-    def forward(self, bev: Tensor, bev_positions: Tensor, mode_queries: Tensor, state: Tensor, command: int) -> Plan:
+    def forward(
+        self, bev: Tensor, bev_positions: Tensor, mode_queries: Tensor, state: Tensor, command: int
+    ) -> UniADPlan:
         """Plan.
 
         Args:
@@ -68,4 +70,4 @@ class PlanningHead(nn.Module):
         image = image + self.bev_adapter(image)
         attended = self.attn_module(query[None], image.flatten(2).transpose(1, 2))[0, 0]
         steps = self.reg_branch(attended).float().view(self.config.plan_steps, 2)
-        return Plan(fused, attended, steps.cumsum(0))
+        return UniADPlan(fused, attended, steps.cumsum(0))

@@ -10,7 +10,7 @@ from adapters.networks.layers.deformable_decoder import Decoded
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.positional import LearnedGridEncoding
 from adapters.networks.vad.config import VADConfig
-from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.transformer import VADTransformer
 
 BOX_CODE = 10
@@ -60,7 +60,7 @@ class VADHead(nn.Module):
 
     def forward(
         self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: EgoMotion, previous: Tensor | None
-    ) -> Predictions:
+    ) -> VADPredictions:
         """Predict one key frame; arguments as in `VADTransformer.encode`."""
         bev = self.transformer.encode(
             self.bev_embedding.weight, self.positional_encoding(), maps, images, projections, motion, previous
@@ -80,7 +80,7 @@ class VADHead(nn.Module):
 
         lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
         logits = [branch(states).float() for branch, states in zip(self.cls_branches, agents.states, strict=True)]
-        return Predictions(
+        return VADPredictions(
             bev=bev,
             agent_states=agents.states,
             agent_first_references=agents.first_references,

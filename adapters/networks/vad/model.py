@@ -10,7 +10,7 @@ from adapters.networks.layers.feature_pyramid import FeaturePyramid
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.head import VADHead
-from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import VADOutputs, select
 from benchmark.errors import InputError
 
@@ -75,7 +75,7 @@ class VAD(nn.Module):
         """
         return select(self.config, self.predict(inputs), inputs.command)
 
-    def predict(self, inputs: VADInputs) -> Predictions:
+    def predict(self, inputs: VADInputs) -> VADPredictions:
         """The same before selection, and remember it.
 
         Args:
@@ -98,7 +98,9 @@ class VAD(nn.Module):
         motion = self.ego_motion(inputs).to(images.device)
         projections = inputs.lidar2img.to(images.device, torch.float32)
         maps = self.img_neck(self.img_backbone(images))
-        predictions: Predictions = self.pts_bbox_head(maps, images, projections, motion, memory.bev if memory else None)
+        predictions: VADPredictions = self.pts_bbox_head(
+            maps, images, projections, motion, memory.bev if memory else None
+        )
         absolute = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
         self._memory = _Memory(inputs.scene_token, absolute, predictions.bev)
         return predictions

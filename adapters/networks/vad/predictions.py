@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, slots=True)
-class Predictions:
+class VADPredictions:
     """Raw predictions; K decoder layers, A agents, M map elements of P points, C channels.
 
     Positions "as shares" are 0 to 1 over the perception range; metres are in the lidar frame.

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from adapters.networks.layers.coders import decode_boxes, extent_corners, metres, strongest, within
 from adapters.networks.vad.config import VADConfig
-from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.predictions import VADPredictions
 
 MAP_CLASSES = ("divider", "ped_crossing", "boundary")
 
@@ -83,7 +83,7 @@ class SelectedLines:
     labels: Tensor
 
 
-def select(config: VADConfig, predictions: Predictions, command: int) -> VADOutputs:
+def select(config: VADConfig, predictions: VADPredictions, command: int) -> VADOutputs:
     """What is reported for a key frame.
 
     Args:
@@ -113,7 +113,7 @@ def select(config: VADConfig, predictions: Predictions, command: int) -> VADOutp
     )
 
 
-def select_boxes(config: VADConfig, predictions: Predictions) -> SelectedBoxes:
+def select_boxes(config: VADConfig, predictions: VADPredictions) -> SelectedBoxes:
     """The most certain boxes whose centres are not far outside the perception range."""
     scores, labels, agents = strongest(predictions.class_logits[-1], config.max_boxes)
     boxes = decode_boxes(predictions.box_codes[-1, agents])
@@ -125,7 +125,7 @@ def select_boxes(config: VADConfig, predictions: Predictions) -> SelectedBoxes:
     return SelectedBoxes(boxes, scores[kept], labels[kept], agents[kept])
 
 
-def select_lines(config: VADConfig, predictions: Predictions) -> SelectedLines:
+def select_lines(config: VADConfig, predictions: VADPredictions) -> SelectedLines:
     """The most certain map elements that do not reach far outside the perception range."""
     scores, labels, lines = strongest(predictions.map_class_logits[-1], config.max_lines)
     low, high = config.perception_range_m[:2], config.perception_range_m[3:5]

@@ -12,7 +12,7 @@ from torch import Tensor
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
-from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.predictions import VADPredictions
 from adapters.training.dense_targets import CHANNELS, dense_targets
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
@@ -139,7 +139,7 @@ def inputs_of(frame: TrainingFrame) -> VADInputs:
     )
 
 
-def frame_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     """Losses of one key frame, not weighted.
 
     Args:
@@ -161,7 +161,7 @@ def frame_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -
 
 def predictions_of(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
-) -> Predictions:
+) -> VADPredictions:
     """As `VAD.predict`, with a past that the caller holds.
 
     Args:
@@ -182,11 +182,13 @@ def predictions_of(
         motion = replace(motion, can_bus=silent)
     maps = network.img_neck(network.img_backbone(inputs.images))
     projections = inputs.lidar2img.float()
-    found: Predictions = network.pts_bbox_head(maps, inputs.images, projections, motion.to(inputs.images.device), view)
+    found: VADPredictions = network.pts_bbox_head(
+        maps, inputs.images, projections, motion.to(inputs.images.device), view
+    )
     return found
 
 
-def _agent_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     """Boxes after every layer, forecasts of the queries that the last layer found boxes for."""
     low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
     inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
@@ -210,7 +212,7 @@ def _agent_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) 
     return {"class": torch.stack(classes).sum(), "box": torch.stack(codes).sum(), "forecast": forecast, "mode": mode}
 
 
-def _map_losses(network: VAD, predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+def _map_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     config = network.config
     low, high = (torch.tensor(config.perception_range_m[each : each + 2]) for each in (0, 3))
     wanted = _with_points(frame.lines, config.points_per_line)
@@ -235,7 +237,7 @@ def _with_points(lines: Tensor, points: int) -> Tensor:
     return F.interpolate(lines.transpose(1, 2), points, mode="linear", align_corners=True).transpose(1, 2)
 
 
-def _dense_loss(network: VAD, predictions: Predictions, frame: TrainingFrame) -> Tensor:
+def _dense_loss(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
     """Cross entropy of the first channels of the view; the mean over what is known."""
     targets, known = dense_targets(frame, network.config.grid)
     logits = DENSE_GAIN * predictions.bev[:, :CHANNELS]
@@ -245,7 +247,7 @@ def _dense_loss(network: VAD, predictions: Predictions, frame: TrainingFrame) ->
     return CHANNELS * (entropy * weights).sum() / weights.sum()
 
 
-def _pace_loss(predictions: Predictions, frame: TrainingFrame) -> Tensor:
+def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
     """How well every cell, agent and map element knows how far the ego drives, in its channel after the dense ones.
 
     The plan reads agents and map elements alone; what they do not know of the ego is lost to it.
@@ -257,7 +259,7 @@ def _pace_loss(predictions: Predictions, frame: TrainingFrame) -> Tensor:
     return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
 
 
-def _plan_losses(predictions: Predictions, frame: TrainingFrame) -> dict[str, Tensor]:
+def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     offsets = predictions.plan_offsets[frame.command]
     plan = offsets.cumsum(0)
     recorded = torch.diff(frame.ego_future, dim=0, prepend=torch.zeros_like(frame.ego_future[:1]))

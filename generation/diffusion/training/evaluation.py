@@ -81,7 +81,7 @@ def load_held_out(tracks: Path, sources: tuple[str, ...] = HELD_OUT_SOURCES, see
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class DistributionDistances:
     """One quantity.
 
     Attributes:
@@ -117,7 +117,7 @@ class Report:
         told_apart: See `TwoSample`.
     """
 
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[DistributionDistances, ...]
     held_out_windows: int
     drivable_raw: float
     drivable: float
@@ -235,7 +235,7 @@ def compare_with_held_out(weights: Path, held_out: HeldOut, seed: int = 0) -> Re
     starts = choice.permutation(len(previous))[:TRACKED_STARTS]
     return Report(
         comparisons=tuple(
-            Comparison(
+            DistributionDistances(
                 name,
                 float(actual[name].std()),
                 wasserstein(model[name], actual[name]),

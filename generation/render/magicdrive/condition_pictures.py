@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.datasets.roots import DataSet
+from benchmark.drawing.canvas import png
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.scene import Scene
@@ -93,7 +94,7 @@ def condition_pictures(
     }
     found = {name: draw() for name, draw in pictures.items()}
     for place, frame, seen in zip(places, frames, images):
-        found[f"boxes-{frame:03d}"] = _encoded(draw_boxes(clip, place, seen, adversaries))
+        found[f"boxes-{frame:03d}"] = png(draw_boxes(clip, place, seen, adversaries))
         found[f"visibility-{frame:03d}"] = draw_visibility(clip, place, adversaries)
         found[f"map-{frame:03d}"] = draw_map(clip, place, adversaries)
     return found
@@ -183,11 +184,6 @@ def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int], colour: tup
     face, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
     cv2.putText(panel, text, at, face, scale, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(panel, text, at, face, scale, colour, 1, cv2.LINE_AA)
-
-
-def _encoded(image: NDArray[np.uint8]) -> bytes:
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    return bytes(encoded.tobytes())
 
 
 def _recorded(data: DataSet, name: str, scene: Scene, frame: int) -> Images | None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
 from generation.render.schematic.atmosphere import Atmosphere
-from generation.render.schematic.ground import FINE_UNTIL_M, MIDDLE_UNTIL_M, Plan
+from generation.render.schematic.ground import FINE_UNTIL_M, MIDDLE_UNTIL_M, PlanView
 from generation.render.schematic.view import View
 
 _SAMPLES = (1, 2, 4, 6)
@@ -79,7 +79,7 @@ class Backdrop:
         bands, hazy_until = _bands(height, below, z[:, z.shape[1] // 2], fade)
         return cls(sky, fade, light, bands, hazy_until)
 
-    def draw(self, view: View, plans: tuple[Plan, Plan, Plan], skyline: "Skyline") -> NDArray[np.uint8]:
+    def draw(self, view: View, plans: tuple[PlanView, PlanView, PlanView], skyline: "Skyline") -> NDArray[np.uint8]:
         """Picture of everything that does not stand on the ground.
 
         Args:
@@ -161,7 +161,7 @@ def _bands(
     return tuple(bands), int(max(visible[-1] + 1 if len(visible) else first, first))
 
 
-def _seen_through(view: View, plan: Plan, band: Band) -> NDArray[np.uint8]:
+def _seen_through(view: View, plan: PlanView, band: Band) -> NDArray[np.uint8]:
     """The ground in some rows of a view."""
     affine = np.vstack([plan.world_to_pixel, [0.0, 0.0, 1.0]])
     image_to_plan = affine @ np.linalg.inv(view.ground_to_pixel())

@@ -33,7 +33,7 @@ FINE_UNTIL_M, MIDDLE_UNTIL_M = 9.0, 22.0
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class PlanView:
     """A plan view.
 
     Attributes:
@@ -69,7 +69,7 @@ class Ground:
     colours: dict[Coat, Rgb]
     base: Rgb
     _centre: tuple[float, float] | None = field(default=None, init=False)
-    _plans: tuple[Plan, Plan, Plan] | None = field(default=None, init=False)
+    _plans: tuple[PlanView, PlanView, PlanView] | None = field(default=None, init=False)
 
     @classmethod
     def of(cls, road_map: RoadMap, air: Atmosphere) -> "Ground":
@@ -93,7 +93,7 @@ class Ground:
         x, y = np.round(np.asarray(position, np.float64) / _STEP_M) * _STEP_M
         return float(x), float(y)
 
-    def around(self, position: Floats) -> tuple[Plan, Plan, Plan]:
+    def around(self, position: Floats) -> tuple[PlanView, PlanView, PlanView]:
         """Fine, middle and coarse plan views around a place.
 
         Args:
@@ -107,7 +107,7 @@ class Ground:
             snapped = np.array(centre)
             fine = self._painted(snapped, _FINE_REACH_M, _FINE_M)
             half = (fine.pixels.shape[1] // 2, fine.pixels.shape[0] // 2)
-            middle = Plan(
+            middle = PlanView(
                 np.asarray(cv2.resize(fine.pixels, half, interpolation=cv2.INTER_AREA), np.uint8),
                 fine.origin,
                 2 * _FINE_M,
@@ -116,13 +116,13 @@ class Ground:
             self._centre = centre
         return self._plans
 
-    def _painted(self, centre: Floats, reach_m: float, resolution_m: float) -> Plan:
+    def _painted(self, centre: Floats, reach_m: float, resolution_m: float) -> PlanView:
         count = round(2 * reach_m / resolution_m)
         pixels = np.empty((count, count, 3), dtype=np.uint8)
         pixels[:] = np.round(self.base).astype(np.uint8)
-        plan = Plan(pixels, centre + np.array([-reach_m, reach_m]), resolution_m)
+        plan = PlanView(pixels, centre + np.array([-reach_m, reach_m]), resolution_m)
         paint(pixels, self.polygons, plan.world_to_pixel, self.colours)
-        return Plan(_with_grain(pixels, resolution_m), plan.origin, resolution_m)
+        return PlanView(_with_grain(pixels, resolution_m), plan.origin, resolution_m)
 
 
 def _with_grain(pixels: NDArray[np.uint8], resolution_m: float) -> NDArray[np.uint8]:

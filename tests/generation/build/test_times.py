@@ -80,7 +80,7 @@ def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
     assert (table.attempts, table.scenes) == (2, 1)
     assert table.total_s == {"sampling": 2.0, "physics": 4.0, "scoring": 6.0, "rendering": 10.0, "other": 1.0}
     assert table.each_s("physics") == 2.0
-    lines = table.plain().splitlines()
+    lines = table.table().plain().splitlines()
     assert lines[2].split() == ["sampling", "2.00", "1.00", "17.36"]
     assert lines[5].split() == ["rendering", "10.00", "10.00", "395.18"]
     assert lines[7].split() == ["all", "23.00", "16.50", f"{sum(RUNTIME_S.values()):.2f}"]
@@ -90,7 +90,7 @@ def test_the_runtime_table_adds_up_notes(tmp_path: Path) -> None:
 def test_no_notes_are_no_times(tmp_path: Path) -> None:
     table = runtime_table([tmp_path / "absent"], [])
     assert table.each_s("sampling") is None
-    assert "-" in table.plain()
+    assert "-" in table.table().plain()
     assert mean_seconds([]) is None
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from benchmark.drawing.palette import ADVERSARY, CONTACT, EGO, TITLE
 from benchmark.errors import InputError
-from leaderboard.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, Film, FilmLayout, FilmSettings, film_frames
+from leaderboard.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, Film, FilmLayout, FilmSettings
 from leaderboard.films.filming import FilmFormat, sheet_folders, write_film
 from leaderboard.films.panel import adversary_gap
 from tests.benchmark.drawing.one_scene import FRAMES, broken_picture, record, sheet, written
@@ -29,7 +29,7 @@ def pixels_of(image: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
 @pytest.mark.parametrize("layout", FilmLayout)
 def test_frames_have_one_size_and_the_scenes_length(tmp_path: Path, layout: FilmLayout) -> None:
     stored = written(tmp_path)
-    frames = list(film_frames(stored, [record("p")], ["p"], layout))
+    frames = list(Film(stored, [record("p")], ["p"], FilmSettings(layout=layout)))
     assert len(frames) == FRAMES
     assert {frame.shape for frame in frames} == {(HEIGHT_PX, WIDTH_PX, 3)}
     assert tuple(frames[0][4, 700]) == TITLE

@@ -6,13 +6,14 @@ from dataclasses import replace
 import pytest
 
 from benchmark.metrics.transfer import transfer
+from benchmark.published import INCREASE, TABLE_1
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
-from leaderboard.tables.collision import FEW_NOTE, collision_table, increase_over, native_table
+from leaderboard.tables.collision import collision_table, increase_over, native_table
 from leaderboard.tables.comparisons import planner_table, split_table
 from leaderboard.tables.contents import data_set_tables
-from leaderboard.tables.published import INCREASE, TABLE_1
+from leaderboard.tables.rows import FEW_NOTE
 from leaderboard.tables.transfer import agreement_table, transfer_table
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 

@@ -16,7 +16,7 @@ from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import generation_tables
 from leaderboard.tables.manoeuvres import manoeuvre_tables
-from leaderboard.tables.paper import published_data_set_table, published_runtime_table, published_tables
+from leaderboard.tables.published import published_data_set_table, published_runtime_table, published_tables
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.statistics import statistics_tables
 from tests.leaderboard.csv_rows import csv_rows
@@ -160,7 +160,20 @@ def test_a_row_that_nobody_knows_has_no_published_value() -> None:
     other = known.model_copy(update={"rows": (known.rows[0].model_copy(update={"name": "<b>mine</b>"}),)})
     table = named(ablation_tables([other]), "ablation-p")
     assert row_of(table, "<b>mine</b>")["paper"] == UNDEFINED
-    assert "<b>" not in table.markdown() and "mine" in other.plain()
+    assert "<b>" not in table.markdown() and "mine" in other.table().plain()
+
+
+def test_a_record_that_quotes_the_paper_in_its_rows_is_the_same_study(tmp_path: Path) -> None:
+    known = study()
+    stored = known.model_dump(mode="json", by_alias=True)
+    assert all("paper_rate" not in row for row in stored["rows"])
+    for row, quoted in zip(stored["rows"], (0.0617, 0.0349, 0.0013, 0.0080), strict=True):
+        row["paper_rate"] = quoted
+    for later in ("published_as", "miniature"):
+        del stored["planner"][later]
+    write_json(tmp_path / "ablation.json", stored)
+    (read,) = find_ablations(tmp_path)
+    assert read == known and read.content_id == known.content_id
 
 
 def test_studies_are_found_below_a_folder_and_a_damaged_one_is_named(tmp_path: Path) -> None:

@@ -1,12 +1,14 @@
 """The paper's numbers beside ours: only beside the same model under the same protocol."""
 
+import dataclasses
+
 import pytest
 
+from benchmark.published import TABLE_1, PublishedRate
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.tables.collision import collision_table, native_table
-from leaderboard.tables.published import TABLE_1, PublishedRate
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 SCENES = {"s0": [HIT, CLEAN], "s1": [CLEAN, CLEAN]}
@@ -43,6 +45,20 @@ def test_a_variant_is_not_the_model(name: str) -> None:
     table = native_table("d", [run(name, "vad" if "vad" in name else "uniad")])
     assert "paper 1s" not in table.columns
     assert any(name in note for note in table.notes) == (name != "mine")
+
+
+def said(record: RunRecord, **facts: str | bool) -> RunRecord:
+    """A run whose planner says what it is."""
+    planner = record.run.planner.model_copy(update=facts)
+    return dataclasses.replace(record, run=record.run.model_copy(update={"planner": planner}))
+
+
+def test_a_planner_says_itself_what_the_paper_calls_it_and_that_it_is_a_miniature() -> None:
+    ours = said(run("my-uniad", "uniad"), published_as="UniAD")
+    small = said(run("vad", "vad"), miniature=True)
+    table = native_table("d", [ours, small])
+    assert paper_of(table, "my-uniad")[3] == "3.95" and paper_of(table, "vad") == (UNDEFINED,) * 5
+    assert any("No published row stands beside vad:" in note for note in table.notes)
 
 
 @pytest.mark.parametrize("row", TABLE_1)

@@ -10,7 +10,7 @@ from benchmark.quality.definition import Definition
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
-from leaderboard.tables.paper import published_quality_table
+from leaderboard.tables.published import published_quality_table
 from leaderboard.tables.quality import quality_tables
 
 

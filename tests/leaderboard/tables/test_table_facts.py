@@ -17,7 +17,7 @@ from benchmark.report.cells import UNDEFINED, Cell, number
 from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import data_set_tables, generation_tables
-from leaderboard.tables.paper import published_tables
+from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets

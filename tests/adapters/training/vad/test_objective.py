@@ -18,7 +18,7 @@ from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.networks.vad.planner import VADPlanner
-from adapters.networks.vad.predictions import Predictions
+from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import select
 from adapters.training.dense_targets import CHANNELS, VEHICLES, dense_targets
 from adapters.training.frame_store import build_frames
@@ -137,7 +137,7 @@ def test_training_computes_what_the_planner_computes() -> None:
         inputs = inputs_of(frame)
         with torch.no_grad():
             expected, found = network.predict(inputs), predictions_of(network, inputs, previous, True)
-        for name in Predictions.__slots__:
+        for name in VADPredictions.__slots__:
             assert torch.equal(getattr(expected, name), getattr(found, name)), name
         previous = inputs.can_bus, found.bev
 

@@ -1,4 +1,4 @@
-"""What all pictures of the leaderboard share: the same numbers give the same bytes, and any name can be drawn."""
+"""Plots by matplotlib: the same numbers give the same bytes, whatever settings the user has."""
 
 import io
 import struct
@@ -11,8 +11,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 FORMATS: Final = (".png", ".svg")
-NAME_CHARACTERS: Final = 36
-"""Longer names are cut."""
 _DPI = 120
 
 
@@ -54,10 +52,3 @@ def new_figure(width_inches: float, height_inches: float) -> Figure:
     figure = Figure(figsize=(width_inches, height_inches))
     FigureCanvasAgg(figure)
     return figure
-
-
-def drawable(name: str) -> str:
-    """A stranger's name on one line, cut, without characters that cannot be drawn or written into an SVG."""
-    text = "".join(character if character.isprintable() else " " for character in name)
-    text = " ".join(text.split())
-    return text if len(text) <= NAME_CHARACTERS else f"{text[: NAME_CHARACTERS - 1]}…"

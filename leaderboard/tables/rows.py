@@ -1,0 +1,83 @@
+"""What rows of tables share: their order, names and marks, and what has to be said of the runs behind them."""
+
+from collections.abc import Iterable, Sequence
+
+from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.run import NATIVE, RunRecord
+
+SPLIT_ORDER = ("val", "val-r", "adv")
+PRIVILEGED_MARK = "†"
+PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
+STALE_MARK = "‡"
+FEW_SCENES = 20
+"""Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
+FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
+
+
+def split_place(split: str) -> tuple[int, str]:
+    """To sort splits by: the paper's three first, the others by name."""
+    return SPLIT_ORDER.index(split) if split in SPLIT_ORDER else len(SPLIT_ORDER), split
+
+
+def splits_of(records: Iterable[RunRecord]) -> list[str]:
+    """Splits that were run, in their order."""
+    return sorted({record.run.split for record in records}, key=split_place)
+
+
+def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
+    """Records by planner (privileged ones last), then split."""
+    return sorted(records, key=lambda each: (each.run.planner.privileged, each.planner, split_place(each.run.split)))
+
+
+def marked(planner: str, *, privileged: bool) -> str:
+    """The planner's name; a mark tells that it saw what no car sees."""
+    return f"{planner} {PRIVILEGED_MARK}" if privileged else planner
+
+
+def row_name(record: RunRecord, judge: str) -> str:
+    """The planner's name with its marks: privileged, and judged by an earlier version of the protocol."""
+    name = marked(record.planner, privileged=record.run.planner.privileged)
+    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
+
+
+def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
+    """One sentence for each of the protocols that judged a run in another version than the present one."""
+    return [
+        f"{STALE_MARK} {record.planner} on {record.run.split}: judged by version {record.run.protocols[name]} of "
+        f"protocol {name}, now {registered_version(name)}; run challenger-bench rescore."
+        for name in protocols
+        if name in record.stale_protocols
+    ]
+
+
+def judges(protocol: str) -> str:
+    """Who judges, as titles say it."""
+    return "each planner under its own protocol" if protocol == NATIVE else f"protocol {protocol}"
+
+
+def recordings(record: RunRecord) -> int:
+    """How many recorded scenes a run's scenes come from: what its intervals rest on."""
+    return len(set(source_of_scenes(record).values()))
+
+
+def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
+    """What has to be said of runs that are not whole.
+
+    Args:
+        records: Runs.
+
+    Returns:
+        One sentence for each run with failed samples and each run of a part of its split.
+    """
+    notes = []
+    for record in records:
+        who = f"{record.planner} on {record.run.split}"
+        if not record.complete:
+            summary = record.summary
+            notes.append(
+                f"{who}: {summary.failed} samples failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{summary.samples} samples."
+            )
+        if not record.covers_split:
+            notes.append(f"{who}: {len(record.run.scenes)} of {record.run.scenes_in_split} scenes of the split.")
+    return notes
