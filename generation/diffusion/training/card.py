@@ -1,5 +1,6 @@
-"""The model card: what weights were made from and how good they are, written from facts and measurements."""
+"""The model card: what weights were made from and how good they are, written from the facts of training."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,15 +10,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, write_bytes
 from generation.diffusion.bank import bank_beside
 from generation.diffusion.checkpoint import read_tensors
-from generation.diffusion.training.card_measurements import (
-    comparison_sections,
-    full_process_section,
-    table,
-    truncated_process_section,
-)
-from generation.diffusion.training.evaluation import compare_with_held_out, load_held_out
 from generation.diffusion.training.loop import HELD_OUT_SOURCES
-from generation.diffusion.training.sampling_steps import full_process_costs, stride_errors
 from generation.diffusion.training.track_sources import find_track_sources
 
 TITLES: Final = {
@@ -68,44 +61,55 @@ SHARE_ALIKE: Final = """\
 Several sources are for non-commercial use, share alike (CC BY-NC-SA), so **the weights and the bank are too: CC
 BY-NC-SA 4.0**, whatever the licence of the code."""
 OTHER_TERMS: Final = "**Weights and bank carry the terms of these sources**, whatever the licence of the code."
-NOTHING_HELD_OUT: Final = """\
-## Against driving it never saw
+NOT_MEASURED: Final = """\
+## Measurements
 
-Not measured: the folder of tracks held none of the held-out sources.
+Not made: `python -m bench.denoiser_card WEIGHTS TRACKS` in a checkout of the project compares the samples with driving
+that the model never saw, tracks them with the physics simulator, and writes this card with the figures.
 """
 
 
-def write_model_card(weights: Path, tracks: Path) -> Path:
-    """Measure a model and write MODEL_CARD.md beside it.
+def write_model_card(weights: Path, tracks: Path, measured: Sequence[str] = (NOT_MEASURED,)) -> Path:
+    """Write MODEL_CARD.md beside a model.
 
     Args:
         weights: Written by `train_denoiser`, with a bank beside it.
-        tracks: Folder of recordings that it was trained on; without held-out sources in it the card says that nothing
-            was compared.
+        tracks: Folder of recordings that it was trained on.
+        measured: Further sections, in Markdown.
 
     Returns:
         The card.
 
     Raises:
-        InputError: If weights, bank or recordings cannot be read, or the weights do not say how they were trained.
+        InputError: If weights or bank cannot be read, or the weights do not say how they were trained.
     """
     tensors, facts = read_tensors(weights)
     if missing := {"seed", "steps", "batch", "windows", "licences"} - facts.keys():
         raise InputError(f"{weights} does not say its {', '.join(sorted(missing))}; train it with this program")
-    named = tuple(facts.get("held_out", HELD_OUT_SOURCES))
-    present = [source.name for source in find_track_sources(tracks) if source.name in named]
-    sections = [_introduction(weights, tensors, facts, present)]
-    if present:
-        held_out = load_held_out(tracks, named)
-        titles = sorted({TITLES.get(name, name) for name in present})
-        sections += comparison_sections(compare_with_held_out(weights, held_out), titles)
-        sections.append(full_process_section(full_process_costs(weights, held_out)))
-    else:
-        sections.append(NOTHING_HELD_OUT)
-    sections.append(truncated_process_section(stride_errors(weights)))
     card = weights.parent / "MODEL_CARD.md"
+    sections = [_introduction(weights, tensors, facts, held_out_sources(facts, tracks)), *measured]
     write_bytes(card, "\n".join(sections).encode())
     return card
+
+
+def held_out_sources(facts: dict[str, Any], tracks: Path) -> list[str]:
+    """Sources in a folder of recordings that a model was not trained on and that check it.
+
+    Args:
+        facts: Stored with the weights.
+        tracks: Folder of recordings.
+
+    Returns:
+        Their names.
+    """
+    named = facts.get("held_out", HELD_OUT_SOURCES)
+    return [source.name for source in find_track_sources(tracks) if source.name in named]
+
+
+def table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(map(str, line)) + " |" for line in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
 
 
 def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, Any], held_out: list[str]) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from bench.denoiser_card.evaluation import wasserstein
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
@@ -16,7 +17,6 @@ from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
-from generation.diffusion.training.evaluation import wasserstein
 from generation.search.proposals import Mutation, Request, Sampling
 from generation.verification.built_in import BUILT_IN
 

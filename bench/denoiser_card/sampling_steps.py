@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.denoiser_card.evaluation import HeldOut, quantities, replay, wasserstein
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
 from generation.diffusion.bank import sample_actions
@@ -14,7 +15,6 @@ from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
 from generation.diffusion.schedule import STEPS
-from generation.diffusion.training.evaluation import HeldOut, quantities, replay, wasserstein
 
 ROUND_NOISE_LEVELS: Final = (5, 4, 3, 2, 1)
 FULL_CALLS: Final = (STEPS, 50, 20, 10, 5)

@@ -1,12 +1,13 @@
 """The measured part of the model card: every number comes from `evaluation` and its neighbours."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
+from bench.denoiser_card.evaluation import TEST_REPEATS, TEST_SIZES, Report
+from bench.denoiser_card.feasibility import HORIZONS_S, LIMITED_M, WITHIN_M
+from bench.denoiser_card.sampling_steps import FULL_SAMPLES, FullProcess, StrideError
+from bench.denoiser_card.two_sample import FEATURES, PERMUTATIONS
 from generation.diffusion.prior import SamplerSettings
-from generation.diffusion.training.evaluation import TEST_REPEATS, TEST_SIZES, Report
-from generation.diffusion.training.feasibility import HORIZONS_S, LIMITED_M, WITHIN_M
-from generation.diffusion.training.sampling_steps import FULL_SAMPLES, FullProcess, StrideError
-from generation.diffusion.training.two_sample import FEATURES, PERMUTATIONS
+from generation.diffusion.training.card import table
 
 COMPARISON = """\
 ## Against driving it never saw
@@ -74,12 +75,6 @@ reference's process (one call per noise level) with the same noise, beside what 
 
 Default: {default}.
 """
-
-
-def table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(map(str, line)) + " |" for line in (head, *rows)]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
 
 
 def comparison_sections(report: Report, titles: Sequence[str]) -> list[str]:

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from bench.denoiser_card.feasibility import Tracking, track
+from bench.denoiser_card.two_sample import motion_features, permutation_test, rejection_rate
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
@@ -16,9 +18,7 @@ from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.kinematics import STEP_S, Motion, motion
 from generation.diffusion.schedule import add_noise, signal_and_noise
 from generation.diffusion.standardiser import ACTION_SCALE, actions_from_waypoints, waypoints_from_actions
-from generation.diffusion.training.feasibility import Tracking, track
 from generation.diffusion.training.loop import HELD_OUT_SOURCES
-from generation.diffusion.training.two_sample import motion_features, permutation_test, rejection_rate
 from generation.diffusion.training.window_pool import WindowPool, load_track_data, window_actions
 
 ATTEMPTS: Final = 64

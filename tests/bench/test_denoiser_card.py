@@ -1,4 +1,4 @@
-"""What the model card reports: two-sample test, tracking, distances, cost of fewer calls."""
+"""The measured model card of the trajectory model: two-sample test, tracking, distances, cost of fewer calls."""
 
 from pathlib import Path
 
@@ -8,25 +8,25 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.errors import InputError
-from benchmark.geometry import Floats
-from generation.diffusion.bank import write_bank
-from generation.diffusion.checkpoint import load_denoiser, save_denoiser
-from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.kinematics import motion
-from generation.diffusion.training import card_measurements, evaluation
-from generation.diffusion.training import sampling_steps as fewer_calls
-from generation.diffusion.training.card import write_model_card
-from generation.diffusion.training.evaluation import compare_with_held_out, load_held_out
-from generation.diffusion.training.feasibility import track
-from generation.diffusion.training.sampling_steps import FULL_CALLS, full_process_costs
-from generation.diffusion.training.two_sample import (
+from bench.denoiser_card import evaluation, sampling_steps, sections
+from bench.denoiser_card.__main__ import write_measured_card
+from bench.denoiser_card.evaluation import compare_with_held_out, load_held_out
+from bench.denoiser_card.feasibility import track
+from bench.denoiser_card.sampling_steps import FULL_CALLS, full_process_costs
+from bench.denoiser_card.two_sample import (
     FEATURES,
     energy_distance,
     motion_features,
     permutation_test,
     rejection_rate,
 )
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from generation.diffusion.bank import write_bank
+from generation.diffusion.checkpoint import load_denoiser, save_denoiser
+from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.kinematics import motion
+from generation.diffusion.training.card import write_model_card
 from tests.generation.diffusion.training.test_tracks import drive, write_tracks
 
 
@@ -157,10 +157,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ]
         write_tracks(tmp_path / f"{name}.npz", made, source=np.array(name))
     monkeypatch.setattr(evaluation, "TEST_SIZES", (4, 100))
-    monkeypatch.setattr(card_measurements, "TEST_SIZES", (4, 100))
+    monkeypatch.setattr(sections, "TEST_SIZES", (4, 100))
     monkeypatch.setattr(evaluation, "TRACKED_STARTS", 5)
     monkeypatch.setattr(evaluation, "REPLAYED", 200)
-    monkeypatch.setattr(fewer_calls, "FULL_SAMPLES", 64)
+    monkeypatch.setattr(sampling_steps, "FULL_SAMPLES", 64)
     return tmp_path
 
 
@@ -200,19 +200,27 @@ def test_fewer_calls_are_compared_with_all_calls(folder: Path, weights: Path) ->
 
 
 def test_card_is_written_from_measurements(folder: Path, weights: Path) -> None:
-    text = write_model_card(weights, folder).read_text()
+    text = write_measured_card(weights, folder).read_text()
     for words in ("Two-sample test", "Can a car follow them?", "full processes", "| held-out |", "| n = 4 |"):
         assert words in text
-    assert text == write_model_card(weights, folder).read_text()
+    assert text == write_measured_card(weights, folder).read_text()
     assert not any(line.endswith("nan |") for line in text.splitlines())
 
 
 def test_card_without_held_out_sources_says_so(folder: Path, weights: Path) -> None:
     (folder / "interaction_sample.npz").unlink()
-    text = write_model_card(weights, folder).read_text()
+    text = write_measured_card(weights, folder).read_text()
     assert "Not measured" in text
     assert "Two-sample" not in text
     assert "INTERACTION" not in text
+
+
+def test_card_of_the_training_command_says_how_to_measure(folder: Path, weights: Path) -> None:
+    text = write_model_card(weights, folder).read_text()
+    assert "python -m bench.denoiser_card" in text
+    assert "Two-sample" not in text
+    assert "Not trained on, they only check the result: INTERACTION." in text
+    assert write_measured_card(weights, folder).read_text().startswith(text.partition("## Measurements")[0])
 
 
 def test_weights_that_do_not_say_how_they_were_trained_have_no_card(folder: Path, weights: Path) -> None:

@@ -1,0 +1,1 @@
+"""How good a trajectory model is, measured for its model card."""
