@@ -1,47 +1,24 @@
-"""Planners by name: the built-in ones, those of installed packages, and ``package.module:Class``."""
+"""Planners by name: those of the table (`adapters.models`), of installed packages, and ``package.module:Class``."""
 
 import contextlib
 import importlib
 import inspect
 import sys
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, TextIO
 
+from adapters.models import MODELS, published_as
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run import PlannerFacts
 from benchmark.runs.plan_rows import facts_of
 
-BUILT_IN = {
-    "constant-velocity": "adapters.baselines.constant_velocity:ConstantVelocity",
-    "log-replay": "adapters.baselines.log_replay:LogReplay",
-    "idm": "adapters.baselines.idm:IntelligentDriver",
-    "ego-status": "adapters.baselines.ego_status:EgoStatus",
-}
-WITH_WEIGHTS = {
-    "vad": "adapters.networks.vad.planner:vad_base",
-    "vad-tiny": "adapters.networks.vad.planner:vad_tiny",
-    "vad-base": "adapters.networks.vad.planner:vad_base",
-    "sparsedrive": "adapters.networks.sparse.planner:sparsedrive",
-    "diffusiondrive": "adapters.networks.sparse.planner:diffusiondrive",
-    "uniad": "adapters.networks.uniad.planner:uniad",
-    "uniad-unoptimised": "adapters.networks.uniad.planner:uniad_unoptimised",
-    "uniad-ipopt": "adapters.networks.uniad.planner:uniad_ipopt",
-}
-"""Built-in planners that need weights from elsewhere (docs/models.md); ``vad`` is short for ``vad-base``."""
-MINIATURES = {
-    "uniad-mini": "adapters.miniatures:uniad_mini",
-    "vad-mini": "adapters.miniatures:vad_mini",
-    "sparsedrive-mini": "adapters.miniatures:sparsedrive_mini",
-    "diffusiondrive-mini": "adapters.miniatures:diffusiondrive_mini",
-}
-"""Built-in planners whose weights come with this package (docs/miniatures.md)."""
-BLIND = frozenset({"constant-velocity", "log-replay", "idm", "ego-status"})
-"""Built-in planners that look at no image: nothing needs to be drawn for them."""
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
+_MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _STRANGERS_ERRORS = (Exception, SystemExit)
@@ -104,7 +81,11 @@ def planner_factory(
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
-    facts = facts.model_copy(update={"settings": settings, "seed": seed})
+    known = {
+        "published_as": published_as(facts.name),
+        "miniature": name in MODELS and MODELS[name].miniature is not None,
+    }
+    facts = facts.model_copy(update={"settings": settings, "seed": seed, **known})
     return NamedPlanner(name, checkpoint, seed, facts, device, precision)
 
 
@@ -134,15 +115,16 @@ def planner(
         InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
     """
     installed = installed_planners()
-    built_in = BUILT_IN | WITH_WEIGHTS | MINIATURES
-    if name in built_in:
-        made = _import(built_in[name], name)
+    if name in MODELS and MODELS[name].network is not None:
+        made = partial(_import(_MAKER_OF_NETWORKS, name), MODELS[name])
+    elif name in MODELS:
+        made = _import(MODELS[name].planner, name)
     elif name in installed:
         made = _load(installed[name])
     elif ":" in name:
         made = _import(name, name)
     else:
-        known = ", ".join((*built_in, *installed))
+        known = ", ".join((*MODELS, *installed))
         raise InputError(f"unknown model {name!r}; known are {known}; your own is --model package.module:Class")
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
@@ -153,7 +135,7 @@ def planner(
 def installed_planners() -> dict[str, EntryPoint]:
     """Planners of installed packages, by name; built-in names cannot be taken over."""
     found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return {point.name: point for point in found if point.name not in BUILT_IN | WITH_WEIGHTS | MINIATURES}
+    return {point.name: point for point in found if point.name not in MODELS}
 
 
 def _import(reference: str, name: str) -> Any:

@@ -25,6 +25,8 @@ class PlannerFacts(_Row):
         settings: Its own settings.
         seed: Its seed.
         native_protocol: Protocol of the planner's own repository, if it has one.
+        published_as: What the paper calls it, if it ran it.
+        miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
     """
 
     name: str
@@ -34,6 +36,8 @@ class PlannerFacts(_Row):
     settings: dict[str, Any] = Field(default_factory=dict)
     seed: int = 0
     native_protocol: str | None = None
+    published_as: str | None = None
+    miniature: bool = False
 
 
 class SceneFacts(_Row):
