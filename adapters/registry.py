@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 from adapters.models import MODELS, published_as
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_sha256
+from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run import PlannerFacts
 from benchmark.runs.plan_rows import facts_of
@@ -81,11 +81,13 @@ def planner_factory(
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
-    known = {
-        "published_as": published_as(facts.name),
-        "miniature": name in MODELS and MODELS[name].miniature is not None,
-    }
-    facts = facts.model_copy(update={"settings": settings, "seed": seed, **known})
+    known = {"settings": settings, "seed": seed, "published_as": published_as(facts.name)}
+    model = MODELS.get(name)
+    if model is not None and model.network is not None:
+        # Planners do not read the table, so that of it their own entry alone counts.
+        known["code_sha256"] = content_key(facts.code_sha256, model.identity)
+        known["miniature"] = model.miniature is not None
+    facts = facts.model_copy(update=known)
     return NamedPlanner(name, checkpoint, seed, facts, device, precision)
 
 

@@ -97,6 +97,17 @@ def test_no_planner_reads_the_table() -> None:
         assert not hasattr(sys.modules[model.planner.partition(":")[0]], "MODELS")
 
 
+def test_the_own_entry_counts_and_where_things_are_defined_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = miniature("vad-mini")
+    before = planner_factory("vad-mini").facts.code_sha256
+    moved = replace(model.net, build="adapters.networks.vad.elsewhere:VAD", config="elsewhere:VADConfig.miniature")
+    assert replace(model, network=moved, published_as="VAD").identity == model.identity
+    another = replace(model, network=replace(model.net, config="adapters.networks.vad.config:VADConfig.tiny"))
+    assert another.identity != model.identity
+    monkeypatch.setitem(MODELS, "vad-tiny", replace(MODELS["vad-tiny"], blind=True))
+    assert planner_factory("vad-mini").facts.code_sha256 == before
+
+
 def test_kinds_of_planners_are_told_apart() -> None:
     kinds = (*baselines(), *published_models(), *miniatures())
     assert len(set(kinds)) == len(kinds)
