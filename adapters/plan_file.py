@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adapters.models import published_as
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
@@ -175,6 +176,7 @@ def plan_file_factory(
         code_sha256=code_sha256(PlanFilePlanner),
         settings={PLANS_SHA256: file_sha256(path)},
         native_protocol=native,
+        published_as=published_as(name or path.stem),
     )
     return PlanFileFactory(path, facts)
 

@@ -1,77 +1,33 @@
-"""What all native networks share as planners: weights, device, precision, and what identifies a run."""
+"""What all native networks share as planners: device, precision, and what identifies a run."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 
-from adapters.camera_inputs import ImageFormat, Normalisation, normalisation_of
-from adapters.checkpoints.cache import load_weights
-from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.camera_inputs import ImageFormat, Normalisation
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
-from benchmark.machine.storage import file_sha256
-from benchmark.planning import Forecasts, Observation, Plan
+from benchmark.planning import Forecasts, Observation, Plan, SceneInfo
 
 FORECAST_SCORE: Final = 0.3
 """Boxes of a lower score are not counted as what a model expects: it always reports a hundred or more."""
 Network = TypeVar("Network", bound=nn.Module)
 
 
-@dataclass(frozen=True, slots=True)
-class Weights:
-    """Where the weights of a network came from.
-
-    Attributes:
-        normalisation: What they were trained with.
-        sha256: Of the weights file.
-        settings: What a run record says of them.
-    """
-
-    normalisation: Normalisation
-    sha256: str
-    settings: dict[str, Any]
-
-    @classmethod
-    def load(cls, network: nn.Module, name: str, checkpoint: Path | None) -> "Weights":
-        """Fill a network from a file or from what has been imported.
-
-        Args:
-            network: Of the model.
-            name: Of the model.
-            checkpoint: See `resolve_checkpoint`.
-
-        Returns:
-            Where the weights came from.
-
-        Raises:
-            InputError: If there are no weights, they are refused, or they are for another model.
-        """
-        path = resolve_checkpoint(name, checkpoint)
-        provenance = load_weights(network, path)
-        settings = {"weights": provenance.model_dump(mode="json")}
-        return cls(normalisation_of(provenance.normalisation), file_sha256(path), settings)
-
-    def as_arguments(self) -> dict[str, Any]:
-        """What a `NativePlanner` is told of its weights, by the names of its arguments."""
-        return {"normalisation": self.normalisation, "weights_sha256": self.sha256, "settings": self.settings}
-
-
 class NativePlanner(ABC, Generic[Network]):
     """A network with given weights; subclasses turn observations into its inputs and its outputs into plans.
 
     Args:
-        network: The network, its weights loaded.
+        network: The network, its weights loaded; its configuration says how images become those that it reads.
         name: Shown in tables.
-        image_format: How images of the cameras become those of the network.
         normalisation: What the weights were trained with.
         weights_sha256: Of the weights file, if there is one.
         settings: What else identifies the run.
+        native_protocol: Protocol of the repository that it comes from.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
         precision: ``bfloat16`` computes the matrix products in half the bytes.
 
@@ -84,28 +40,36 @@ class NativePlanner(ABC, Generic[Network]):
         network: Network,
         *,
         name: str,
-        image_format: ImageFormat,
         normalisation: Normalisation,
-        weights_sha256: str | None,
-        settings: dict[str, Any] | None,
-        device: str,
-        precision: Precision,
+        weights_sha256: str | None = None,
+        settings: dict[str, Any] | None = None,
+        native_protocol: str | None = None,
+        device: str = "auto",
+        precision: Precision = "float32",
     ) -> None:
         require_precision(precision)
         self.name = name
         self.weights_sha256 = weights_sha256
+        self.native_protocol = native_protocol
         self._device = device_of(device)
         self._half = precision == "bfloat16"
         self._network = network.eval().to(self._device)
-        self._format = image_format
+        config: Any = network.config
+        self._format: ImageFormat = config.image_format
         self._normalisation = normalisation
         self.settings = {
             **(settings or {}),
+            **self._own_settings(),
             "normalisation": normalisation.name,
             "device": self._device.type,
             "precision": precision,
             "forecast_score": FORECAST_SCORE,
         }
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Forget the previous scene."""
+        network: Any = self._network
+        network.reset()
 
     def plan(self, observation: Observation) -> Plan:
         """Plan from what is observed; earlier samples of the scene are remembered.
@@ -122,6 +86,10 @@ class NativePlanner(ABC, Generic[Network]):
         half = torch.autocast(self._device.type, torch.bfloat16, enabled=self._half)
         with torch.inference_mode(), single_precision(), half:
             return self._computed(observation)
+
+    def _own_settings(self) -> dict[str, Any]:
+        """What of the network identifies a run, beside what all of them have."""
+        return {}
 
     @abstractmethod
     def _computed(self, observation: Observation) -> Plan:

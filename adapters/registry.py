@@ -1,47 +1,24 @@
-"""Planners by name: the built-in ones, those of installed packages, and ``package.module:Class``."""
+"""Planners by name: those of the table (`adapters.models`), of installed packages, and ``package.module:Class``."""
 
 import contextlib
 import importlib
 import inspect
 import sys
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, TextIO
 
+from adapters.models import MODELS, published_as
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_sha256
+from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run import PlannerFacts
 from benchmark.runs.plan_rows import facts_of
 
-BUILT_IN = {
-    "constant-velocity": "adapters.baselines.constant_velocity:ConstantVelocity",
-    "log-replay": "adapters.baselines.log_replay:LogReplay",
-    "idm": "adapters.baselines.idm:IntelligentDriver",
-    "ego-status": "adapters.baselines.ego_status:EgoStatus",
-}
-WITH_WEIGHTS = {
-    "vad": "adapters.networks.vad.planner:vad_base",
-    "vad-tiny": "adapters.networks.vad.planner:vad_tiny",
-    "vad-base": "adapters.networks.vad.planner:vad_base",
-    "sparsedrive": "adapters.networks.sparse.planner:sparsedrive",
-    "diffusiondrive": "adapters.networks.sparse.planner:diffusiondrive",
-    "uniad": "adapters.networks.uniad.planner:uniad",
-    "uniad-unoptimised": "adapters.networks.uniad.planner:uniad_unoptimised",
-    "uniad-ipopt": "adapters.networks.uniad.planner:uniad_ipopt",
-}
-"""Built-in planners that need weights from elsewhere (docs/models.md); ``vad`` is short for ``vad-base``."""
-MINIATURES = {
-    "uniad-mini": "adapters.miniatures:uniad_mini",
-    "vad-mini": "adapters.miniatures:vad_mini",
-    "sparsedrive-mini": "adapters.miniatures:sparsedrive_mini",
-    "diffusiondrive-mini": "adapters.miniatures:diffusiondrive_mini",
-}
-"""Built-in planners whose weights come with this package (docs/miniatures.md)."""
-BLIND = frozenset({"constant-velocity", "log-replay", "idm", "ego-status"})
-"""Built-in planners that look at no image: nothing needs to be drawn for them."""
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
+_MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _STRANGERS_ERRORS = (Exception, SystemExit)
@@ -101,11 +78,17 @@ def planner_factory(
         InputError: As `planner` does.
     """
     built = planner(name, checkpoint=checkpoint, data=data, seed=seed, device=device, precision=precision)
-    facts = facts_of(built, made_by=_reference(name))
+    facts = facts_of(built, made_by=made_by(name))
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
-    facts = facts.model_copy(update={"settings": settings, "seed": seed})
+    known = {"settings": settings, "seed": seed, "published_as": published_as(facts.name)}
+    model = MODELS.get(name)
+    if model is not None and model.network is not None:
+        # Planners do not read the table, so that of it their own entry alone counts.
+        known["code_sha256"] = content_key(facts.code_sha256, model.identity)
+        known["miniature"] = model.miniature is not None
+    facts = facts.model_copy(update=known)
     return NamedPlanner(name, checkpoint, seed, facts, device, precision)
 
 
@@ -135,15 +118,16 @@ def planner(
         InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
     """
     installed = installed_planners()
-    built_in = BUILT_IN | WITH_WEIGHTS | MINIATURES
-    if name in built_in:
-        made = _import(built_in[name], name)
+    if name in MODELS and MODELS[name].network is not None:
+        made = partial(_import(_MAKER_OF_NETWORKS, name), MODELS[name])
+    elif name in MODELS:
+        made = _import(MODELS[name].planner, name)
     elif name in installed:
         made = _load(installed[name])
     elif ":" in name:
         made = _import(name, name)
     else:
-        known = ", ".join((*built_in, *installed))
+        known = ", ".join((*MODELS, *installed))
         raise InputError(f"unknown model {name!r}; known are {known}; your own is --model package.module:Class")
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
@@ -151,18 +135,18 @@ def planner(
     return _checked(_build(made, name, offered), name)
 
 
-def _reference(name: str) -> str:
+def made_by(name: str) -> str:
     """What makes a planner that there is, as ``package.module:name``."""
     installed = installed_planners()
-    if name in installed:
-        return f"{installed[name].module}:{installed[name].attr}"
-    return (BUILT_IN | WITH_WEIGHTS | MINIATURES).get(name, name)
+    if name in MODELS:
+        return MODELS[name].planner if MODELS[name].network is None else _MAKER_OF_NETWORKS
+    return f"{installed[name].module}:{installed[name].attr}" if name in installed else name
 
 
 def installed_planners() -> dict[str, EntryPoint]:
     """Planners of installed packages, by name; built-in names cannot be taken over."""
     found = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return {point.name: point for point in found if point.name not in BUILT_IN | WITH_WEIGHTS | MINIATURES}
+    return {point.name: point for point in found if point.name not in MODELS}
 
 
 def _import(reference: str, name: str) -> Any:

@@ -16,7 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import torch
 
-from adapters.miniatures import MINIATURES, planner_of
+from adapters.checkpoints.loading import planner_of
+from adapters.models import miniature, miniatures
 from benchmark.datasets.roots import open_data
 from benchmark.machine.workspace import cache_root
 from benchmark.planning import SceneInfo
@@ -28,7 +29,7 @@ WARM_UP = 2
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [name for name, small in MINIATURES.items() if small.packaged.is_file()]
+    known = [name for name, small in miniatures().items() if small.packaged.is_file()]
     parser.add_argument("--model", action="append", choices=known)
     parser.add_argument("--scenes", type=int, default=1)
     chosen = parser.parse_args()
@@ -36,7 +37,7 @@ def main() -> None:
     town = TownSettings()
     data = open_data(build_town(cache_root() / town.folder_name("mini"), town, workers=1), name="mini")
     for name in chosen.model or known:
-        planner = planner_of(name, None, "cpu")
+        planner = planner_of(miniature(name), device="cpu")
         processor_s, wall_s, samples = 0.0, 0.0, 0
         for scene_name in data.scene_names("val")[: chosen.scenes]:
             scene = data.scene(scene_name)

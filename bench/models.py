@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import torch
 from torch import nn
 
-from adapters.native_models import NATIVE_MODELS, native_model
+from adapters.models import published_model, published_models, resolve
 from benchmark.machine.devices import single_precision
 
 PUBLISHED_FPS = {"vad-tiny": 16.8, "vad-base": 4.5, "sparsedrive": 9.0, "diffusiondrive": 8.2, "uniad": 1.8}
@@ -118,9 +118,9 @@ def measured(name: str, device_name: str, mode: str, frames: int, parts: bool) -
     device = torch.device(device_name)
     on_gpu = device.type == "cuda"
     torch.manual_seed(0)
-    model = native_model(name)
+    model = published_model(name)
     network: Any = model.build().eval().to(device)
-    inputs = on_device(model.example(), device)
+    inputs = on_device(resolve(model.net.example)(model.configuration()), device)
     if name == "uniad":
         few_tracks(network, inputs)
     step = torch.compile(network) if mode.endswith("compiled") else network
@@ -166,7 +166,7 @@ def measured_or_why(case: tuple[str, str, str, int, bool]) -> Speed:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", action="append", choices=tuple(NATIVE_MODELS))
+    parser.add_argument("--model", action="append", choices=tuple(published_models()))
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu", choices=("cpu", "cuda"))
     parser.add_argument("--mode", action="append", choices=MODES)
     parser.add_argument("--frames", type=int)
@@ -177,7 +177,7 @@ def main() -> None:
     threads = torch.get_num_threads()
     hardware = torch.cuda.get_device_name() if on_gpu else f"processor, {threads} thread(s)"
     print(f"{hardware}, torch {torch.__version__}, batch 1, mean of {frames} warm frames, random weights")
-    for name in chosen.model or NATIVE_MODELS:
+    for name in chosen.model or published_models():
         first: list[torch.Tensor] = []
         for mode in chosen.mode or (MODES if on_gpu else MODES[:1]):
             with multiprocessing.get_context("spawn").Pool(1) as process:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
-    from benchmark.weights.hub import HubWeights
     from generation.build.report import BuildReport
     from generation.build.split import BuildSettings
     from generation.build.surrogate import PlannerUnderTest
@@ -153,7 +152,7 @@ def records_below(out: Path = OUT, folders: "Sequence[Path] | None" = None) -> "
 
 def model_on(data: str | Path, name: str, checkpoint: Path | None = None) -> str:
     """The model that runs: on the embedded data a miniature, where the full one has no weights."""
-    from adapters.miniatures import stand_in
+    from adapters.checkpoints.loading import stand_in
 
     chosen = stand_in(name, checkpoint, str(data))
     if chosen != name:
@@ -179,11 +178,12 @@ def planner_under_test(
     Raises:
         InputError: If the planner is unknown or cannot be built.
     """
-    from adapters.registry import BLIND, planner_factory
+    from adapters.models import MODELS
+    from adapters.registry import planner_factory
     from generation.build.surrogate import PlannerUnderTest
 
     factory = planner_factory(model_on(data, name, checkpoint), checkpoint=checkpoint, seed=seed)
-    return PlannerUnderTest(factory, images=name not in BLIND, workers=worker_count(workers))
+    return PlannerUnderTest(factory, images=name not in MODELS or not MODELS[name].blind, workers=worker_count(workers))
 
 
 def write_sheets(
@@ -217,11 +217,3 @@ def write_sheets(
 
     names = [each.scene for each in written.scenes]
     return written, len(write_traces(dataset, source, split, root, names, workers=settings.workers))
-
-
-def published_folders() -> "tuple[HubWeights, ...]":
-    """Published weights that are kept as folders, of every command that uses such."""
-    from benchmark.quality.weights import QUALITY_WEIGHTS
-    from generation.render.magicdrive.weights import MAGICDRIVE_WEIGHTS
-
-    return (*MAGICDRIVE_WEIGHTS, *QUALITY_WEIGHTS)

@@ -138,3 +138,5 @@ DETECTION_CLASS_OF_CATEGORY: Final = {
     "movable_object.trafficcone": "traffic_cone",
 }
 """Class of the detection task of nuScenes by category; other categories are not detected."""
+DETECTION_CLASSES: Final = tuple(dict.fromkeys(DETECTION_CLASS_OF_CATEGORY.values()))
+"""Classes of the detection task of nuScenes, in the order that the table above has them: that of networks' outputs."""

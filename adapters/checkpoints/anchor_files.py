@@ -1,23 +1,21 @@
 """Anchors of a data set on disk: what ``challenger-bench weights anchors`` writes."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import safetensors
-import safetensors.torch
 from torch import Tensor
 
 from adapters.checkpoints.sightings import sightings_of
+from adapters.models import published_models
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, anchors_of
-from adapters.networks.sparse.planner import VARIANTS
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, file_sha256, write_bytes
+from benchmark.machine.storage import file_sha256
+from benchmark.weights.tensors import read_tensors, write_tensors
 
-_METADATA_KEY: Final = "challenger-bench-anchors"
+_ENTRY: Final = "challenger-bench-anchors"
 _NAMES: Final = {BOXES, LINES, FORECASTS, PLANS}
 
 
@@ -61,9 +59,10 @@ def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> A
     Raises:
         InputError: If the model has no anchors, the data set is too small, or the file cannot be written.
     """
-    if model not in VARIANTS:
-        raise InputError(f"{model!r} is no model with anchors; those are {', '.join(VARIANTS)}")
-    config = VARIANTS[model]()
+    known = {name: each for name, each in published_models().items() if each.net.clustered}
+    if model not in known:
+        raise InputError(f"{model!r} is no model with anchors; those are {', '.join(known)}")
+    config = known[model].configuration()
     found = sightings_of(data, split, config)
     counts = {
         "boxes": len(np.asarray(found.box_centres)),
@@ -74,8 +73,7 @@ def write_anchors(model: str, data: DataSet, split: str | None, path: Path) -> A
     anchors = anchors_of(found, config)
     source = {"name": data.name, "fingerprint": data.fingerprint()}
     made = AnchorFile(path, "", model, source, split, counts)
-    held = {name: tensor.contiguous() for name, tensor in anchors.items()}
-    write_bytes(path, safetensors.torch.save(held, {_METADATA_KEY: canonical_json(_facts(made))}))
+    write_tensors(path, anchors, _facts(made), entry=_ENTRY)
     return AnchorFile(path, file_sha256(path), model, source, split, counts)
 
 
@@ -91,13 +89,8 @@ def read_anchors(path: Path) -> dict[str, Tensor]:
     Raises:
         InputError: If the file is absent, broken, or holds something else.
     """
-    try:
-        with safetensors.safe_open(path, framework="pt") as stream:
-            facts = json.loads((stream.metadata() or {}).get(_METADATA_KEY, "null"))
-        anchors = safetensors.torch.load_file(path)
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
-        raise InputError(f"cannot read anchors from {path} ({error}); make them again") from error
-    if facts is None or set(anchors) != _NAMES:
+    anchors, facts = read_tensors(path, entry=_ENTRY, what="anchors from ", instead="make them again")
+    if not facts or set(anchors) != _NAMES:
         raise InputError(f"{path} holds no anchors; make them with: challenger-bench weights anchors --out {path.name}")
     return anchors
 

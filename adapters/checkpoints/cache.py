@@ -1,20 +1,17 @@
 """Imported weights on disk: one safetensors file a checkpoint, which says where it comes from."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-import safetensors
-import safetensors.torch
 from pydantic import BaseModel, ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, write_bytes
 from benchmark.machine.workspace import cache_root
+from benchmark.weights.tensors import read_header, read_tensors, write_tensors
 
-_METADATA_KEY: Final = "challenger-bench"
+_AGAIN: Final = "import or fetch them again"
 
 
 class Provenance(BaseModel):
@@ -76,10 +73,7 @@ def write_weights(path: Path, tensors: Mapping[str, Tensor], provenance: Provena
     Raises:
         InputError: If it cannot be written.
     """
-    # Each on its own: safetensors refuses tensors that share memory, as slices of one storage do.
-    held = {name: tensor.clone().contiguous() for name, tensor in tensors.items()}
-    facts = canonical_json(provenance.model_dump(mode="json"))
-    write_bytes(path, safetensors.torch.save(held, {_METADATA_KEY: facts}))
+    write_tensors(path, tensors, provenance.model_dump(mode="json"))
 
 
 def read_provenance(path: Path) -> Provenance:
@@ -94,17 +88,7 @@ def read_provenance(path: Path) -> Provenance:
     Raises:
         InputError: If it is absent, broken, or does not say which model it is for.
     """
-    try:
-        with safetensors.safe_open(path, framework="pt") as stream:
-            facts = json.loads((stream.metadata() or {}).get(_METADATA_KEY, "null"))
-        return Provenance.model_validate(facts)
-    except ValidationError as error:
-        raise InputError(
-            f"{path} does not say which model its weights are for; import the official .pth file with: "
-            "challenger-bench weights import PATH"
-        ) from error
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
-        raise InputError(f"cannot read weights from {path} ({error}); import or fetch them again") from error
+    return _provenance(path, read_header(path, instead=_AGAIN)[1])
 
 
 def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
@@ -119,12 +103,7 @@ def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     Raises:
         InputError: If it is absent or broken.
     """
-    try:
-        with safetensors.safe_open(path, framework="pt") as stream:
-            names = list(stream.keys())
-            return {name: tuple(stream.get_slice(name).get_shape()) for name in names}
-    except (OSError, safetensors.SafetensorError) as error:
-        raise InputError(f"cannot read weights from {path} ({error}); import or fetch them again") from error
+    return read_header(path, instead=_AGAIN)[0]
 
 
 def load_weights(network: nn.Module, path: Path) -> Provenance:
@@ -140,10 +119,11 @@ def load_weights(network: nn.Module, path: Path) -> Provenance:
     Raises:
         InputError: If the file is broken or does not fit.
     """
-    provenance = read_provenance(path)
+    tensors, facts = read_tensors(path, instead=_AGAIN)
+    provenance = _provenance(path, facts)
     try:
-        network.load_state_dict(safetensors.torch.load_file(path), strict=True)
-    except (OSError, RuntimeError, safetensors.SafetensorError) as error:
+        network.load_state_dict(tensors, strict=True)
+    except RuntimeError as error:
         reason = str(error).splitlines()[-1].strip()
         raise InputError(f"the weights in {path} do not fit {provenance.model}: {reason}; import them again") from error
     return provenance
@@ -168,3 +148,13 @@ def cached_weights(folder: Path, model: str | None = None) -> dict[Path, Provena
         if model in (None, provenance.model):
             found[path] = provenance
     return found
+
+
+def _provenance(path: Path, facts: Any) -> Provenance:
+    try:
+        return Provenance.model_validate(facts)
+    except ValidationError as error:
+        raise InputError(
+            f"{path} does not say which model its weights are for; import the official .pth file with: "
+            "challenger-bench weights import PATH"
+        ) from error

@@ -1,6 +1,7 @@
 """A foreign checkpoint becomes weights of ours, once; ``--checkpoint`` of either form becomes a weights file."""
 
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Final
 from torch import Tensor
 
 from adapters.camera_inputs import NORMALISATIONS, normalisation_of
+from adapters.checkpoints.anchor_files import read_anchors
 from adapters.checkpoints.cache import (
     Provenance,
     cached_weights,
@@ -19,12 +21,14 @@ from adapters.checkpoints.cache import (
 )
 from adapters.checkpoints.matching import matched
 from adapters.checkpoints.motion_anchors import anchors_beside, published_beside, with_motion_anchors
-from adapters.checkpoints.official import OFFICIAL_FILES, how_to_import
-from adapters.native_models import NativeModel, native_model
+from adapters.models import Model, miniatures, published_model
+from adapters.networks.sparse.anchors import with_anchors
 from benchmark import __version__
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_sha256
+from benchmark.machine.storage import file_sha256, only_writer
 from benchmark.runs.code_identity import outside_identity
+from benchmark.weights.catalogue import CHECKPOINTS, PublishedWeights
+from benchmark.weights.fetch import fetch_files
 from benchmark.weights.foreign import read_checkpoint
 
 _NORM: Final = re.compile(
@@ -76,13 +80,13 @@ def import_checkpoint(
             other anchors, wants pixel values that are not known, or the cache cannot be written.
     """
     if model is not None:
-        native_model(model)
+        published_model(model)
     checkpoint = read_checkpoint(path)
     anchors = anchors or anchors_beside(path, checkpoint.tensors)
     found, tensors = matched(path, _with_anchors(path, checkpoint.tensors, anchors), model)
     wanted, said_by = _normalisation(path, checkpoint.configuration, found, normalisation)
     digest = file_sha256(path)
-    official = next((file for file in OFFICIAL_FILES if file.model == found.name), None)
+    official = _published(found.name)
     provenance = Provenance(
         model=found.name,
         source=path.name,
@@ -97,6 +101,31 @@ def import_checkpoint(
     target = weights_path(cache or weights_folder(), provenance)
     write_weights(target, tensors, provenance)
     return ImportedWeights(target, provenance, len(tensors), sum(tensor.numel() for tensor in tensors.values()))
+
+
+def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: str | None = None) -> ImportedWeights:
+    """Fetch an official checkpoint and what it needs, check and import them; the fetched files themselves are not kept.
+
+    The same command goes on where a download broke off.
+
+    Args:
+        weights: Which one (`benchmark.weights.catalogue.checkpoint_of`).
+        cache: Folder of weights.
+        normalisation: See `import_checkpoint`.
+
+    Returns:
+        The imported weights.
+
+    Raises:
+        InputError: If it cannot be fetched, is not the official file, or is refused by the import.
+    """
+    folder = cache / f".fetching-{weights.name}"
+    with only_writer(folder):
+        fetch_files(weights, folder)
+        try:
+            return import_checkpoint(folder / weights.files[0].name, weights.name, cache, normalisation=normalisation)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @outside_identity
@@ -130,7 +159,7 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
         return checkpoint
     digest = file_sha256(checkpoint)
     known = {path: found for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest}
-    beside = published_beside(checkpoint) if native_model(model).anchors else None
+    beside = published_beside(checkpoint) if published_model(model).net.anchors else None
     if beside is not None:
         those = (None, file_sha256(beside))
         known = {path: found for path, found in known.items() if found.anchors_sha256 in those}
@@ -142,10 +171,6 @@ def _with_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path | Non
         return tensors
     if anchors.suffix != ".safetensors":
         return with_motion_anchors(path, tensors, anchors)
-    # Here, because these modules import this one.
-    from adapters.checkpoints.anchor_files import read_anchors
-    from adapters.networks.sparse.anchors import with_anchors
-
     return with_anchors(tensors, read_anchors(anchors))
 
 
@@ -163,29 +188,30 @@ def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
     return next(iter(known))
 
 
+def _published(model: str) -> PublishedWeights | None:
+    return next((entry for entry in CHECKPOINTS if entry.name == model), None)
+
+
 def _what_to_get(model: str) -> str:
-    official = next((file for file in OFFICIAL_FILES if file.model == model), None)
+    official = _published(model)
     if official is None:
         return "give a file with --checkpoint"
-    files = " and ".join(f"{file.name} from {file.page}" for file in (official, *official.companions))
-    return f"get {files} (or run: challenger-bench weights fetch {model}), then run: {how_to_import(official)}"
+    files = " and ".join(f"{file.name} from {file.page}" for file in official.files)
+    return f"get {files} (or run: challenger-bench weights fetch {model}), then run: {official.how_to_import}"
 
 
 def _miniature_of(model: str) -> str:
-    # Here, because it imports this package.
-    from adapters.miniatures import MINIATURES
-
-    small = next((each.name for each in MINIATURES.values() if model in each.stands_for), None)
+    small = next((name for name, each in miniatures().items() if model in each.small.stands_for), None)
     return "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
 
 
-def _normalisation(path: Path, configuration: str, model: NativeModel, asked: str | None) -> tuple[str, str]:
+def _normalisation(path: Path, configuration: str, model: Model, asked: str | None) -> tuple[str, str]:
     """Which pixel values the weights want, and who says so."""
     if asked is not None:
         return normalisation_of(asked).name, "user"
     found = _NORM.search(configuration)
     if found is None:
-        return model.published_normalisation, "publication"
+        return model.net.published_normalisation, "publication"
     mean, std = _numbers(found[1]), _numbers(found[2])
     for name, variant in NORMALISATIONS.items():
         if mean == list(variant.mean) and std == list(variant.std) and (found[3] == "True") == variant.rgb:

@@ -1,63 +1,99 @@
-"""What ``challenger-bench weights list`` says: which official files there are, and what has been imported."""
+"""What ``challenger-bench weights list`` says: which published weights there are, and which of them are here."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from adapters.checkpoints.cache import Provenance, cached_weights
-from adapters.checkpoints.official import OFFICIAL_FILES, OfficialFile
+from benchmark.weights.catalogue import CHECKPOINTS, FOLDERS, PublishedWeights
+from benchmark.weights.folders import kept_folder
 
 
 @dataclass(frozen=True, slots=True)
 class KnownWeights:
-    """One model's weights.
+    """Published weights.
 
     Attributes:
-        official: The published file.
-        imported: What has been imported for the model, from this file or another.
+        weights: As they are published.
+        imported: What is in the cache: what has been imported for a model, from its file or another, or the folder.
     """
 
-    official: OfficialFile
-    imported: dict[Path, Provenance]
+    weights: PublishedWeights
+    imported: dict[Path, Provenance | None]
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        official = self.official
+        """Plain values; what checkpoints and folders both have has the same name."""
+        known = self.weights
+        here = [
+            {"path": str(path), **({} if found is None else found.model_dump(mode="json"))}
+            for path, found in self.imported.items()
+        ]
+        if not known.is_folder:
+            checkpoint, *companions = known.files
+            return {
+                "model": known.name,
+                "file": checkpoint.name,
+                "page": checkpoint.page,
+                "url": checkpoint.url,
+                "licence": known.licence,
+                "size_bytes": checkpoint.size_bytes,
+                "sha256": checkpoint.sha256,
+                "with": [{"file": file.name, "page": file.page, "url": file.url} for file in companions],
+                "imported": here,
+            }
         return {
-            "model": official.model,
-            "file": official.name,
-            "page": official.page,
-            "url": official.url,
-            "licence": official.licence,
-            "size_bytes": official.size_bytes,
-            "sha256": official.sha256,
-            "with": [{"file": file.name, "page": file.page, "url": file.url} for file in official.companions],
-            "imported": [
-                {"path": str(path), **provenance.model_dump(mode="json")} for path, provenance in self.imported.items()
+            "model": known.name,
+            "repository": known.repository,
+            "revision": known.revision,
+            "page": known.address,
+            "licence": known.licence,
+            "used_by": known.used_by,
+            "size": known.size_text,
+            "files": [
+                {"name": file.name, "url": known.url(file), "size_bytes": file.size_bytes, "sha256": file.sha256}
+                for file in known.files
             ],
+            "imported": here,
         }
 
     def plain(self) -> str:
         """A few lines of text."""
-        official = self.official
-        size = "size unknown" if official.size_bytes is None else f"{official.size_bytes / 1e6:.0f} MB"
-        digest = "SHA-256 unknown" if official.sha256 is None else f"SHA-256 {official.sha256}"
-        lines = [f"{official.model}: {official.name}, {size}, {digest}", f"  {official.page}", f"  {official.licence}"]
-        lines += [f"  needs {file.name}: {file.page}" for file in official.companions]
-        lines += [
-            f"  imported from {found.source} ({found.source_sha256[:16]}), {found.normalisation}: {path}"
-            for path, found in self.imported.items()
-        ]
+        known = self.weights
+        if known.is_folder:
+            head = f"{known.name}: {known.repository} at {known.revision}, {known.size_text}, for {known.used_by}"
+            lines = [head, f"  {known.address}", f"  {known.licence}", *(f"  in {path}" for path in self.imported)]
+        else:
+            checkpoint, *companions = known.files
+            size = "size unknown" if checkpoint.size_bytes is None else f"{checkpoint.size_bytes / 1e6:.0f} MB"
+            digest = "SHA-256 unknown" if checkpoint.sha256 is None else f"SHA-256 {checkpoint.sha256}"
+            lines = [f"{known.name}: {checkpoint.name}, {size}, {digest}", f"  {checkpoint.page}", f"  {known.licence}"]
+            lines += [f"  needs {file.name}: {file.page}" for file in companions]
+            lines += [
+                f"  imported from {found.source} ({found.source_sha256[:16]}), {found.normalisation}: {path}"
+                for path, found in self.imported.items()
+                if found is not None
+            ]
         return "\n".join(lines if self.imported else [*lines, "  not imported"])
 
 
-def known_weights(cache: Path) -> tuple[KnownWeights, ...]:
-    """Official files and what has been imported for their models.
+def known_weights(
+    cache: Path, entries: Sequence[PublishedWeights] = (*CHECKPOINTS, *FOLDERS)
+) -> tuple[KnownWeights, ...]:
+    """Published weights and what is here of them.
 
     Args:
         cache: Folder of weights.
+        entries: Those to look for.
 
     Returns:
-        One entry an official file.
+        One for each entry.
     """
-    return tuple(KnownWeights(file, cached_weights(cache, file.model)) for file in OFFICIAL_FILES)
+    return tuple(KnownWeights(entry, _imported(entry, cache)) for entry in entries)
+
+
+def _imported(weights: PublishedWeights, cache: Path) -> dict[Path, Provenance | None]:
+    if not weights.is_folder:
+        return dict(cached_weights(cache, weights.name))
+    folder = kept_folder(weights, cache)
+    return {} if folder is None else {folder: None}

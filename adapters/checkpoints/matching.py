@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from adapters.checkpoints.motion_anchors import FILE as ANCHORS_FILE
-from adapters.native_models import NATIVE_MODELS, NativeModel
+from adapters.models import Model, published_models
 from benchmark.errors import InputError
 
 
@@ -27,7 +27,7 @@ class TensorMatch:
         mistyped: Names of whole numbers where the model has fractions, or the other way round.
     """
 
-    model: NativeModel
+    model: Model
     agreeing: int
     missing: tuple[str, ...]
     extra: tuple[str, ...]
@@ -35,7 +35,7 @@ class TensorMatch:
     mistyped: tuple[str, ...]
 
     @classmethod
-    def of(cls, tensors: Mapping[str, Tensor], model: NativeModel) -> Self:
+    def of(cls, tensors: Mapping[str, Tensor], model: Model) -> Self:
         """Compare names, shapes and kinds of numbers.
 
         Args:
@@ -45,7 +45,7 @@ class TensorMatch:
         Returns:
             The differences.
         """
-        expected = model.expected({name: tuple(tensor.shape) for name, tensor in tensors.items()})
+        expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
         shared = [name for name in expected if name in tensors]
         misshapen = [name for name in shared if tensors[name].shape != expected[name].shape]
         mistyped = [name for name in shared if tensors[name].is_floating_point() != expected[name].is_floating_point()]
@@ -68,7 +68,7 @@ class TensorMatch:
     @property
     def lacks_anchors(self) -> bool:
         """Whether nothing is wrong but that the anchors are in a file of their own."""
-        return replace(self, missing=()).fits and self.missing == (self.model.anchors,)
+        return replace(self, missing=()).fits and self.missing == (self.model.net.anchors,)
 
     def differences(self) -> str:
         """All kinds of differences in words, with the first example of each."""
@@ -81,7 +81,20 @@ class TensorMatch:
         return "; ".join(f"{len(names)} {what} (first: {names[0]})" for names, what in kinds if names)
 
 
-def renamed(tensors: Mapping[str, Tensor], model: NativeModel) -> dict[str, Tensor]:
+def expected_tensors(model: Model, shapes: Mapping[str, Sequence[int]]) -> dict[str, Tensor]:
+    """Names, shapes and types of all tensors of a model, without their memory.
+
+    Args:
+        model: The model.
+        shapes: Of the tensors that the network is for, by name.
+
+    Returns:
+        By name, in the network's order.
+    """
+    return dict(model.build(shapes, device="meta").state_dict())
+
+
+def renamed(tensors: Mapping[str, Tensor], model: Model) -> dict[str, Tensor]:
     """Tensors under the names that a model has now, without those that it is known not to need.
 
     Args:
@@ -93,14 +106,14 @@ def renamed(tensors: Mapping[str, Tensor], model: NativeModel) -> dict[str, Tens
     """
     found = {}
     for name, tensor in tensors.items():
-        for pattern, replacement in model.renamed:
+        for pattern, replacement in model.net.renamed:
             name = re.sub(pattern, replacement, name)
-        if not any(re.search(pattern, name) for pattern in model.ignored):
+        if not any(re.search(pattern, name) for pattern in model.net.ignored):
             found[name] = tensor
     return found
 
 
-def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tuple[NativeModel, dict[str, Tensor]]:
+def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tuple[Model, dict[str, Tensor]]:
     """The model that tensors are the weights of.
 
     Args:
@@ -114,13 +127,13 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
     Raises:
         InputError: If they fit no model, or not the wanted one; or hold NaN or infinity.
     """
-    compared = [TensorMatch.of(renamed(tensors, model), model) for model in NATIVE_MODELS.values()]
+    compared = [TensorMatch.of(renamed(tensors, model), model) for model in published_models().values()]
     fitting = [found for found in compared if found.fits and wanted in (None, found.model.name)]
     if not fitting:
         raise InputError(_does_not_fit(path, compared, wanted))
     model = fitting[0].model
     found = renamed(tensors, model)
-    expected = model.expected({name: tuple(tensor.shape) for name, tensor in found.items()})
+    expected = expected_tensors(model, {name: tuple(tensor.shape) for name, tensor in found.items()})
     converted = {name: found[name].to(like.dtype).contiguous() for name, like in expected.items()}
     broken = [name for name, tensor in converted.items() if not bool(torch.isfinite(tensor).all())]
     if broken:

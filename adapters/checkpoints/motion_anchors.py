@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from adapters.native_models import MOTION_ANCHORS
+from adapters.models import MOTION_ANCHORS
 from benchmark.constants import FARTHEST_WAYPOINT_M
 from benchmark.errors import InputError
-from benchmark.weights.safe_pickle import read_pickle
+from benchmark.weights.foreign import read_pickle
 
 FILE: Final = "motion_anchor_infos_mode6.pkl"
 """Its published name."""

@@ -7,10 +7,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from adapters.detection_classes import AGENT_CLASSES
 from adapters.networks.sparse.anchors import Sightings
 from adapters.networks.sparse.config import SparseConfig
-from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, PLAN_STEPS
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses
 from benchmark.errors import InputError
@@ -44,7 +43,7 @@ def sightings_of(data: DataSet, split: str | None, config: SparseConfig) -> Sigh
         raise InputError(f"a data set has plans of {PLAN_STEPS} steps, and the network needs {config.steps}")
     boxes: list[Floats] = [np.zeros((0, 3))]
     middles: list[Floats] = [np.zeros((0, 2))]
-    futures: list[list[Floats]] = [[np.zeros((0, config.agent_steps, 2))] for _ in AGENT_CLASSES]
+    futures: list[list[Floats]] = [[np.zeros((0, config.agent_steps, 2))] for _ in DETECTION_CLASSES]
     plans: list[list[Floats]] = [[np.zeros((0, PLAN_STEPS, 2))] for _ in Command]
     for name in data.scene_names(split):
         scene = data.scene(name)
@@ -154,9 +153,9 @@ def agent_futures(scene: Scene, agent: int, steps: int) -> Floats:
 
 
 def detected_classes(scene: Scene) -> list[int]:
-    """Index into `AGENT_CLASSES` of each agent, -1 where it is not detected."""
+    """Index into `DETECTION_CLASSES` of each agent, -1 where it is not detected."""
     known = (DETECTION_CLASS_OF_CATEGORY.get(category) for category in scene.agents.categories)
-    return [-1 if name is None else AGENT_CLASSES.index(name) for name in known]
+    return [-1 if name is None else DETECTION_CLASSES.index(name) for name in known]
 
 
 def _plans(truths: Sequence[SampleTruth]) -> Iterator[tuple[Command, Floats]]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from adapters.miniatures import Miniature
+from adapters.models import Model
 
 _TEXT: Final = """\
 # {name}
@@ -56,7 +56,7 @@ _TITLES: Final = {
 }
 
 
-def card_of(small: Miniature, facts: Mapping[str, Any]) -> str:
+def card_of(small: Model, facts: Mapping[str, Any]) -> str:
     """The card as Markdown.
 
     Args:
@@ -78,7 +78,7 @@ def card_of(small: Miniature, facts: Mapping[str, Any]) -> str:
     ]
     return _TEXT.format(
         name=small.name,
-        full=small.stands_for[-1],
+        full=small.small.stands_for[-1],
         parameters=f"{facts['parameters']:,}",
         scenes=facts["scenes"],
         frames=facts["frames"],

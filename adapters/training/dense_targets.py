@@ -10,13 +10,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.detection_classes import AGENT_CLASSES
 from adapters.networks.layers.bev_geometry import BEVGrid
 from adapters.networks.vad.selection import MAP_CLASSES
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
+from benchmark.constants import DETECTION_CLASSES
 
 VEHICLES: Final = tuple(
-    AGENT_CLASSES.index(name) for name in ("car", "truck", "construction_vehicle", "bus", "trailer")
+    DETECTION_CLASSES.index(name) for name in ("car", "truck", "construction_vehicle", "bus", "trailer")
 )
 CHANNELS: Final = 1 + len(MAP_CLASSES) + 2
 """Drivable; each kind of map element; vehicles; other agents."""

@@ -37,7 +37,7 @@ class TrainingFrame:
         ego_future: (6, 2) float32, recorded positions of the lidar origin at steps of 0.5 s.
         ego_future_valid: (6,) bool.
         boxes: (N, 9) float32: x, y, z of the box centre, length, width, height, yaw, and velocity x, y.
-        labels: (N,) int64, place in `adapters.detection_classes.AGENT_CLASSES`.
+        labels: (N,) int64, place in `benchmark.constants.DETECTION_CLASSES`.
         instances: (N,) int64, the same number for the same thing in all frames of a scene.
         futures: (N, 12, 3) float32, x, y, yaw at steps of 0.5 s; held where not annotated.
         futures_valid: (N, 12) bool.

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from adapters.camera_inputs import RGB_MEAN_STD
-from adapters.detection_classes import AGENT_CLASSES
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
 from adapters.networks.layers.resnet import ResNet
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_targets import BOX_NUMBERS, GROUND_KINDS, ImageTargets, image_targets
+from benchmark.constants import DETECTION_CLASSES
 
 BLOCKS = (1, 1, 1, 1)
 WIDTH = 16
@@ -53,7 +53,7 @@ class ImageEncoder(nn.Module):
         inputs = [4 * WIDTH * 2**stage for stage in _STAGES]
         self.pyramid = FeaturePyramid(inputs, _CHANNELS, len(inputs))
         self.shared = nn.Conv2d(_CHANNELS, _CHANNELS, 3, padding=1)
-        self.heat = nn.Conv2d(_CHANNELS, len(AGENT_CLASSES), 1)
+        self.heat = nn.Conv2d(_CHANNELS, len(DETECTION_CLASSES), 1)
         self.boxes = nn.Conv2d(_CHANNELS, BOX_NUMBERS, 1)
         self.ground = nn.Conv2d(_CHANNELS, 4 * len(GROUND_KINDS), 1)
         with torch.no_grad():

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.detection_classes import AGENT_CLASSES
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
+from benchmark.constants import DETECTION_CLASSES
 from benchmark.geometry import Bools, Floats
 
 CELL_PX: Final = 8
@@ -117,7 +117,7 @@ def _seen_boxes(frame: TrainingFrame, width: int, height: int) -> _SeenBoxes:
 def _box_maps(
     seen: _SeenBoxes, images: int, rows: int, columns: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], Bools]:
-    heat = np.zeros((images, len(AGENT_CLASSES), rows, columns), np.float32)
+    heat = np.zeros((images, len(DETECTION_CLASSES), rows, columns), np.float32)
     boxes = np.zeros((images, BOX_NUMBERS, rows, columns), np.float32)
     has_box = np.zeros((images, rows, columns), bool)
     across, down = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)

@@ -6,15 +6,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from adapters.baselines.constant_velocity import ConstantVelocity
 from adapters.camera_inputs import RGB_MEAN_STD
-from adapters.checkpoints.cache import Provenance, write_weights
-from adapters.miniatures import MINIATURES, Miniature, miniature, planner_with
-from adapters.planner import Weights
+from adapters.checkpoints.cache import Provenance, load_weights, write_weights
+from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.models import Model, miniature, resolve
 from adapters.training.card import card_of
 from adapters.training.frame_store import FrameStore, build_frames, frames_key
 from adapters.training.frames import TrainingFrame
@@ -35,6 +33,7 @@ from benchmark.machine.storage import (
     write_json,
 )
 from benchmark.machine.workspace import cache_root
+from benchmark.weights.tensors import read_tensors
 
 ENCODER_NAME: Final = "image-encoder"
 """What ``--model`` calls the network that all miniatures start from."""
@@ -144,7 +143,7 @@ def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
         raise InputError(f"{path} does not hold the facts of {weights}; give a file that train planner has written")
     small, data = miniature(str(facts.get("model"))), open_data(data_root)
     network = small.build()
-    Weights.load(network, small.name, weights)
+    load_weights(network, resolve_checkpoint(small.name, weights))
     facts |= _Checked(small, data, data.scene_names(JUDGED_SPLIT)).facts(network.state_dict())
     write_json(path, facts)
     write_bytes(weights.with_suffix(".md"), card_of(small, facts).encode())
@@ -181,8 +180,9 @@ def _train_miniature(
     judged: "_Checked",
 ) -> dict[str, Any]:
     small = miniature(training.model)
-    network = small.untrained(_frames_for_anchors(store, learned), training.seed)
-    phases = _scaled(small.phases(), training)
+    untrained, phases_of = resolve(small.small.untrained), resolve(small.small.phases)
+    network = untrained(small.configuration(), _frames_for_anchors(store, learned), training.seed)
+    phases = _scaled(phases_of(), training)
     weights: Mapping[str, Tensor] = {name: value for taken in given.values() for name, value in taken.items()}
     parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
     for phase, part in zip(phases, parts, strict=True):
@@ -226,7 +226,7 @@ def _write_miniature(
 class _Checked:
     """Measures weights of a miniature on scenes that it does not learn from."""
 
-    small: Miniature
+    small: Model
     data: DataSet
     scenes: Sequence[str]
 
@@ -253,7 +253,7 @@ class _Checked:
     def _planner(self, weights: Mapping[str, Tensor]) -> Any:
         network = self.small.build()
         network.load_state_dict({name: value.cpu() for name, value in weights.items()})
-        return planner_with(self.small, network, Weights(RGB_MEAN_STD, "", {}), device="cpu")
+        return resolve(self.small.planner)(network, name=self.small.name, normalisation=RGB_MEAN_STD, device="cpu")
 
 
 def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
@@ -263,13 +263,10 @@ def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
     for option, (path, begins) in options.items():
         if path is None:
             continue
-        try:
-            tensors = load_file(path)
-        except (OSError, SafetensorError) as error:
-            raise InputError(f"cannot read the weights {path} ({error}); give a .safetensors file") from error
+        tensors, _ = read_tensors(path, what="the weights ", instead="give a .safetensors file")
         chosen = {name: value for name, value in tensors.items() if name.startswith(begins)}
-        if training.model in MINIATURES and path == training.start_from:
-            chosen = MINIATURES[training.model].renamed(chosen)
+        if training.model != ENCODER_NAME and path == training.start_from:
+            chosen = resolve(miniature(training.model).small.renamed)(chosen)
         if not chosen:
             raise InputError(f"{path} has no weights of an image encoder ({IMAGE_ENCODER}...); give another file")
         given[option] = chosen

@@ -1,19 +1,19 @@
 """An unfinished training run on disk."""
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor, nn
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, write_bytes
+from benchmark.weights.tensors import read_tensors, write_tensors
+
+_ENTRY: Final = "run"
+"""Of the header: what an unfinished run says of itself."""
 
 
 @dataclass(slots=True)
@@ -59,11 +59,7 @@ def write_run(run: TrainingRun, path: Path, identity: str) -> None:
     tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
     for index, moments in run.optimiser.state_dict()["state"].items():
         tensors |= {f"optimiser.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
-    held = {
-        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
-    }
-    facts = canonical_json({"run": identity, "step": run.step, "log": run.log})
-    write_bytes(path, save(held, {"run": facts}))
+    write_tensors(path, tensors, {"run": identity, "step": run.step, "log": run.log}, entry=_ENTRY)
 
 
 def read_run(run: TrainingRun, path: Path, identity: str) -> None:
@@ -77,12 +73,9 @@ def read_run(run: TrainingRun, path: Path, identity: str) -> None:
     Raises:
         InputError: If the file is broken, or belongs to a run with other settings, data or initial weights.
     """
-    try:
-        with safe_open(path, "pt") as stored:
-            facts = json.loads((stored.metadata() or {})["run"])
-            tensors = {name: stored.get_tensor(name) for name in sorted(stored.keys())}
-    except (OSError, KeyError, ValueError, SafetensorError) as error:
-        raise InputError(f"cannot read {path} ({error}); remove it to train from the beginning") from error
+    tensors, facts = read_tensors(path, entry=_ENTRY, what="", instead="remove it to train from the beginning")
+    if not facts:
+        raise InputError(f"cannot read {path} ({_ENTRY!r}); remove it to train from the beginning")
     if facts["run"] != identity:
         raise InputError(
             f"{path} belongs to a training run with other settings, frames or initial weights; remove it or choose "

@@ -1,29 +1,24 @@
 """`challenger-bench verify model`: networks of ours against numbers of their official code, with synthetic weights."""
 
 from pathlib import Path
-from typing import Final
+from typing import cast
 
-from adapters.networks.vad.config import VADConfig
-from adapters.networks.vad.model import VAD
-from adapters.verification.conditions import set_folders
-from adapters.verification.parity_set import ParitySet
-from adapters.verification.sparse import NETWORKS, verify_sparse
-from adapters.verification.uniad import verify_uniad
-from adapters.verification.vad import compare_vad
+from adapters.models import published_models, resolve
 from benchmark.errors import InputError
-from benchmark.machine.devices import single_precision
-from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.filled_networks import fill, same_names_and_shapes
+from benchmark.verification.checks import Check
 
-_VAD: Final = {"vad-tiny": VADConfig.tiny, "vad-base": VADConfig.base}
-VERIFIED_MODELS: Final = (*_VAD, "uniad", *NETWORKS)
+
+def verified_models() -> dict[str, str]:
+    """What compares each model with its official code, family by family."""
+    known = {name: model.net.verify for name, model in published_models().items() if model.net.verify is not None}
+    return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))
 
 
 def verify_model(name: str, golden: Path, device: str = "cpu") -> list[Check]:
     """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
 
     Args:
-        name: One of `VERIFIED_MODELS`.
+        name: One of `verified_models`.
         golden: A set's folder, or a model's folder whose sets are all compared.
         device: What the network runs on; tolerances are those of single precision on a processor.
 
@@ -33,20 +28,7 @@ def verify_model(name: str, golden: Path, device: str = "cpu") -> list[Check]:
     Raises:
         InputError: If there is no such model, or the set cannot be used.
     """
-    if name not in VERIFIED_MODELS:
-        raise InputError(f"no model {name!r} can be verified; choose one of {', '.join(VERIFIED_MODELS)}")
-    if name in NETWORKS:
-        return verify_sparse(name, golden, device)
-    if name == "uniad":
-        return verify_uniad(golden, device)
-    comparison = Comparison()
-    network = VAD(_VAD[name]()).to(device)
-    for folder in set_folders(golden):
-        parity_set = ParitySet.read(folder)
-        if not same_names_and_shapes(comparison, network, parity_set.shapes):
-            break
-        recorded = parity_set.manifest.weights_sha256
-        fill(comparison, network, parity_set.manifest, parity_set.shapes, recorded, folder / "manifest.json")
-        with single_precision():
-            compare_vad(comparison, network, parity_set)
-    return comparison.checks()
+    known = verified_models()
+    if name not in known:
+        raise InputError(f"no model {name!r} can be verified; choose one of {', '.join(known)}")
+    return cast("list[Check]", resolve(known[name])(published_models()[name], golden, device))

@@ -153,3 +153,18 @@ class ParitySet:
                 f"{self.folder / 'manifest.json'} does not say how {quantity} is stored; fetch or make the set again"
             )
         return self.manifest.tensors[quantity]
+
+
+def set_folders(golden: Path) -> list[Path]:
+    """Where the sets are that a golden directory holds.
+
+    Args:
+        golden: A set's folder, or a model's folder with sets in it.
+
+    Returns:
+        The folder itself, or those in it that hold a set; itself too where there is none, so that its reader says what
+        is missing.
+    """
+    if (golden / "manifest.json").exists() or not golden.is_dir():
+        return [golden]
+    return sorted(path.parent for path in golden.glob("*/manifest.json")) or [golden]

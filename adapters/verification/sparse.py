@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from adapters.models import Model, resolve
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.keyframe_pose import Passage
-from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork, moment_of
-from adapters.verification.conditions import set_folders
+from adapters.networks.sparse.model import DiffusionDrive, SparseNetwork, moment_of
+from adapters.verification.parity_set import set_folders
 from adapters.verification.sparse_order import Order, follow
 from adapters.verification.sparse_quantities import Quantity, Rule, frame_quantities, map_quantities
 from adapters.verification.sparse_set import SparseSet, Statistic
@@ -34,33 +35,30 @@ MOVED: Final = "rows that changed places at near ties (share)"
 OTHER_ROWS: Final = "all rows, and the largest number, where most count above (of their spread)"
 MODULES: Final = "modules: mean and deviation of what they give (of the deviation)"
 LARGEST: Final = "modules: largest number that they give (of the deviation)"
-NETWORKS: Final = {"sparsedrive": SparseDrive, "diffusiondrive": DiffusionDrive}
 
 
-def verify_sparse(name: str, golden: Path, device: str = "cpu", config: SparseConfig | None = None) -> list[Check]:
-    """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
+def verify_sparse(model: Model, golden: Path, device: str = "cpu", config: SparseConfig | None = None) -> list[Check]:
+    """Compare a sparse network with golden sets; as `adapters.verification.models.verify_model`, but for the sizes.
 
     Args:
-        name: ``sparsedrive`` or ``diffusiondrive``.
+        model: ``sparsedrive`` or ``diffusiondrive``.
         golden: A set's folder, or a model's folder whose sets are all compared. A set without weights of its own, as
             that of the full resolution, has the set of its salt beside it.
-        device: What the network runs on; tolerances are those of single precision on a processor.
+        device: What the network runs on.
         config: Sizes, but for those of images; the published ones by default.
 
     Returns:
         One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
 
     Raises:
-        InputError: If there is no such model, or the set cannot be used.
+        InputError: If the set cannot be used.
     """
-    if name not in NETWORKS:
-        raise InputError(f"{name!r} is no sparse network; choose one of {', '.join(NETWORKS)}")
     comparison = Comparison()
     for folder in set_folders(golden):
-        golden_set = SparseSet.read(folder, name)
+        golden_set = SparseSet.read(folder, model.name)
         height, width = golden_set.manifest.image_hw
         sizes = replace(config or SparseConfig(), image_height_px=height, image_width_px=width)
-        network = NETWORKS[name](sizes).to(device)
+        network = resolve(model.net.build)(sizes).to(device)
         if not same_names_and_shapes(comparison, network, golden_set.shapes):
             break
         fill(comparison, network, golden_set.recipe, golden_set.shapes, None, folder / "manifest.json")

@@ -11,10 +11,10 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor, nn
 
+from adapters.models import Model, resolve
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD, UniADInputs
-from adapters.verification.conditions import set_folders
-from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor
+from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor, set_folders
 from adapters.verification.quantities import SAMPLED, STATISTICS, Quantity, compare_frame
 from adapters.verification.uniad_optimiser import compare_optimiser
 from adapters.verification.uniad_quantities import frame_quantities
@@ -32,23 +32,12 @@ ELSEWHERE: Final = ("sdc_traj", "col_optim_cells")
 """What `compare_optimiser` compares."""
 
 
-def verify_uniad(golden: Path, device: str = "cpu") -> list[Check]:
-    """Fill the network by the names of its tensors, run the golden frames in order, and compare what is stored.
-
-    Args:
-        golden: A set's folder, or a model's folder whose sets are all compared.
-        device: What the network runs on; tolerances are those of single precision on a processor.
-
-    Returns:
-        One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
-
-    Raises:
-        InputError: If the set cannot be used.
-    """
+def verify_uniad(model: Model, golden: Path, device: str = "cpu") -> list[Check]:
+    """Compare UniAD with golden sets; arguments and errors as of `adapters.verification.models.verify_model`."""
     comparison = Comparison()
     for folder in set_folders(golden):
         frames = read_frames(folder)
-        network = UniAD(UniADConfig.base_of(frames[0].shapes)).to(device)
+        network = resolve(model.net.build)(model.configuration(frames[0].shapes)).to(device)
         if not same_names_and_shapes(comparison, network, frames[0].shapes):
             break
         manifest = frames[0].manifest

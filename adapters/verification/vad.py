@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,15 +11,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from adapters.models import Model
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
-from adapters.verification.parity_set import ParitySet
+from adapters.verification.parity_set import ParitySet, set_folders
 from adapters.verification.quantities import Quantity, Tolerance, compare_frame, golden_list
 from benchmark.errors import InputError
 from benchmark.geometry import Bools
-from benchmark.verification.checks import Comparison
+from benchmark.machine.devices import single_precision
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
@@ -39,6 +43,21 @@ TIED: Final = 1e-3
 SAME_M: Final = 1.0
 """Boxes and lines of which a coordinate is farther apart are not the same one."""
 PARTS: Final = ("motion_decoder", "motion_map_decoder", "ego_agent_decoder", "ego_map_decoder")
+
+
+def verify_vad(model: Model, golden: Path, device: str = "cpu") -> list[Check]:
+    """Compare a VAD with golden sets; arguments and errors as of `adapters.verification.models.verify_model`."""
+    comparison = Comparison()
+    network = model.build().to(device)
+    for folder in set_folders(golden):
+        parity_set = ParitySet.read(folder)
+        if not same_names_and_shapes(comparison, network, parity_set.shapes):
+            break
+        recorded = parity_set.manifest.weights_sha256
+        fill(comparison, network, parity_set.manifest, parity_set.shapes, recorded, folder / "manifest.json")
+        with single_precision():
+            compare_vad(comparison, network, parity_set)
+    return comparison.checks()
 
 
 def compare_vad(comparison: Comparison, network: VAD, golden: ParitySet) -> None:

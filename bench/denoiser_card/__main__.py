@@ -13,7 +13,7 @@ from bench.denoiser_card.evaluation import compare_with_held_out, load_held_out
 from bench.denoiser_card.sampling_steps import full_process_costs, stride_errors
 from bench.denoiser_card.sections import comparison_sections, full_process_section, truncated_process_section
 from benchmark.errors import InputError
-from generation.diffusion.checkpoint import read_tensors
+from benchmark.weights.tensors import read_tensors
 from generation.diffusion.training.card import TITLES, held_out_sources, write_model_card
 from generation.diffusion.training.loop import HELD_OUT_SOURCES
 

@@ -89,11 +89,12 @@ def demo_command(
 
 def _evaluate_demo(dataset: "DataSet", split: str, space: "Workspace", processes: int) -> "list[RunRecord]":
     """Records of the baselines and of the miniatures."""
-    from adapters.registry import BUILT_IN, MINIATURES, planner_factory
+    from adapters.models import baselines, miniatures
+    from adapters.registry import planner_factory
     from benchmark.evaluation import EvalSettings, evaluate
 
     records = []
-    for name in (*BUILT_IN, *MINIATURES):
+    for name in (*baselines(), *miniatures()):
         typer.echo(f"{name} on {split}", err=True)
         settings = EvalSettings(workers=processes)
         records.append(evaluate(dataset, split, planner_factory(name), space.run_root(), settings))
@@ -139,7 +140,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
 
 def _results_from() -> dict[str, Any]:
     """What the measured results depend on: weights, town, search and protocols."""
-    from adapters.miniatures import MINIATURES
+    from adapters.models import miniatures
     from benchmark.machine.storage import file_sha256
     from benchmark.protocols import PROTOCOLS
     from generation.search.adversary import ALGORITHM_VERSION
@@ -148,7 +149,7 @@ def _results_from() -> dict[str, Any]:
     from generation.sources.mini import TownSettings
 
     return {
-        "weights": {name: file_sha256(each.packaged) for name, each in MINIATURES.items()},
+        "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
         "town": TownSettings().folder_name("mini"),
         "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,

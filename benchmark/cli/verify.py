@@ -69,12 +69,13 @@ def _numerics(what: Verifiable) -> "Callable[[Path | None], list[Check]]":
 
 
 def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
-    from adapters.verification.models import VERIFIED_MODELS, verify_model
+    from adapters.verification.models import verified_models, verify_model
     from generation.verification.magicdrive import verify_magicdrive
 
-    if model not in (*VERIFIED_MODELS, "magicdrive"):
+    known = (*verified_models(), "magicdrive")
+    if model not in known:
         missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
-        raise InputError(f"{missing}; known are {', '.join(VERIFIED_MODELS)}, magicdrive")
+        raise InputError(f"{missing}; known are {', '.join(known)}")
     if golden is None:
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
     return verify_magicdrive(golden) if model == "magicdrive" else verify_model(model, golden)

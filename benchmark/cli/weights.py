@@ -18,7 +18,7 @@ from benchmark.cli.options import (
 
 if TYPE_CHECKING:
     from adapters.checkpoints.importing import ImportedWeights
-    from benchmark.weights.hub import HubWeights
+    from benchmark.weights.catalogue import PublishedWeights
 
 app = typer.Typer(help="Official weights of the native models.", no_args_is_help=True)
 
@@ -28,14 +28,13 @@ def weights_list_command(json_output: JsonOption = False) -> None:
     """Official files, where to get them, and what has been imported."""
     from adapters.checkpoints.cache import weights_folder
     from adapters.checkpoints.listing import known_weights
-    from benchmark.weights.hub import known_hub_weights
 
-    official, published = known_weights(weights_folder()), known_hub_weights(api.published_folders())
+    known = known_weights(weights_folder())
     if json_output:
-        print_json([*(entry.as_json() for entry in official), *(entry.as_json() for entry in published)])
+        print_json([entry.as_json() for entry in known])
         return
-    for text in (*(entry.plain() for entry in official), *(entry.plain() for entry in published)):
-        typer.echo(text)
+    for entry in known:
+        typer.echo(entry.plain())
 
 
 @app.command("import")
@@ -50,9 +49,9 @@ def weights_import_command(
 ) -> None:
     """Check an official checkpoint without running anything in it, and keep its weights."""
     from adapters.checkpoints.importing import import_checkpoint
-    from benchmark.weights.hub import hub_weights_at, import_folder
+    from benchmark.weights.folders import import_folder, weights_at
 
-    published = hub_weights_at(api.published_folders(), path, model)
+    published = weights_at(path, model)
     if published is not None:
         _tell_kept(published, import_folder(published, path), json_output=json_output)
         return
@@ -68,15 +67,15 @@ def weights_fetch_command(
 ) -> None:
     """Fetch an official file, or a folder of published weights, from the internet and import it."""
     from adapters.checkpoints.cache import weights_folder
-    from adapters.checkpoints.fetching import fetch_official
-    from adapters.checkpoints.official import official_file
-    from benchmark.weights.hub import fetch
+    from adapters.checkpoints.importing import fetch_checkpoint
+    from benchmark.weights.catalogue import FOLDERS, checkpoint_of
+    from benchmark.weights.folders import fetch_folder
 
-    published = next((entry for entry in api.published_folders() if entry.name == name), None)
+    published = next((entry for entry in FOLDERS if entry.name == name), None)
     if published is not None:
-        _tell_kept(published, fetch(published), json_output=json_output)
+        _tell_kept(published, fetch_folder(published), json_output=json_output)
         return
-    found = fetch_official(official_file(name), weights_folder(), normalisation=normalisation)
+    found = fetch_checkpoint(checkpoint_of(name), weights_folder(), normalisation=normalisation)
     _tell_imported(found, json_output=json_output)
 
 
@@ -102,7 +101,7 @@ def weights_anchors_command(
     typer.echo(f"{made['path']}: anchors of {model} from {counts}")
 
 
-def _tell_kept(weights: "HubWeights", folder: Path, *, json_output: bool) -> None:
+def _tell_kept(weights: "PublishedWeights", folder: Path, *, json_output: bool) -> None:
     if json_output:
         print_json({"model": weights.name, "path": str(folder)})
     else:

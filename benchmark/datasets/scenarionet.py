@@ -27,7 +27,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
 from benchmark.machine.storage import content_seed, token
 from benchmark.scene import EgoTrack, Scene
-from benchmark.weights.safe_pickle import read_pickle
+from benchmark.weights.foreign import read_pickle
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, get_args
 
 from benchmark.constants import FOUR_WHEELED_CATEGORIES
 from benchmark.errors import InputError
+from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2, PublishedWeights
 
 MaskSource = Literal["grounded-sam2", "sam2-boxes", "boxes"]
 MASK_SOURCES: Final[tuple[MaskSource, ...]] = get_args(MaskSource)
@@ -76,3 +77,20 @@ def mask_source(name: str) -> MaskSource:
     if found is None:
         raise InputError(f"there is no source of masks {name!r}; use one of {', '.join(MASK_SOURCES)}")
     return found
+
+
+def needed_for(masks: MaskSource) -> tuple[PublishedWeights, ...]:
+    """Weights that a source of masks and the two metrics need.
+
+    Args:
+        masks: The source.
+
+    Returns:
+        In the order in which they are used.
+    """
+    of_masks: dict[MaskSource, tuple[PublishedWeights, ...]] = {
+        "grounded-sam2": (GROUNDING_DINO, SAM2),
+        "sam2-boxes": (SAM2,),
+        "boxes": (),
+    }
+    return (*of_masks[masks], DINO, MUSIQ)

@@ -15,14 +15,13 @@ from benchmark.machine.devices import device_of, device_of_worker
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
 from benchmark.machine.workers import default_workers, map_ordered, worker_number
-from benchmark.quality.definition import Definition
+from benchmark.quality.definition import Definition, needed_for
 from benchmark.quality.pretrained import transformers_version
 from benchmark.quality.scoring import Networks, image_file, load_networks, score_scene
-from benchmark.quality.weights import needed_for
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.runs.scene_work import reopen_root
-from benchmark.weights.hub import content_hash, folder_of
+from benchmark.weights.folders import content_hash, folder_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

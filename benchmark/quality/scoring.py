@@ -20,8 +20,8 @@ from benchmark.quality.definition import Definition
 from benchmark.quality.imaging import ImagingQuality
 from benchmark.quality.masks import BoxMasks, CameraVideo, FrameMasks, MaskMaker, TrackedMasks
 from benchmark.quality.projection import boxes_in_view, reduced
-from benchmark.quality.weights import DINO, GROUNDING_DINO, MUSIQ, SAM2
 from benchmark.records.quality_schema import SceneRows, SubjectRow, Sum, VideoRow
+from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -52,7 +52,7 @@ def load_networks(definition: Definition, folders: Mapping[str, Path], place: to
 
     Args:
         definition: The definition.
-        folders: Folders of weights by name (`benchmark.quality.weights.needed_for`).
+        folders: Folders of weights by name (`benchmark.quality.definition.needed_for`).
         place: Where networks run.
 
     Returns:

@@ -101,7 +101,7 @@ class WeightsFacts(_Row):
     Attributes:
         repository: Where they are published.
         revision: Which of its versions.
-        content: Hash of the files that were used (`benchmark.weights.hub.content_hash`).
+        content: Hash of the files that were used (`benchmark.weights.folders.content_hash`).
     """
 
     repository: str

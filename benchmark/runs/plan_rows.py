@@ -136,6 +136,7 @@ def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> 
     Returns:
         The key.
     """
+    # What a planner is called elsewhere changes no plan.
     who = facts.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
     return content_key("plan rows", ROW_FORMAT, fingerprint, split, scene, who)
 

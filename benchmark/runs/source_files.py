@@ -187,8 +187,10 @@ class _Reader:
             self._fields(node)
 
     def _fields(self, node: ast.AST) -> None:
-        if isinstance(node, ast.Name):
+        if isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Store):
             self._found.uses.add((node.id,))
+        elif isinstance(node, ast.AugAssign) and (name := _last_name(node.target)):
+            self._found.uses.add((name,))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             self._found.strings.add(node.value)
         self._parts.append(f"({type(node).__name__}")

@@ -207,7 +207,7 @@ def _twice(records: Sequence[RunRecord]) -> Iterator[Finding]:
     seen: dict[tuple[Any, ...], Path] = {}
     for record in records:
         run = record.run
-        key = (run.data.name, run.split, run.planner.model_dump_json())
+        key = (run.data.name, run.split, run.planner.model_dump_json(exclude={"published_as", "miniature"}))
         first = seen.setdefault(key, record.directory)
         if first != record.directory:
             yield Finding(

@@ -1,50 +1,195 @@
-"""Foreign ``.pth`` files by PyTorch's weights-only unpickler and an allow-list: tensors and plain values, no code."""
+"""Foreign checkpoints and pickles, read without trust: one allow-list says what they may ask for, nothing in them runs.
 
+Pickles of recordings and anchors hold arrays, numbers and plain containers. Checkpoints are read by PyTorch's own
+weights-only unpickler, which knows tensors and plain values by itself; it takes from the list what training logs leave
+beside them, numbers of numpy.
+"""
+
+import codecs
+import io
 import pickle
 import re
 import warnings
 import zipfile
+from collections import OrderedDict, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from benchmark.errors import InputError
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 _REFUSED: Final = re.compile(r"(?:GLOBAL|class|type) '?([\w.]+(?:\[[\w.]+\])?)'?")
-_PLAIN_NUMBERS: Final = "biuf"
+
+
+def _encode(text: str, encoding: str = "utf-8") -> bytes:
+    """What pickle protocol 2 calls to rebuild bytes; other codecs than these two have no business there."""
+    if encoding not in ("latin1", "utf-8"):
+        raise pickle.UnpicklingError(f"encoding {encoding!r} is not allowed")
+    return codecs.encode(text, encoding)
 
 
 class _NumberType:
-    """Stands for ``numpy.dtype`` in the numbers that training logs leave in ``meta``; its state is a byte order.
+    """Stands for ``numpy.dtype``: plain numbers and texts only, whose state is nothing but a byte order.
 
     A number type of numpy itself, with a made-up state, reads memory that is not its own.
     """
 
+    kinds: ClassVar = "biufcSU"
+    refusal: ClassVar = "an array of {} is not allowed"
+
     def __init__(self, name: Any, *_: Any) -> None:
         self.dtype = np.dtype(name)
-        if self.dtype.kind not in _PLAIN_NUMBERS:
-            raise pickle.UnpicklingError(f"Unsupported class numpy.{self.dtype}")
+        if self.dtype.kind not in self.kinds:
+            raise pickle.UnpicklingError(self.refusal.format(self.dtype))
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.dtype = self.dtype.newbyteorder(state[1])
 
 
-def _number(kind: _NumberType, data: bytes) -> Any:
-    """What numpy's pickles call to rebuild a number."""
-    return np.frombuffer(data, kind.dtype, count=1)[0].item()
+class _LoggedNumberType(_NumberType):
+    """The same in a checkpoint, where there is no need of texts; the refusal is worded as PyTorch words its own."""
+
+    kinds: ClassVar = "biuf"
+    refusal: ClassVar = "Unsupported class numpy.{}"
 
 
-_ALLOWED: Final[list[Any]] = [
-    (_NumberType, "numpy.dtype"),
-    (_number, "numpy.core.multiarray.scalar"),
-    (_number, "numpy._core.multiarray.scalar"),
+class _Array(np.ndarray[Any, Any]):
+    """An array being read; `_plain` makes it an ordinary one."""
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        version, shape, kind, is_fortran, data = state
+        if not isinstance(kind, _NumberType):
+            raise pickle.UnpicklingError("an array without a type is not allowed")
+        super().__setstate__((version, shape, kind.dtype, is_fortran, data))
+
+
+class _ArrayType:
+    """Stands for ``numpy.ndarray``, which pickles only name: calling it could claim any amount of memory."""
+
+
+def _empty_array(subtype: Any, shape: tuple[int, ...], _: Any) -> Any:
+    """What pickle calls to begin an array; numpy itself always asks for a flat one without elements."""
+    if subtype is not _ArrayType or shape != (0,):
+        raise pickle.UnpicklingError(f"an array of shape {shape} without content is not allowed")
+    return _Array((0,), np.uint8)
+
+
+def _array_from_buffer(buffer: bytes, kind: _NumberType, shape: tuple[int, ...], order: Any) -> Any:
+    """What pickle protocol 5 calls to rebuild an array."""
+    return np.frombuffer(buffer, dtype=kind.dtype).reshape(shape, order=order)
+
+
+def _scalar(kind: _NumberType, data: bytes) -> Any:
+    """What pickle calls to rebuild a number."""
+    return np.frombuffer(data, kind.dtype, count=1)[0]
+
+
+def _plain(value: Any) -> Any:
+    """``value`` with ordinary arrays in its dictionaries and lists, which are changed in place."""
+    if isinstance(value, _Array):
+        return value.view(np.ndarray)
+    seen, waiting = set(), [value]
+    while waiting:
+        inner = waiting.pop()
+        if id(inner) in seen or not isinstance(inner, dict | list | tuple):
+            continue
+        seen.add(id(inner))
+        places = list(inner.items() if isinstance(inner, dict) else enumerate(inner))
+        waiting += [item for _, item in places]
+        if not isinstance(inner, tuple):
+            for place, item in places:
+                if isinstance(item, _Array):
+                    inner[place] = item.view(np.ndarray)
+    return value
+
+
+def _bytearray(*arguments: Any) -> bytearray:
+    if any(isinstance(argument, int) for argument in arguments):
+        raise pickle.UnpicklingError("a bytearray without content is not allowed")
+    return bytearray(*arguments)
+
+
+def _bytes(*arguments: Any) -> bytes:
+    return bytes(_bytearray(*arguments))
+
+
+_CORES: Final = ("core", "_core")
+_BUILTINS: Final = ("builtins", "__builtin__")
+_NUMBERS: Final[dict[tuple[str, str], Any]] = {
+    ("numpy", "dtype"): _NumberType,
+    **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in _CORES},
+}
+_ALLOWED: Final[dict[tuple[str, str], Any]] = {
+    **_NUMBERS,
+    ("numpy", "ndarray"): _ArrayType,
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): _empty_array for core in _CORES},
+    **{(f"numpy.{core}.numeric", "_frombuffer"): _array_from_buffer for core in _CORES},
+    **{
+        (module, kind.__name__): kind
+        for module in _BUILTINS
+        for kind in (dict, list, set, frozenset, tuple, int, float, bool, complex, str)
+    },
+    **{(module, "bytearray"): _bytearray for module in _BUILTINS},
+    **{(module, "bytes"): _bytes for module in _BUILTINS},
+    ("__builtin__", "long"): int,
+    ("__builtin__", "unicode"): str,
+    ("collections", "OrderedDict"): OrderedDict,
+    ("collections", "defaultdict"): defaultdict,
+    ("_codecs", "encode"): _encode,
+}
+"""What foreign files may ask for, by module and name, and what they get in its place."""
+_ALLOWED_IN_CHECKPOINTS: Final[list[Any]] = [
+    (made, ".".join(asked)) for asked, made in {**_NUMBERS, ("numpy", "dtype"): _LoggedNumberType}.items()
 ]
-"""Beside what PyTorch itself allows: tensors, parameters, ordered dictionaries, plain values."""
+"""What of it checkpoints get beside what PyTorch itself allows: tensors, parameters, ordered dictionaries."""
+
+
+class _AllowListUnpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _ALLOWED:
+            raise _Refused(f"{module}.{name}")
+        return _ALLOWED[module, name]
+
+
+class _Refused(Exception):
+    """A pickle asked for something that is not on the list; carries its name."""
+
+
+def read_pickle(path: Path) -> Any:
+    """Read a pickle of arrays and plain containers without trusting it.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its value.
+
+    Raises:
+        InputError: If the file is absent or broken, or asks for anything that is not on the allow-list; the message
+            names what it asked for.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    try:
+        return _plain(_AllowListUnpickler(io.BytesIO(data)).load())
+    except _Refused as refused:
+        raise InputError(
+            f"{path} is refused: its pickle asks for {refused}, which is not among the arrays and containers that a "
+            "recording needs and could run code; do not open this file, get the recording from a source you trust"
+        ) from None
+    # A malformed stream may raise anything, from EOFError to what numpy thinks of a damaged array.
+    except Exception as error:
+        raise InputError(
+            f"{path} is not a readable pickle ({type(error).__name__}: {error}); it may be truncated, fetch it again"
+        ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +201,7 @@ class Checkpoint:
         configuration: The training configuration that mmcv puts into its checkpoints, or an empty text.
     """
 
-    tensors: dict[str, Tensor]
+    tensors: "dict[str, Tensor]"
     configuration: str
 
 
@@ -73,10 +218,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InputError: If the file is absent, truncated, no checkpoint, would run code, or holds something other than
             dense tensors of numbers.
     """
+    # Pickles of recordings are read without it.
+    import torch
+
     in_zip = _is_sound_archive(path)
     try:
         # A foreign pickle protocol is worth a warning to PyTorch; here it either yields tensors or is refused.
-        with warnings.catch_warnings(), torch.serialization.safe_globals(_ALLOWED):
+        with warnings.catch_warnings(), torch.serialization.safe_globals(_ALLOWED_IN_CHECKPOINTS):
             warnings.simplefilter("ignore", UserWarning)
             # Mapped, the optimizer's two thirds of the file are never read.
             loaded = torch.load(path, map_location="cpu", weights_only=True, mmap=in_zip)
@@ -146,12 +294,14 @@ def _refusal(path: Path, error: Exception) -> InputError:
     )
 
 
-def _state_dict(path: Path, loaded: Any) -> dict[str, Tensor]:
+def _state_dict(path: Path, loaded: Any) -> "dict[str, Tensor]":
+    import torch
+
     held = loaded.get("state_dict", loaded) if isinstance(loaded, Mapping) else None
     if not isinstance(held, Mapping) or not held:
         raise InputError(f"{path} holds a {type(loaded).__name__} without tensors by name; weights are a state dict")
     for name, tensor in held.items():
-        if not isinstance(name, str) or not isinstance(tensor, Tensor):
+        if not isinstance(name, str) or not isinstance(tensor, torch.Tensor):
             raise InputError(
                 f"{path} holds {str(name)[:80]!r}, which is no tensor with a name; weights are a state dict, or an "
                 "mmcv checkpoint with one under state_dict"

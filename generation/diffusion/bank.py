@@ -10,7 +10,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed, file_sha256
 from benchmark.machine.workers import progress
-from generation.diffusion.checkpoint import load_denoiser, read_tensors, write_tensors
+from benchmark.weights.tensors import read_tensors, write_tensors
+from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.schedule import STEPS, reverse, strided_timesteps
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS

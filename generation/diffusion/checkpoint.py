@@ -1,59 +1,19 @@
 """Weights on disk: safetensors of ours, or the published checkpoint, which is a bare state dict."""
 
-import json
 import pickle
 import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-import safetensors
-import safetensors.torch
 import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import canonical_json, write_bytes
+from benchmark.weights.tensors import read_tensors, write_tensors
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 
 PACKAGED_WEIGHTS: Final = Path(__file__).parent / "weights" / "denoiser.safetensors"
-METADATA_KEY: Final = "challenger-bench"
-
-
-def write_tensors(path: Path, tensors: dict[str, Tensor], facts: dict[str, Any]) -> None:
-    """Write tensors and facts about them.
-
-    Args:
-        path: A .safetensors file.
-        tensors: By name.
-        facts: JSON values; one metadata entry, because the order of several is not fixed.
-
-    Raises:
-        InputError: If it cannot be written.
-    """
-    held = {name: tensor.detach().cpu().contiguous() for name, tensor in sorted(tensors.items())}
-    write_bytes(path, safetensors.torch.save(held, {METADATA_KEY: canonical_json(facts)}))
-
-
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read what `write_tensors` wrote.
-
-    Args:
-        path: A .safetensors file; one without our facts gives an empty dictionary.
-
-    Returns:
-        Tensors by name, facts.
-
-    Raises:
-        InputError: If it is absent or broken.
-    """
-    try:
-        with safetensors.safe_open(path, framework="pt") as stream:
-            facts = json.loads((stream.metadata() or {}).get(METADATA_KEY, "{}"))
-            names = sorted(stream.keys())
-            return {name: stream.get_tensor(name) for name in names}, facts
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
-        raise InputError(f"cannot read weights from {path} ({error}); fetch or make the file again") from error
 
 
 def save_denoiser(path: Path, denoiser: TrajectoryDenoiser, facts: dict[str, Any]) -> None:

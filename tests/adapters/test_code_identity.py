@@ -1,68 +1,64 @@
 """What the planners of this project depend on: their own networks, and nothing of training or of other networks."""
 
-import importlib
 import shutil
 import sys
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import pytest
+import torch
 
 import adapters
 import benchmark
-from adapters.registry import BUILT_IN, MINIATURES, WITH_WEIGHTS, planner
+from adapters.models import MODELS, baselines, miniatures, resolve
+from adapters.networks.uniad.config import UniADConfig
+from adapters.registry import made_by, planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.planning import PrivilegedPlanner, SceneInfo
 from benchmark.runs import code_identity
-from benchmark.runs.code_identity import Definition, code_sha256, dependencies_of
+from benchmark.runs.code_identity import Definition, code_sha256, dependencies_of, parts_of
 from generation.sources.mini import TownSettings, build_town
 
-PLANNERS = {
-    "vad": "adapters.networks.vad.planner:VADPlanner",
-    "uniad": "adapters.networks.uniad.planner:UniADPlanner",
-    "sparse": "adapters.networks.sparse.planner:SparsePlanner",
-}
-MADE_BY = BUILT_IN | WITH_WEIGHTS | MINIATURES
-FAMILIES = {"sparsedrive": "sparse", "diffusiondrive": "sparse"}
+FAMILIES = ("vad", "uniad", "sparse")
 
 
-def planner_class(reference: str) -> type:
-    module, _, name = reference.partition(":")
-    found = getattr(importlib.import_module(module), name)
+@cache
+def parts_of_network(name: str) -> frozenset[type]:
+    """Classes of a planner's network, which needs no memory on this device."""
+    model = MODELS[name]
+    if model.network is None:
+        return frozenset()
+    config = model.configuration() if not model.net.fitted else UniADConfig.base()
+    with torch.device("meta"):
+        network = resolve(model.net.build)(config)
+    return frozenset(type(each) for each in network.modules())
+
+
+def given(name: str) -> dict[str, Any]:
+    return {"made_by": made_by(name), "name": name, "parts": parts_of_network(name)}
+
+
+def class_of(name: str) -> type:
+    found = resolve(MODELS[name].planner)
     assert isinstance(found, type)
     return found
 
 
-def family_of(name: str) -> str:
-    first = name.partition("-")[0]
-    return FAMILIES.get(first, first)
-
-
-def class_of(name: str) -> type:
-    return planner_class(BUILT_IN.get(name) or PLANNERS[family_of(name)])
-
-
-@pytest.mark.parametrize("name", MADE_BY)
+@pytest.mark.parametrize("name", MODELS)
 def test_planners_depend_on_their_own_network_and_on_no_training(name: str) -> None:
-    found = dependencies_of(class_of(name), made_by=MADE_BY[name], name=name)
-    modules = {each.module for each in found}
+    modules = {each.module for each in dependencies_of(class_of(name), **given(name))}
     assert not [module for module in modules if "training" in module or "verification" in module]
-    assert not modules & {
-        "adapters.native_models",
-        "adapters.registry",
-        "benchmark.evaluation",
-        "benchmark.records.run",
-    }
-    others = set() if name in BUILT_IN else {family_of(name)}
-    for family in set(PLANNERS) - others:
-        assert not [module for module in modules if module.startswith(f"adapters.networks.{family}.")]
-    if name not in BUILT_IN:
-        assert {
-            f"adapters.networks.{family_of(name)}.model",
-            "adapters.networks.layers.resnet",
-            "adapters.camera_inputs",
-        } <= modules
+    assert not modules & {"adapters.registry", "benchmark.evaluation", "benchmark.records.run"}
+    assert Definition("adapters.models", "MODELS") not in dependencies_of(class_of(name), **given(name))
+    own = [family for family in FAMILIES if f".{family}." in MODELS[name].planner]
+    for family in FAMILIES:
+        reached = [module for module in modules if module.startswith(f"adapters.networks.{family}.")]
+        assert bool(reached) == (family in own)
+    for family in own:
+        network = {f"adapters.networks.{family}.model", "adapters.networks.layers.resnet", "adapters.camera_inputs"}
+        assert network <= modules
 
 
 @pytest.fixture
@@ -89,7 +85,7 @@ def edited(path: Path, old: str, new: str) -> None:
 def test_an_edit_of_the_network_counts_and_of_anything_else_does_not(copied: Path, name: str) -> None:
     def identity() -> str | None:
         code_identity._identity.cache_clear()
-        return code_sha256(class_of(name), made_by=MADE_BY[name], name=name)
+        return code_sha256(class_of(name), **given(name))
 
     before = identity()
     edited(copied / "adapters/networks/layers/resnet.py", '"""', '"""Again: ')
@@ -103,7 +99,7 @@ def test_an_edit_of_the_network_counts_and_of_anything_else_does_not(copied: Pat
 
 def test_a_planner_that_is_made_by_its_own_class_has_one_identity() -> None:
     made = class_of("constant-velocity")
-    assert code_sha256(made, made_by=BUILT_IN["constant-velocity"], name="constant-velocity") == code_sha256(made)
+    assert code_sha256(made, made_by=made_by("constant-velocity"), name="constant-velocity") == code_sha256(made)
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +108,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
     return NuScenesData.open(root)
 
 
-@pytest.mark.parametrize("name", BUILT_IN | MINIATURES)
+@pytest.mark.parametrize("name", baselines() | miniatures())
 def test_all_that_runs_while_a_planner_plans_is_in_its_identity(town: NuScenesData, name: str) -> None:
     scene = town.scene(town.scene_names("val")[0])
     observations = list(town.observations(scene.name))[:3]
@@ -135,5 +131,5 @@ def test_all_that_runs_while_a_planner_plans_is_in_its_identity(town: NuScenesDa
             driver.plan(observation)
     finally:
         sys.setprofile(None)
-    found = set(dependencies_of(type(driver), made_by=MADE_BY[name], name=name))
+    found = set(dependencies_of(type(driver), made_by=made_by(name), name=name, parts=parts_of(driver)))
     assert ran and {each for each in ran if not each.name.startswith("<")} <= found

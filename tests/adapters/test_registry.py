@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from adapters.registry import BLIND, BUILT_IN, planner, planner_factory
+from adapters.models import baselines
+from adapters.registry import planner, planner_factory
 from benchmark.errors import InputError
 from benchmark.planning import PrivilegedPlanner
 
@@ -13,15 +14,10 @@ HERE = "tests.adapters.strangers"
 
 
 def test_every_built_in_planner_is_built_under_its_own_name() -> None:
-    for name in BUILT_IN:
+    for name in baselines():
         assert planner(name).name == name
-    privileged = {name for name in BUILT_IN if isinstance(planner(name), PrivilegedPlanner)}
+    privileged = {name for name in baselines() if isinstance(planner(name), PrivilegedPlanner)}
     assert privileged == {"log-replay", "idm"}
-
-
-def test_only_built_in_planners_are_known_to_be_blind() -> None:
-    assert BLIND
-    assert set(BUILT_IN) >= BLIND
 
 
 def test_a_strangers_class_gets_the_arguments_it_takes(tmp_path: Path) -> None:
@@ -70,4 +66,5 @@ def test_a_factory_travels_and_knows_what_it_builds(tmp_path: Path) -> None:
     two = planner_factory(f"{HERE}:Good", checkpoint=weights)
     assert one.facts.settings["checkpoint_sha256"] != two.facts.settings["checkpoint_sha256"]
     assert one.facts.settings["checkpoint"] == "weights.bin"
-    assert planner_factory(f"{HERE}:Good", seed=7).facts.seed == 7
+    facts = planner_factory(f"{HERE}:Good", seed=7).facts
+    assert facts.seed == 7 and facts.published_as is None and not facts.miniature

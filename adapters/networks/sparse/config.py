@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
+from adapters.camera_inputs import NUSCENES_IMAGE, ImageFormat
+
 STRIDE = 32
 """Pixels of a cell of the coarsest feature map."""
 STAGES = 4
@@ -102,10 +104,23 @@ class SparseConfig:
         """Feature maps that are read."""
         return STAGES - self.finest_stage
 
+    @property
+    def image_format(self) -> ImageFormat:
+        """How images of 1600 x 900 become those of a network: scaled to its width, cut off at the top.
+
+        It is `adapters.camera_inputs.SPARSE_DRIVE_IMAGE` for the published sizes. The miniatures see the whole images
+        instead, brought to their size.
+        """
+        if self.image_resize == "linear":
+            return ImageFormat(self.image_width_px, self.image_height_px)
+        width, height = NUSCENES_IMAGE
+        rows = height * self.image_width_px // width
+        return ImageFormat(self.image_width_px, rows, crop_top=max(rows - self.image_height_px, 0), resize="bicubic")
+
     @classmethod
     def sparsedrive(cls) -> Self:
-        """SparseDrive-S: ResNet-50, images of 704 x 256."""
-        return cls()
+        """SparseDrive-S as it is evaluated: ResNet-50, images of 704 x 256; a change of scene makes it forget."""
+        return cls(memory_crosses_scenes=False)
 
     @classmethod
     def sparsedrive_base(cls) -> Self:
@@ -115,7 +130,7 @@ class SparseConfig:
     @classmethod
     def diffusiondrive(cls) -> Self:
         """DiffusionDrive for nuScenes, which keeps the sizes of SparseDrive-S."""
-        return cls()
+        return cls.sparsedrive()
 
     @classmethod
     def miniature(cls) -> Self:

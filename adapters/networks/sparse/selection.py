@@ -46,7 +46,7 @@ class SparseOutputs:
         boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the
             heading, counter-clockwise from the x axis; length lies along it.
         box_scores: (N,) 0 to 1, falling.
-        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
+        box_labels: (N,) index into `benchmark.constants.DETECTION_CLASSES`.
         track_ids: (N,) int64, the same number for the same agent from frame to frame.
         trajectories: (N, 6 modes, 12 steps, 2) forecast centres.
         trajectory_scores: (N, 6) 0 to 1, each mode for itself.

@@ -50,7 +50,7 @@ class UniADOutputs:
         boxes: (N, 9) centre x, y, z, width, length, height, yaw, velocity x, y of tracks. Yaw is that of the heading,
             counter-clockwise from the x axis; length lies along it.
         box_scores: (N,) 0 to 1, falling.
-        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
+        box_labels: (N,) index into `benchmark.constants.DETECTION_CLASSES`.
         track_ids: (N,) the same for the same agent from frame to frame.
         trajectories: (N, 6 modes, 12 steps, 2) forecast centres 0.5 s to 6 s ahead.
         trajectory_scores: (N, 6) probabilities of the modes, sum 1.

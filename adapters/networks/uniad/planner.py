@@ -1,33 +1,16 @@
 """``uniad`` under test: from an observation to the network's inputs, from its outputs to a plan."""
 
-from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any
 
 import torch
 
-from adapters.camera_inputs import (
-    Normalisation,
-    camera_images,
-    can_bus_vector,
-    lidar_pose,
-    lidar_to_image,
-)
-from adapters.checkpoints.cache import read_shapes
-from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.networks.uniad.collision_optimiser import Solver
-from adapters.networks.uniad.collision_solvers import require_casadi
+from adapters.camera_inputs import camera_images, can_bus_vector, lidar_pose, lidar_to_image
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.frames import UniADInputs, UniADOutputs
 from adapters.networks.uniad.model import UniAD
-from adapters.planner import NativePlanner, Weights, forecasts_of, numbers
+from adapters.planner import NativePlanner, forecasts_of, numbers
 from adapters.verification.example_inputs import example_images, example_projections
-from benchmark.machine.devices import Precision
 from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
-
-WEIGHTS: Final = "uniad"
-"""The one set of weights of all variants."""
-SOLVERS: Final[dict[str, Solver | None]] = {"uniad": "newton", "uniad-unoptimised": None, "uniad-ipopt": "ipopt"}
-"""Variants by name, and what moves their plans away from occupied cells."""
 
 
 class UniADPlanner(NativePlanner[UniAD]):
@@ -41,70 +24,13 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     Attributes:
         seen: What the network reported for the last sample, tracks, occupancy and (with `UniAD.masks`) road map
-            included, for diagnosis and pictures (`adapters.networks.uniad.pictures`); ``None`` before the first.
+            included, for diagnosis; ``None`` before the first.
     """
 
-    native_protocol = "uniad"
+    seen: UniADOutputs | None = None
 
-    def __init__(
-        self,
-        network: UniAD,
-        *,
-        name: str,
-        normalisation: Normalisation,
-        weights_sha256: str | None = None,
-        settings: dict[str, Any] | None = None,
-        device: str = "auto",
-        precision: Precision = "float32",
-    ) -> None:
-        super().__init__(
-            network,
-            name=name,
-            image_format=network.config.image_format,
-            normalisation=normalisation,
-            weights_sha256=weights_sha256,
-            settings={
-                **(settings or {}),
-                "memory_crosses_scenes": False,
-                "collision_optimisation": network.solver or "off",
-            },
-            device=device,
-            precision=precision,
-        )
-        self.seen: UniADOutputs | None = None
-
-    @classmethod
-    def from_checkpoint(
-        cls,
-        name: str,
-        checkpoint: Path | None,
-        *,
-        device: str = "auto",
-        precision: Precision = "float32",
-        masks: bool = False,
-    ) -> Self:
-        """The published network with weights from a file or from what has been imported.
-
-        Args:
-            name: One of `SOLVERS`.
-            checkpoint: See `resolve_checkpoint`.
-            device: See the class.
-            precision: See the class.
-            masks: Whether the road map is drawn for `seen`; the plan is the same.
-
-        Returns:
-            The planner.
-
-        Raises:
-            InputError: If there are no weights, they are refused or for another model, or casadi is wanted and absent.
-        """
-        if SOLVERS[name] == "ipopt":
-            require_casadi()
-        path = resolve_checkpoint(WEIGHTS, checkpoint)
-        config = UniADConfig.base_of(read_shapes(path))
-        network = UniAD(config, solver=SOLVERS[name], masks=masks, stores_anchors=True)
-        weights = Weights.load(network, WEIGHTS, path)
-        return cls(network, name=name, **weights.as_arguments(), device=device, precision=precision)
+    def _own_settings(self) -> dict[str, Any]:
+        return {"memory_crosses_scenes": False, "collision_optimisation": self._network.solver or "off"}
 
     @property
     def config(self) -> UniADConfig:
@@ -113,7 +39,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     def reset(self, scene: SceneInfo) -> None:
         """Forget the previous scene."""
-        self._network.reset()
+        super().reset(scene)
         self.seen = None
 
     def inputs(self, observation: Observation) -> UniADInputs:
@@ -144,23 +70,6 @@ class UniADPlanner(NativePlanner[UniAD]):
     def _computed(self, observation: Observation) -> Plan:
         self.seen = self._network(self.inputs(observation))
         return _plan(self.seen)
-
-
-def uniad(checkpoint: Path | None = None, device: str = "auto", precision: Precision = "float32") -> UniADPlanner:
-    """UniAD with our own solver; see `UniADPlanner.from_checkpoint`."""
-    return UniADPlanner.from_checkpoint("uniad", checkpoint, device=device, precision=precision)
-
-
-def uniad_unoptimised(
-    checkpoint: Path | None = None, device: str = "auto", precision: Precision = "float32"
-) -> UniADPlanner:
-    """UniAD whose plans stay where the network puts them; see `UniADPlanner.from_checkpoint`."""
-    return UniADPlanner.from_checkpoint("uniad-unoptimised", checkpoint, device=device, precision=precision)
-
-
-def uniad_ipopt(checkpoint: Path | None = None, device: str = "auto", precision: Precision = "float32") -> UniADPlanner:
-    """UniAD with the published solver, which needs casadi; see `UniADPlanner.from_checkpoint`."""
-    return UniADPlanner.from_checkpoint("uniad-ipopt", checkpoint, device=device, precision=precision)
 
 
 def example_frame(config: UniADConfig) -> UniADInputs:

@@ -28,7 +28,7 @@ class VADOutputs:
         boxes: (N, 9) centre x, y, z (of the bottom face), width, length, height, yaw, velocity x, y. Yaw is that of the
             heading, counter-clockwise from the x axis; length lies along it.
         box_scores: (N,) 0 to 1, falling.
-        box_labels: (N,) index into `adapters.detection_classes.AGENT_CLASSES`.
+        box_labels: (N,) index into `benchmark.constants.DETECTION_CLASSES`.
         trajectories: (N, 6 modes, 6 steps, 2) forecast centres.
         trajectory_scores: (N, 6) probabilities of the modes, sum 1.
         map_points: (L, 20, 2).

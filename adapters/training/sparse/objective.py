@@ -1,7 +1,8 @@
 """How the miniatures of SparseDrive and DiffusionDrive learn: what ``challenger-bench train planner`` runs for them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import torch
@@ -13,6 +14,7 @@ from adapters.networks.sparse.diffusion import DiffusionPlanner
 from adapters.networks.sparse.keyframe_pose import Moment
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.training.frames import TrainingFrame
+from adapters.training.phases import Phase
 from adapters.training.sparse.decoder import Learned, LearnedStage
 from adapters.training.sparse.losses import (
     decoder_losses,
@@ -24,12 +26,16 @@ from adapters.training.sparse.losses import (
 from adapters.training.sparse.motion_planner import Cleaned, Interacted, denoised, interacted, queued
 from adapters.training.sparse.targets import Targets
 from adapters.training.sparse.views import Passages, Views
+from adapters.training.trainer import Recipe
 from benchmark.machine.storage import content_seed
 
 STREAM_FRAMES: Final = 4
 """Key frames that are seen one after the other, the first of them without a past."""
 FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
 """Layers of the image network that stay as its own training left them: to change them would cost most."""
+_RECIPE: Final = Recipe(
+    steps=2600, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0
+)
 PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
 
 
@@ -219,3 +225,17 @@ def _flattened(agents: Sequence[Learned]) -> LearnedStage:
     """The last stages of several key frames, (F * N, ...)."""
     anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
     return LearnedStage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
+
+
+def phases() -> tuple[Phase, ...]:
+    """The parts of the training of SparseDrive-mini."""
+    return (Phase("all", SparseLesson, _RECIPE),)
+
+
+def diffusion_phases() -> tuple[Phase, ...]:
+    """The parts of the training of DiffusionDrive-mini.
+
+    It starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
+    """
+    recipe = replace(_RECIPE, steps=1000, clips=3)
+    return (Phase("planner", partial(SparseLesson, perception=False), recipe),)

@@ -1,7 +1,8 @@
 """What the sparse miniatures are before their training: random weights, and anchors of what there is to be found."""
 
-from collections.abc import Iterable, Mapping
-from typing import Final
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Final, TypeVar
 
 import numpy as np
 import torch
@@ -27,13 +28,14 @@ SPEED_SPREAD: Final = 5.0
 """Of the biases in front of the first normalisation of places and speeds, which would take all but their directions."""
 FOUND_AT_FIRST: Final = 0.05
 """Score of all instances before anything has been learned."""
+Network = TypeVar("Network", bound=SparseNetwork)
 
 
-def untrained(name: str, frames: Iterable[TrainingFrame], seed: int) -> SparseNetwork:
-    """A miniature before its training: random weights, and anchors of what there is to be found.
+def untrained(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> SparseDrive:
+    """A SparseDrive before its training: random weights, and anchors of what there is to be found.
 
     Args:
-        name: ``sparsedrive-mini`` or ``diffusiondrive-mini``.
+        config: Its sizes.
         frames: Of the training data, a few hundred at least.
         seed: Of the weights.
 
@@ -43,11 +45,21 @@ def untrained(name: str, frames: Iterable[TrainingFrame], seed: int) -> SparseNe
     Raises:
         InputError: If too little is annotated in the frames.
     """
-    config = SparseConfig.miniature()
+    return _begun(SparseDrive, config, frames, seed)
+
+
+def untrained_diffusion(config: SparseConfig, frames: Iterable[TrainingFrame], seed: int) -> DiffusionDrive:
+    """A DiffusionDrive before its training; arguments as of `untrained`, the seed is that of its noise too."""
+    return _begun(partial(DiffusionDrive, seed=seed), config, frames, seed)
+
+
+def _begun(
+    make: Callable[[SparseConfig], Network], config: SparseConfig, frames: Iterable[TrainingFrame], seed: int
+) -> Network:
     anchors = anchors_of(sightings_in(frames, config), config)
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(content_seed("sparse miniature", seed))
-        network = DiffusionDrive(config, seed) if name.startswith("diffusiondrive") else SparseDrive(config)
+        network = make(config)
         initialise(network)
     network.load_state_dict(anchors, strict=False)
     return network

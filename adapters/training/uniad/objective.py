@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import torch
@@ -16,6 +17,8 @@ from adapters.networks.uniad.motion import Forecasts
 from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Instances, Pose, decoded
 from adapters.training.frames import TrainingFrame
 from adapters.training.losses import Matches, plan_loss
+from adapters.training.phases import Phase
+from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus
 from adapters.training.uniad.losses import (
     dense_loss,
@@ -248,3 +251,14 @@ def _futures(frame: TrainingFrame, agents: Agents, wanted: Tensor) -> tuple[Tens
     own = torch.cat([frame.ego_future, frame.ego_future.new_zeros(rest, 2)])[None]
     known = torch.cat([frame.ego_future_valid, frame.ego_future_valid.new_zeros(rest)])[None]
     return torch.cat([offsets, own]), torch.cat([agents.futures_valid[wanted], known])
+
+
+def phases() -> tuple[Phase, ...]:
+    """The parts of the training of UniAD-mini."""
+    # A frame alone costs half as much as a clip; what the past adds is learned after what can be seen at all.
+    alone = Recipe(steps=6000, learning_rate=8e-4, encoder_rate=0.3, warmup=100, average=0.995)
+    clips = Recipe(steps=5000, learning_rate=6e-4, encoder_rate=0.3, warmup=50, average=0.998)
+    return (
+        Phase("frames", partial(UniADLesson, clip_frames=1, unaware=0.2), alone),
+        Phase("clips", partial(UniADLesson, clip_frames=3, learned_frames=2, unaware=0.15), clips),
+    )

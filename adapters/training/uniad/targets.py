@@ -17,12 +17,11 @@ from adapters.networks.uniad.motion import GROUP_OF_CLASS
 from adapters.networks.uniad.occupancy import CELL_M
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
 from adapters.training.losses import normalised_boxes
+from benchmark.constants import EGO_BODY_WIDTH_M, EGO_HEIGHT_M, EGO_LENGTH_M
 
 LINE_HALF_WIDTH_M = 1.5
 """Cells of the bird's-eye view whose centres are not farther from a map element are in its mask."""
-EGO_SIZE_M = (4.084, 1.73, 1.562)
-"""Length, width and height of the recording car of nuScenes."""
-EGO_HEIGHT_M = -1.0
+EGO_MIDDLE_Z_M = -1.0
 """Of the middle of the car over the lidar."""
 EGO_LABEL = 0
 """The ego counts as a car."""
@@ -115,7 +114,8 @@ def ego_box(frame: TrainingFrame) -> Tensor:
     """(1, 9) the ego as an agent; it moves as it did to the next key frame, or stands still where that is unknown."""
     known = bool(frame.ego_future_valid[0])
     velocity = frame.ego_future[0] / 0.5 if known else torch.zeros(2)
-    return torch.tensor([[0.0, 0.0, EGO_HEIGHT_M, *EGO_SIZE_M, math.pi / 2, *velocity.tolist()]])
+    size = (EGO_LENGTH_M, EGO_BODY_WIDTH_M, EGO_HEIGHT_M)
+    return torch.tensor([[0.0, 0.0, EGO_MIDDLE_Z_M, *size, math.pi / 2, *velocity.tolist()]])
 
 
 def _inside(points: Tensor, boxes: Tensor) -> Tensor:

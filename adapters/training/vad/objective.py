@@ -28,6 +28,8 @@ from adapters.training.losses import (
     query_class_loss,
     trajectory_losses,
 )
+from adapters.training.phases import Phase
+from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus
 
 CLIP_FRAMES: Final = 3
@@ -270,3 +272,8 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
     }
+
+
+def phases() -> tuple[Phase, ...]:
+    """The parts of the training of VAD-mini."""
+    return (Phase("all", VADLesson, Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)),)

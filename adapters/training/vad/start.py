@@ -36,10 +36,11 @@ EDGE_SHARE: Final = 0.02
 """What is nearer to the edge of the perception range, as a share of it, has no query of its own."""
 
 
-def untrained(frames: Sequence[TrainingFrame], seed: int) -> VAD:
-    """VAD-mini before its training.
+def untrained(config: VADConfig, frames: Sequence[TrainingFrame], seed: int) -> VAD:
+    """A small VAD before its training.
 
     Args:
+        config: Its sizes.
         frames: Of the training data, a few hundred at least; images are not looked at.
         seed: Of the weights.
 
@@ -51,8 +52,7 @@ def untrained(frames: Sequence[TrainingFrame], seed: int) -> VAD:
     """
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(content_seed("vad miniature", seed))
-        network = VAD(VADConfig.miniature())
-    config = network.config
+        network = VAD(config)
     (left, rear, _), (right, front, _) = config.perception_range_m[:3], config.perception_range_m[3:]
     low, size = np.array([left, rear]), np.array([right - left, front - rear])
     centres = np.concatenate([np.zeros((0, 2)), *(frame.boxes[:, :2].double().numpy() for frame in frames)])

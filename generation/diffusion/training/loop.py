@@ -13,7 +13,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
 from benchmark.machine.workers import progress
-from generation.diffusion.checkpoint import read_tensors, save_denoiser, write_tensors
+from benchmark.weights.tensors import read_tensors, write_tensors
+from generation.diffusion.checkpoint import save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.schedule import ALPHA_BARS, STEPS
 from generation.diffusion.training.track_sources import find_track_sources

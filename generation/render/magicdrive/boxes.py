@@ -6,26 +6,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import DETECTION_CLASS_OF_CATEGORY
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES
 from benchmark.geometry import Bools, Floats, rotation_matrix
 from benchmark.scene import Scene
 from generation.render.magicdrive.annotations_12hz import BoxTracks, box_tracks
 from generation.render.magicdrive.conditions import ABSENT_CLASS
 from generation.render.magicdrive.sensor_frames import SensorFrames
 
-BOX_CLASSES: Final = (
-    "car",
-    "truck",
-    "construction_vehicle",
-    "bus",
-    "trailer",
-    "barrier",
-    "motorcycle",
-    "bicycle",
-    "pedestrian",
-    "traffic_cone",
-)
-"""Kinds of objects that the model draws, in its order."""
 _CLASS_OF_ADVERSARY: Final = {"vehicle.emergency.police": "car", "vehicle.emergency.ambulance": "truck"}
 """An adversary that nobody sees would make its scene worthless."""
 # Front, left, up of each corner as signs; faces right and left, each from the front bottom edge over the top.
@@ -43,7 +30,7 @@ class ClipBoxes:
         corners: (T, n, 8, 3) metres, lidar frame of the frame, half a height too high as in the model's training; 0
             where the object is absent.
         true_corners: (T, n, 8, 3) the same where the objects really are.
-        classes: (T, n) index into `BOX_CLASSES`, -1 where the object is absent.
+        classes: (T, n) index into `DETECTION_CLASSES`, -1 where the object is absent.
         masks: (V, T, n) 1 where any true corner lies in front of the camera's lens, else 0.
     """
 
@@ -151,7 +138,7 @@ def _class_index(scene: Scene, agent: int) -> int | None:
     name = DETECTION_CLASS_OF_CATEGORY.get(category)
     if name is None and scene.agents.ids[agent] in scene.adversaries:
         name = _CLASS_OF_ADVERSARY.get(category)
-    return None if name is None else BOX_CLASSES.index(name)
+    return None if name is None else DETECTION_CLASSES.index(name)
 
 
 def _padding(frames: int, views: int) -> ClipBoxes:

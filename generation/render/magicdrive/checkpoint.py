@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-import safetensors
-import safetensors.torch
 import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.weights.foreign import read_checkpoint
+from benchmark.weights.tensors import read_tensors
 from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.model import MagicDriveDiT
 
@@ -67,10 +66,7 @@ def load_official(
 def _read(path: Path) -> Mapping[str, Tensor]:
     if path.suffix != ".safetensors":
         return read_checkpoint(path).tensors
-    try:
-        return safetensors.torch.load_file(path)
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
-        raise InputError(f"cannot read weights from {path} ({error}); fetch them again") from error
+    return read_tensors(path, instead="fetch them again")[0]
 
 
 def _lengthened(prompt: Tensor, tokens: int) -> Tensor:

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.roots import DataSet
 from benchmark.drawing.canvas import png
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.scene import Scene
 from generation.render.contract import Images, Renderer
-from generation.render.magicdrive.boxes import BOX_CLASSES
 from generation.render.magicdrive.clip import Clip, clip_of, padded_frames
 from generation.render.magicdrive.condition_plots import (
     CLASS_COLOURS,
@@ -152,7 +152,7 @@ def _draw_view(panel: NDArray[np.uint8], clip: Clip, place: int, view: int, adve
     raised = (clip.boxes.corners[place, slots] - eye) @ turn
     for index in np.argsort(-corners[..., 2].mean(axis=-1)).tolist():
         slot = int(slots[index])
-        name = BOX_CLASSES[int(clip.boxes.classes[place, slot])]
+        name = DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]
         colour = _ADVERSARY_RGB if slot in adversaries else CLASS_COLOURS[name]
         for start, end in ((1, 2), (2, 6), (6, 5), (5, 1)):
             _line(panel, raised[index, [start, end]], to_pixels, _RAISED_RGB, 1)

@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, LIDAR_FROM_REAR_AXLE_M
+from benchmark.constants import (
+    DETECTION_CLASSES,
+    EGO_BODY_WIDTH_M,
+    EGO_CENTER_FROM_REAR_AXLE_M,
+    EGO_LENGTH_M,
+    LIDAR_FROM_REAR_AXLE_M,
+)
 from benchmark.geometry import Floats, box_corners
 from benchmark.protocols.explain.views import png
 from generation.render.magicdrive.bev_map import MAP_CHANNELS, MAP_EXTENT_M
-from generation.render.magicdrive.boxes import BOX_CLASSES
 from generation.render.magicdrive.clip import Clip, latent_frames
 from generation.render.magicdrive.conditions import MODEL_CAMERAS
 from generation.render.magicdrive.sensor_frames import CALIBRATION_SIZE
@@ -167,7 +172,7 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
 
     groups = latent_frames(len(clip.frames))
     classes = clip.boxes.classes.T
-    rgb = np.array([*(CLASS_COLOURS[name] for name in BOX_CLASSES), (255, 255, 255)], np.float64)[classes] / 255.0
+    rgb = np.array([*(CLASS_COLOURS[name] for name in DETECTION_CLASSES), (255, 255, 255)], np.float64)[classes] / 255.0
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
@@ -187,7 +192,7 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
         axes.set_ylabel("box slot")
         for slot in adversaries:
             axes.axhline(slot, color=_ADVERSARY, linewidth=1.5, linestyle=":")
-        present = [BOX_CLASSES[number] for number in np.unique(classes[classes >= 0])]
+        present = [DETECTION_CLASSES[number] for number in np.unique(classes[classes >= 0])]
         patches = [Patch(color=_hex(CLASS_COLOURS[name]), label=name) for name in present]
         axes.legend(handles=patches, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
 
@@ -205,7 +210,7 @@ def draw_words(clip: Clip, adversaries: Sequence[int]) -> bytes:
     Returns:
         A PNG file.
     """
-    kinds = [BOX_CLASSES[int(number)] for number in clip.boxes.classes.max(axis=0) if number >= 0]
+    kinds = [DETECTION_CLASSES[int(number)] for number in clip.boxes.classes.max(axis=0) if number >= 0]
     counts = ", ".join(f"{count} {name}" for name, count in Counter(kinds).most_common()) or "none"
     lines = [
         *textwrap.wrap(f"prompt: {clip.prompt.positive}", 100),
@@ -278,7 +283,7 @@ def _boxes(
 def _colour(clip: Clip, place: int, slot: int, adversaries: Sequence[int]) -> str:
     if slot in adversaries:
         return _ADVERSARY
-    return _hex(CLASS_COLOURS[BOX_CLASSES[int(clip.boxes.classes[place, slot])]])
+    return _hex(CLASS_COLOURS[DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]])
 
 
 def _hex(colour: tuple[int, int, int]) -> str:

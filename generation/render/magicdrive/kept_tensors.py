@@ -1,18 +1,15 @@
 """Tensors between stages of a long computation, kept so that it can go on where it was killed."""
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any, Final
 
-import safetensors
-import safetensors.torch
 import torch
 from torch import Tensor
 
-from benchmark.machine.storage import canonical_json, write_bytes
+from benchmark.errors import InputError
+from benchmark.weights.tensors import read_tensors, write_tensors
 
-_METADATA_KEY: Final = "challenger-bench"
 _NAME: Final = "tensor"
 
 
@@ -29,9 +26,7 @@ def keep_tensor(path: Path, key: str, tensor: Tensor, facts: dict[str, Any] | No
         InputError: If it cannot be written.
     """
     found = tensor.detach().cpu().contiguous()
-    said = canonical_json({"facts": facts or {}, "key": key, "sha256": _sha256(found)})
-    # One entry, because the order of several is not fixed.
-    write_bytes(path, safetensors.torch.save({_NAME: found}, {_METADATA_KEY: said}))
+    write_tensors(path, {_NAME: found}, {"facts": facts or {}, "key": key, "sha256": _sha256(found)})
 
 
 def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
@@ -46,12 +41,11 @@ def kept_tensor(path: Path, key: str) -> tuple[Tensor, dict[str, Any]] | None:
         be made again.
     """
     try:
-        with safetensors.safe_open(path, framework="pt") as stream:
-            said = json.loads((stream.metadata() or {}).get(_METADATA_KEY, "{}"))
-            tensor = stream.get_tensor(_NAME)
-    except (OSError, ValueError, safetensors.SafetensorError):
+        tensors, said = read_tensors(path)
+    except InputError:
         return None
-    if said.get("key") != key or said.get("sha256") != _sha256(tensor):
+    tensor = tensors.get(_NAME)
+    if tensor is None or said.get("key") != key or said.get("sha256") != _sha256(tensor):
         return None
     return tensor, said["facts"]
 

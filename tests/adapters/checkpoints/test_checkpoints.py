@@ -18,13 +18,12 @@ import torch
 from torch import Tensor, nn
 
 from adapters.checkpoints.cache import cached_weights, load_weights, read_provenance
-from adapters.checkpoints.fetching import fetch_official
-from adapters.checkpoints.importing import import_checkpoint, resolve_checkpoint
+from adapters.checkpoints.importing import fetch_checkpoint, import_checkpoint, resolve_checkpoint
 from adapters.checkpoints.listing import known_weights
-from adapters.checkpoints.official import OFFICIAL_FILES, OfficialFile, official_file
-from adapters.native_models import NATIVE_MODELS, NativeModel
+from adapters.models import Model, Network, published_models
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
+from benchmark.weights.catalogue import CHECKPOINTS, PublishedFile, PublishedWeights, checkpoint_of
 from benchmark.weights.foreign import read_checkpoint
 
 
@@ -32,16 +31,22 @@ def network(width: int = 4, layers: int = 2) -> nn.Module:
     return nn.Sequential(*(nn.Linear(width, width) for _ in range(layers)), nn.BatchNorm1d(width))
 
 
-SMALL = NativeModel("small", network, lambda: None, "bgr-mean", (("_offset$", ""),), ("^unused",))
-LARGE = NativeModel("large", lambda: network(layers=3), lambda: None, "rgb-mean-std")
+def sized(layers: int) -> nn.Module:
+    """What the table's entries build of their configuration."""
+    return network(layers=layers)
+
+
+HERE = "tests.adapters.checkpoints.test_checkpoints"
+TWO, THREE = (lambda: 2), (lambda: 3)
+SMALL = Network(f"{HERE}:sized", f"{HERE}:TWO", "", "bgr-mean", renamed=(("_offset$", ""),), ignored=("^unused",))
+LARGE = Network(f"{HERE}:sized", f"{HERE}:THREE", "", "rgb-mean-std")
 
 
 @pytest.fixture(autouse=True)
 def two_models(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in tuple(NATIVE_MODELS):
-        monkeypatch.delitem(NATIVE_MODELS, name)
-    monkeypatch.setitem(NATIVE_MODELS, "small", SMALL)
-    monkeypatch.setitem(NATIVE_MODELS, "large", LARGE)
+    made = {"small": SMALL, "large": LARGE}
+    table = {name: Model(name, "", network, weights=name) for name, network in made.items()}
+    monkeypatch.setattr("adapters.models.MODELS", table)
 
 
 def weights(**kwargs: int) -> dict[str, Tensor]:
@@ -355,21 +360,23 @@ def test_a_cache_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_official_files_are_found_by_either_name() -> None:
-    assert len({file.name for file in OFFICIAL_FILES}) == len(OFFICIAL_FILES)
-    for file in OFFICIAL_FILES:
-        assert official_file(file.name) is file and official_file(file.model) is file
-        assert file.url.startswith("https://") and "nuScenes" in file.licence
+    assert len({entry.files[0].name for entry in CHECKPOINTS}) == len(CHECKPOINTS)
+    for entry in CHECKPOINTS:
+        assert checkpoint_of(entry.files[0].name) is entry and checkpoint_of(entry.name) is entry
+        assert "nuScenes" in entry.licence and not entry.is_folder
+        assert all(entry.url(file).startswith("https://") and file.page for file in entry.files)
     with pytest.raises(InputError, match="known are vad-tiny"):
-        official_file("nonsense")
+        checkpoint_of("nonsense")
 
 
-def test_the_list_says_what_there_is_and_what_is_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = OfficialFile("a.pth", "small", "https://url", "https://page", "free", 3_000_000, "ab" * 32)
-    monkeypatch.setattr(
-        "adapters.checkpoints.listing.OFFICIAL_FILES", (file, replace(file, model="large", sha256=None))
+def test_the_list_says_what_there_is_and_what_is_here(tmp_path: Path) -> None:
+    file = PublishedFile("a.pth", 3_000_000, "ab" * 32, "https://url", "https://page")
+    entries = tuple(
+        PublishedWeights(name, (made,), "free")
+        for name, made in (("small", file), ("large", replace(file, sha256=None)))
     )
     imported = import_checkpoint(saved(tmp_path / "mine.pth", weights()), cache=tmp_path / "cache")
-    small, large = known_weights(tmp_path / "cache")
+    small, large = known_weights(tmp_path / "cache", entries)
     assert f"a.pth, 3 MB, SHA-256 {'ab' * 32}" in small.plain()
     assert f"mine.pth ({imported.provenance.source_sha256[:16]})" in small.plain()
     assert str(imported.path) in small.plain() and small.as_json()["imported"][0]["source"] == "mine.pth"
@@ -410,10 +417,11 @@ def test_official_files_are_fetched_checked_and_imported(tmp_path: Path, server:
     path = saved(tmp_path / "served" / "a.pth", as_mmcv(weights()))
     (tmp_path / "served" / "page.pth").write_text("<!doctype html>")
 
-    def file(name: str, **known: Any) -> OfficialFile:
-        return OfficialFile(name, "small", f"{server}/{name}", f"{server}/page", "free", **known)
+    def file(name: str, **known: Any) -> PublishedWeights:
+        made = PublishedFile(name, url=f"{server}/{name}", page=f"{server}/page", **known)
+        return PublishedWeights("small", (made,), "free")
 
-    found = fetch_official(file("a.pth", sha256=file_sha256(path), size_bytes=path.stat().st_size), cache)
+    found = fetch_checkpoint(file("a.pth", sha256=file_sha256(path), size_bytes=path.stat().st_size), cache)
     assert found.provenance.source == "a.pth" and found.provenance.source_sha256 == file_sha256(path)
     for wrong, says in (
         (file("a.pth", sha256="0" * 64), "its SHA-256 differs"),
@@ -423,33 +431,33 @@ def test_official_files_are_fetched_checked_and_imported(tmp_path: Path, server:
         (file("page.pth"), "is a web page"),
     ):
         with pytest.raises(InputError, match=says):
-            fetch_official(wrong, cache)
+            fetch_checkpoint(wrong, cache)
     assert [entry.name for entry in cache.glob("[!.]*")] == [found.path.name]
 
 
 def test_what_was_fetched_before_a_download_broke_off_is_not_fetched_again(tmp_path: Path, server: str) -> None:
     cache, fetching = tmp_path / "cache", tmp_path / "cache" / ".fetching-small"
-    saved(tmp_path / "served" / "a.pth", as_mmcv(weights()))
+    path = saved(tmp_path / "served" / "a.pth", as_mmcv(weights()))
     (tmp_path / "served" / "beside.bin").write_bytes(b"companion")
-    beside = OfficialFile("beside.bin", "small", f"{server}/beside.bin", f"{server}/page", "free")
 
-    def with_companion(name: str) -> OfficialFile:
-        return OfficialFile(name, "small", f"{server}/{name}", f"{server}/page", "free", companions=(beside,))
+    def with_companion(*names: str) -> PublishedWeights:
+        files = (PublishedFile(name, url=f"{server}/{name}", page=f"{server}/page") for name in names)
+        return PublishedWeights("small", tuple(files), "free")
 
     with pytest.raises(InputError, match="broke off"):
-        fetch_official(with_companion("short.pth"), cache)
-    assert (fetching / "beside.bin").read_bytes() == b"companion" and not (fetching / "short.pth").exists()
-    (tmp_path / "served" / "beside.bin").unlink()
-    assert fetch_official(with_companion("a.pth"), cache).path.is_file() and not fetching.exists()
+        fetch_checkpoint(with_companion("a.pth", "short.pth"), cache)
+    assert (fetching / "a.pth").read_bytes() == path.read_bytes() and not (fetching / "short.pth").exists()
+    path.unlink()
+    assert fetch_checkpoint(with_companion("a.pth", "beside.bin"), cache).path.is_file() and not fetching.exists()
 
 
 def test_no_connection_is_one_sentence(tmp_path: Path) -> None:
-    file = OfficialFile("a.pth", "small", "http://127.0.0.1:1/a.pth", "https://page", "free")
+    file = PublishedFile("a.pth", url="http://127.0.0.1:1/a.pth", page="https://page")
     with pytest.raises(InputError, match=r"cannot fetch .* get a\.pth from https://page"):
-        fetch_official(file, tmp_path / "cache")
+        fetch_checkpoint(PublishedWeights("small", (file,), "free"), tmp_path / "cache")
 
 
-@pytest.mark.parametrize("name", [file.model for file in OFFICIAL_FILES])
+@pytest.mark.parametrize("name", [entry.name for entry in CHECKPOINTS])
 def test_every_official_file_is_for_a_model_that_exists(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    assert name in NATIVE_MODELS
+    assert name in published_models()

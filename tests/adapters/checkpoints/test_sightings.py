@@ -16,12 +16,10 @@ from adapters.checkpoints.sightings import (
     line_centres,
     sightings_of,
 )
-from adapters.detection_classes import AGENT_CLASSES
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS, anchors_of, with_anchors
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive
-from adapters.networks.sparse.planner import VARIANTS
-from benchmark.constants import CATEGORIES, DETECTION_CLASS_OF_CATEGORY
+from benchmark.constants import CATEGORIES, DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, rotation_matrix
@@ -53,13 +51,13 @@ def scene(data: NuScenesData) -> Scene:
 
 def classes_of(scene: Scene) -> list[int]:
     return [
-        AGENT_CLASSES.index(DETECTION_CLASS_OF_CATEGORY[kind]) if kind != "animal" else -1
+        DETECTION_CLASSES.index(DETECTION_CLASS_OF_CATEGORY[kind]) if kind != "animal" else -1
         for kind in scene.agents.categories
     ]
 
 
 def test_every_detection_class_has_a_category_of_nuscenes() -> None:
-    assert set(DETECTION_CLASS_OF_CATEGORY.values()) == set(AGENT_CLASSES)
+    assert set(DETECTION_CLASS_OF_CATEGORY.values()) == set(DETECTION_CLASSES)
     assert set(DETECTION_CLASS_OF_CATEGORY) <= set(CATEGORIES)
 
 
@@ -119,7 +117,7 @@ def test_a_split_is_gathered_whole(data: NuScenesData) -> None:
     scenes = [data.scene(name) for name in data.scene_names("val")]
     assert len(np.asarray(found.box_centres)) == sum(len(box_centres(scene, classes_of(scene))) for scene in scenes)
     assert [len(np.asarray(futures)) > 0 for futures in found.futures] == [
-        name in ("car", "pedestrian") for name in AGENT_CLASSES
+        name in ("car", "pedestrian") for name in DETECTION_CLASSES
     ]
     right, left, straight = (np.asarray(plans) for plans in found.plans)
     assert right.shape == left.shape == (0, 6, 2)
@@ -150,7 +148,7 @@ def test_anchors_of_a_data_set_fit_a_network_and_are_refused_by_one_with_others(
 
 
 def test_a_small_data_set_is_one_sentence(data: NuScenesData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(VARIANTS, "sparsedrive", lambda: FEW)
+    monkeypatch.setattr(SparseConfig, "sparsedrive", lambda: FEW)
     with pytest.raises(InputError, match="0 different plans of command 0 and anchors need 2"):
         write_anchors("sparsedrive", data, "val", tmp_path / "a.safetensors")
     with pytest.raises(InputError, match="'vad' is no model with anchors"):
@@ -161,7 +159,7 @@ def test_a_small_data_set_is_one_sentence(data: NuScenesData, tmp_path: Path, mo
 def test_anchors_on_disk_are_the_same_bytes_and_read_back(
     data: NuScenesData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(VARIANTS, "diffusiondrive", lambda: FEW)
+    monkeypatch.setattr(SparseConfig, "diffusiondrive", lambda: FEW)
     monkeypatch.setattr("adapters.checkpoints.anchor_files.anchors_of", lambda found, config: turning(data, config))
     paths = [tmp_path / name / "anchors.safetensors" for name in "ab"]
     first, second = (write_anchors("diffusiondrive", data, "val", path) for path in paths)

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD, camera_images, can_bus_vector, lidar_to_image
-from adapters.detection_classes import AGENT_CLASSES
 from adapters.training.frame_store import INDEX, FrameStore, build_frames
 from adapters.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STEPS, TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.scene_frames import drivable_cells
+from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.sample_truth import planar_lidar_poses
 from benchmark.errors import InputError
@@ -71,7 +71,7 @@ def test_boxes_and_futures_are_those_of_the_truth(root: Path, store: FrameStore)
             valid = frame.futures_valid.numpy()[:, :6]
             assert (valid == truth.annotated[rows, 1:]).all()
             np.testing.assert_allclose(later[..., :2][valid], truth.boxes[rows, 1:, :2][valid], atol=2e-3)
-            assert {AGENT_CLASSES[label] for label in frame.labels.tolist()} <= set(AGENT_CLASSES)
+            assert {DETECTION_CLASSES[label] for label in frame.labels.tolist()} <= set(DETECTION_CLASSES)
             assert frame.futures.shape == (len(rows), FUTURE_STEPS, 3)
 
 

@@ -13,7 +13,8 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from adapters.checkpoints.cache import read_provenance
-from adapters.miniatures import planner_of
+from adapters.checkpoints.loading import planner_of
+from adapters.models import miniature
 from adapters.training.planners import ENCODER_NAME, PlannerTraining, judge_again, train_planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -73,7 +74,7 @@ def test_the_file_says_what_it_is_and_drives(town: Path, trained: Path) -> None:
     )
     tensors = load_file(trained)
     assert {tensor.dtype for tensor in tensors.values() if tensor.numel() >= 256} == {torch.float16}
-    planner: Any = planner_of(MODEL, trained)
+    planner: Any = planner_of(miniature(MODEL), trained)
     data = NuScenesData.open(town)
     scene = data.scene(data.scene_names("val")[0])
     planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))

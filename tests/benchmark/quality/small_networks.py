@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from benchmark.quality.musiq import Musiq, MusiqConfig
-from benchmark.quality.weights import DINO, GROUNDING_DINO, MUSIQ, SAM2
+from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2
 
 SMALL_MUSIQ = MusiqConfig(hidden=16, mlp=16, layers=1, stem=32)
 SAM2_SIDE_PX = 128

@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.quality.consistency import SubjectFeatures, similarities, subject_square
 from benchmark.quality.cut_masks import Mask, overlap
-from benchmark.quality.weights import DINO
+from benchmark.weights.catalogue import DINO
 from tests.benchmark.quality.synthetic_videos import texture
 
 CPU = torch.device("cpu")

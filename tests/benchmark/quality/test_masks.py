@@ -15,7 +15,7 @@ from benchmark.quality.detection import Detector
 from benchmark.quality.masks import BoxMasks, CameraVideo, TrackedMasks, tied
 from benchmark.quality.projection import ProjectedBox
 from benchmark.quality.segmentation import Box, Segmenter, prepared_frame
-from benchmark.quality.weights import GROUNDING_DINO, SAM2
+from benchmark.weights.catalogue import GROUNDING_DINO, SAM2
 from tests.benchmark.quality.small_networks import SAM2_SIDE_PX
 from tests.benchmark.quality.synthetic_videos import texture
 

@@ -20,10 +20,10 @@ from benchmark.quality.definition import Definition, mask_source
 from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
 from benchmark.quality.musiq import Musiq
 from benchmark.quality.scoring import score_scene
-from benchmark.quality.weights import MUSIQ
 from benchmark.records.quality import QualityRecord, find_quality, load_quality, summarise_quality
 from benchmark.records.quality_schema import SceneRows, SubjectRow
 from benchmark.records.run_schema import SceneFacts
+from benchmark.weights.catalogue import MUSIQ
 from leaderboard.tables.quality import quality_tables
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.quality.small_networks import SMALL_MUSIQ, save_musiq

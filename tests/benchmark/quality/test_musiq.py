@@ -15,7 +15,7 @@ from torch.nn import functional
 from benchmark.errors import InputError
 from benchmark.quality.imaging import ImagingQuality, prepared
 from benchmark.quality.musiq import Musiq, MusiqConfig, Patches, _hashed, multiscale_patches
-from benchmark.quality.weights import MUSIQ
+from benchmark.weights.catalogue import MUSIQ
 from tests.benchmark.quality.small_networks import SMALL_MUSIQ, save_musiq
 from tests.benchmark.quality.synthetic_videos import Picture, blurred, noisy, strip
 

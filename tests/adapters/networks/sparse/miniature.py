@@ -13,7 +13,6 @@ from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import Remembered
 from adapters.networks.sparse.keyframe_pose import Passage
 from adapters.networks.sparse.model import DiffusionDrive, Memory, SparseDrive, SparseInputs, SparseNetwork, moment_of
-from adapters.verification.sparse import NETWORKS
 from adapters.verification.sparse_order import Order
 from adapters.verification.sparse_quantities import frame_quantities, map_quantities
 from adapters.verification.sparse_trace import traced
@@ -59,7 +58,10 @@ def recipe() -> WeightsRecipe:
 
 
 def filled(name: str, config: SparseConfig = MINIATURE, **settings: Any) -> SparseNetwork:
-    kinds: dict[str, type[SparseDrive] | type[DiffusionDrive]] = NETWORKS
+    kinds: dict[str, type[SparseDrive] | type[DiffusionDrive]] = {
+        "sparsedrive": SparseDrive,
+        "diffusiondrive": DiffusionDrive,
+    }
     network = kinds[name](config, **settings)
     shapes = {key: tuple(value.shape) for key, value in network.state_dict().items()}
     state = recipe().state(shapes)

@@ -14,20 +14,14 @@ import torch
 from adapters.camera_inputs import RGB_MEAN_STD, SPARSE_DRIVE_IMAGE
 from adapters.checkpoints.importing import import_checkpoint
 from adapters.checkpoints.matching import matched
-from adapters.checkpoints.official import official_file
-from adapters.native_models import NATIVE_MODELS
+from adapters.models import MODELS
 from adapters.networks.sparse.anchors import BOXES, FORECASTS, LINES, PLANS
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive, SparseInputs
-from adapters.networks.sparse.planner import (
-    VARIANTS,
-    SparsePlanner,
-    example_frame,
-    image_format,
-)
+from adapters.networks.sparse.planner import SparsePlanner, example_frame
 from adapters.networks.sparse.selection import SparseOutputs
 from adapters.planner import FORECAST_SCORE
-from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
+from adapters.registry import planner, planner_factory
 from adapters.verification.models import verify_model
 from benchmark.constants import CAMERA_NAMES
 from benchmark.datasets.nuscenes import NuScenesData
@@ -38,6 +32,7 @@ from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, PlanFrame, SceneInfo
 from benchmark.records.planner_versions import labelled
 from benchmark.runs.plan_rows import facts_of
+from benchmark.weights.catalogue import checkpoint_of
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
@@ -51,7 +46,8 @@ def small(
 ) -> SparsePlanner:
     settings = {"seed": seed} if name == "diffusiondrive" else {}
     network = filled(name, config, **settings)
-    return SparsePlanner(network, name=name, normalisation=RGB_MEAN_STD, device="cpu", **kwargs)
+    known = {"name": name, "normalisation": RGB_MEAN_STD, "native_protocol": name, "device": "cpu"}
+    return SparsePlanner(network, **{**known, **kwargs})
 
 
 @pytest.fixture(scope="module")
@@ -118,16 +114,17 @@ def test_what_the_network_receives_is_what_the_observation_says(data: NuScenesDa
 
 
 def test_images_are_scaled_and_cut_as_published() -> None:
-    assert image_format(SparseConfig()) == SPARSE_DRIVE_IMAGE
+    assert SparseConfig().image_format == SPARSE_DRIVE_IMAGE
     for config, rows, cut in ((SparseConfig.sparsedrive_base(), 792, 280), (MINIATURE, 72, 8)):
-        found = image_format(config)
+        found = config.image_format
         assert (found.height, found.crop_top) == (rows, cut)
         assert found.padded == (config.image_height_px, config.image_width_px)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_example_inputs_have_the_published_size(name: str) -> None:
-    assert name in NATIVE_MODELS and example_frame(VARIANTS[name]()).images.shape == (6, 3, 256, 704)
+    config = MODELS[name].configuration()
+    assert not config.memory_crosses_scenes and example_frame(config).images.shape == (6, 3, 256, 704)
 
 
 def test_forecasts_are_boxes_of_this_project(data: NuScenesData) -> None:
@@ -235,7 +232,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A cache of its own, and networks that are built at once."""
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
     for name in NAMES:
-        monkeypatch.setitem(VARIANTS, name, lambda: MINIATURE)
+        monkeypatch.setattr(SparseConfig, name, lambda: MINIATURE)
     yield tmp_path / "cache" / "weights"
 
 
@@ -247,8 +244,7 @@ def published(name: str, folder: Path) -> Path:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_registered_names_need_weights_and_say_where_they_are(name: str, cache: Path) -> None:
-    assert name in WITH_WEIGHTS and name not in BLIND
-    file = official_file(name)
+    (file,) = checkpoint_of(name).files
     with pytest.raises(InputError, match=rf"no weights for {name}; get {file.name} from .*weights import"):
         planner(name)
 

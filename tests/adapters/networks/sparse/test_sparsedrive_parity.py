@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from adapters.models import MODELS
 from adapters.verification.sparse import verify_sparse
 from benchmark.verification.checks import report
 
@@ -19,7 +20,7 @@ def test_it_gives_what_the_official_code_gave(name: str) -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        checks = verify_sparse("sparsedrive", GOLDEN / name)
+        checks = verify_sparse(MODELS["sparsedrive"], GOLDEN / name)
     finally:
         torch.set_num_threads(threads)
     assert all(check.ok for check in checks), report(checks)

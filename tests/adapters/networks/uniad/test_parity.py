@@ -11,7 +11,8 @@ import torch
 
 from adapters.networks.uniad.collision_optimiser import move_plan
 from adapters.networks.uniad.model import UniAD, UniADInputs
-from adapters.verification.uniad import compare_uniad, read_frames, verify_uniad
+from adapters.verification.models import verify_model
+from adapters.verification.uniad import compare_uniad, read_frames
 from adapters.verification.uniad_quantities import frame_quantities
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison, report
@@ -180,19 +181,19 @@ def test_damaged_sets_are_told(golden: Path, tmp_path: Path, name: str, content:
     folder = changed(golden, tmp_path / "dev", lambda arrays: None)
     (folder / name).write_bytes(content)
     with pytest.raises(InputError, match=message):
-        verify_uniad(folder)
+        verify_model("uniad", folder)
 
 
 def test_a_set_of_another_network_stops_at_the_names(golden: Path) -> None:
-    (check,) = verify_uniad(golden)
+    (check,) = verify_model("uniad", golden)
     assert check.quantity == NAMES and not check.ok
 
 
 def test_absent_sets_are_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no golden set"):
-        verify_uniad(tmp_path / "nowhere")
+        verify_model("uniad", tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"no manifest\.json"):
-        verify_uniad(tmp_path)
+        verify_model("uniad", tmp_path)
 
 
 def test_odd_inputs_are_told(golden: Path, tmp_path: Path) -> None:

@@ -14,25 +14,24 @@ import torch
 from safetensors.torch import load_file
 
 from adapters.camera_inputs import BGR_MEAN, ImageFormat
-from adapters.checkpoints import fetching
-from adapters.checkpoints.importing import ImportedWeights, import_checkpoint
+from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, import_checkpoint
 from adapters.checkpoints.listing import known_weights
 from adapters.checkpoints.motion_anchors import FILE, read_motion_anchors
-from adapters.checkpoints.official import official_file
-from adapters.native_models import MOTION_ANCHORS, NATIVE_MODELS
+from adapters.models import MODELS, MOTION_ANCHORS
 from adapters.networks.uniad import collision_solvers
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.frames import UniADInputs, UniADOutputs
 from adapters.networks.uniad.model import UniAD
-from adapters.networks.uniad.pictures import draw_frame, write_pictures
-from adapters.networks.uniad.planner import SOLVERS, UniADPlanner, example_frame
+from adapters.networks.uniad.planner import UniADPlanner, example_frame
 from adapters.planner import FORECAST_SCORE, forecasts_of
-from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
+from adapters.registry import planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.planning import Observation, PlanFrame, SceneInfo
+from benchmark.weights import fetch
+from benchmark.weights.catalogue import PublishedFile, PublishedWeights, checkpoint_of
 from leaderboard.build import leaderboard_files
 from tests.adapters.networks.uniad.small_uniad import SMALL, anchors, class_layer, small_network
 from tests.adapters.networks.vad.small_vad import small_network as small_vad
@@ -43,9 +42,9 @@ CONFIG = replace(SMALL, image_format=ImageFormat.scaled(0.1))
 real = pytest.mark.skipif(not FRAME.is_dir(), reason="no shared material beside the repository")
 
 
-def small(name: str = "uniad", *, masks: bool = False, **kwargs: Any) -> UniADPlanner:
+def small(name: str = "uniad", **kwargs: Any) -> UniADPlanner:
     network = small_network(config=CONFIG)
-    network.solver, network.masks = SOLVERS[name], masks
+    network.solver = MODELS[name].net.settings["solver"]
     return UniADPlanner(network, name=name, normalisation=BGR_MEAN, device="cpu", **kwargs)
 
 
@@ -151,23 +150,6 @@ def test_variants_differ_in_what_happens_to_the_plan_and_say_so(data: NuScenesDa
         assert np.array_equal(first.modes[0], second.waypoints)
 
 
-def test_pictures_of_tracks_and_road_are_the_same_every_time(data: NuScenesData, tmp_path: Path) -> None:
-    written = [
-        write_pictures(
-            small(masks=True), data.scene("scene-9901"), data.observations("scene-9901"), tmp_path / str(run), 1
-        )
-        for run in range(2)
-    ]
-    (first,), (second,) = written
-    assert first.name == "scene-9901-00.png" and first.read_bytes() == second.read_bytes()
-    built = small("uniad-unoptimised")
-    seen = next(begin(built, data, "scene-9901"))
-    built.plan(seen)
-    assert built.seen is not None and built.seen.road is None
-    broken = replace(built.seen, boxes=built.seen.boxes.clone().index_fill(0, torch.tensor([0]), float("nan")))
-    assert draw_frame(seen, broken, CONFIG) != draw_frame(seen, built.seen, CONFIG)
-
-
 def test_half_precision_plans_nearly_the_same(data: NuScenesData) -> None:
     full, half = (plans(small("uniad-unoptimised", precision=kind), data, "scene-9902") for kind in KINDS)
     assert not np.array_equal(full, half) and np.abs(full - half).max() < 0.1
@@ -233,9 +215,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(UniADConfig, "base", classmethod(base))
-    for name in tuple(NATIVE_MODELS):
-        if name != "uniad":
-            monkeypatch.delitem(NATIVE_MODELS, name)
+    monkeypatch.setattr("adapters.models.MODELS", {"uniad": MODELS["uniad"]})
     return tmp_path / "cache" / "weights"
 
 
@@ -259,14 +239,13 @@ def with_beside(folder: Path) -> ImportedWeights:
 
 
 def test_registered_names_need_weights_and_say_what_to_get(cache: Path) -> None:
-    assert not BLIND & set(WITH_WEIGHTS)
     says = (
         r"no weights for uniad; get uniad_base_e2e.pth from .*v1.0.1 and motion_anchor_infos_mode6.pkl from .*--anchors"
     )
     for name in ("uniad", "uniad-unoptimised"):
         with pytest.raises(InputError, match=says):
             planner(name)
-    (entry,) = (entry for entry in known_weights(cache) if entry.official.model == "uniad")
+    (entry,) = (entry for entry in known_weights(cache) if entry.weights.name == "uniad")
     assert "needs motion_anchor_infos_mode6.pkl" in entry.plain() and entry.as_json()["with"][0]["url"].endswith(FILE)
 
 
@@ -289,13 +268,13 @@ def test_anchors_beside_the_checkpoint_or_named_are_kept_with_the_weights(cache:
 def test_fetching_uniad_gets_its_anchors_too(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def receive(url: str, path: Path, **_: Any) -> None:
-        asked.append(url.removeprefix("https://github.com/OpenDriveLab/UniAD/releases/download/"))
+    def receive(weights: PublishedWeights, file: PublishedFile, path: Path) -> None:
+        asked.append(weights.url(file).removeprefix("https://github.com/OpenDriveLab/UniAD/releases/download/"))
         (anchor_file if path.name == FILE else published)(path)
 
-    monkeypatch.setattr(fetching, "download", receive)
-    found = fetching.fetch_official(official_file("uniad"), cache)
-    assert asked == [f"v1.0/{FILE}", "v1.0.1/uniad_base_e2e.pth"]
+    monkeypatch.setattr(fetch, "_download", receive)
+    found = fetch_checkpoint(checkpoint_of("uniad"), cache)
+    assert asked == ["v1.0.1/uniad_base_e2e.pth", f"v1.0/{FILE}"]
     assert torch.equal(load_file(found.path)[MOTION_ANCHORS], anchors()) and list(cache.iterdir()) == [found.path]
 
 
@@ -394,4 +373,4 @@ def test_variants_share_weights_and_stand_side_by_side(cache: Path, tmp_path: Pa
 
 
 def test_example_inputs_have_the_published_size() -> None:
-    assert "uniad" in NATIVE_MODELS and example_frame(UniADConfig.base()).images.shape == (6, 3, 928, 1600)
+    assert example_frame(UniADConfig.base()).images.shape == (6, 3, 928, 1600)

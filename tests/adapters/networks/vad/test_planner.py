@@ -12,13 +12,12 @@ from safetensors.torch import load_file
 from adapters.camera_inputs import BGR_MEAN, RGB_MEAN_STD, ImageFormat, Normalisation
 from adapters.checkpoints.cache import write_weights
 from adapters.checkpoints.importing import import_checkpoint
-from adapters.native_models import NATIVE_MODELS
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
-from adapters.networks.vad.planner import VARIANTS, VADPlanner, example_frame
+from adapters.networks.vad.planner import VADPlanner, example_frame
 from adapters.networks.vad.selection import VADOutputs
 from adapters.planner import FORECAST_SCORE
-from adapters.registry import BLIND, WITH_WEIGHTS, planner, planner_factory
+from adapters.registry import planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
@@ -195,7 +194,7 @@ def test_unknown_devices_and_precisions_are_one_sentence(options: dict[str, Any]
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache of its own, and ``vad-tiny`` a network that is built at once."""
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setitem(VARIANTS, "vad-tiny", lambda: SMALL)
+    monkeypatch.setattr(VADConfig, "tiny", lambda: SMALL)
     return tmp_path / "cache" / "weights"
 
 
@@ -206,8 +205,7 @@ def published(path: Path) -> Path:
 
 
 def test_registered_names_need_weights_and_say_where_they_are(cache: Path) -> None:
-    assert not BLIND & set(WITH_WEIGHTS)
-    for name in (name for name in WITH_WEIGHTS if name.startswith("vad")):
+    for name in ("vad", "vad-tiny", "vad-base"):
         with pytest.raises(InputError, match=r"there are no weights for vad-.*; get VAD_.*weights import VAD_"):
             planner(name)
 
@@ -251,5 +249,5 @@ def test_an_import_finds_out_the_model(cache: Path, tmp_path: Path) -> None:
 
 
 def test_every_native_model_has_example_inputs_of_its_size() -> None:
-    for name, (height, width) in {"vad-tiny": (384, 640), "vad-base": (736, 1280)}.items():
-        assert name in NATIVE_MODELS and example_frame(VARIANTS[name]()).images.shape == (6, 3, height, width)
+    for config, height, width in ((VADConfig.tiny(), 384, 640), (VADConfig.base(), 736, 1280)):
+        assert example_frame(config).images.shape == (6, 3, height, width)

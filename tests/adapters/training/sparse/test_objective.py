@@ -17,12 +17,12 @@ from adapters.networks.sparse.anchors import BOXES, FORECASTS, PLANS
 from adapters.networks.sparse.boxes import decode_boxes
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork
-from adapters.networks.sparse.planner import SparsePlanner, image_format
+from adapters.networks.sparse.planner import SparsePlanner
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
 from adapters.training.sparse.losses import FORECAST, block_matches, forecast_losses, plan_losses
 from adapters.training.sparse.objective import SparseLesson, network_inputs
-from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained
+from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained, untrained_diffusion
 from adapters.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
 from benchmark.datasets.nuscenes import NuScenesData
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled, projections
@@ -288,15 +288,17 @@ def varied(count: int) -> list[TrainingFrame]:
 
 
 def test_untrained_networks_start_at_the_anchors() -> None:
-    first, again = (untrained("diffusiondrive-mini", varied(80), 4) for _ in range(2))
-    other = untrained("diffusiondrive-mini", varied(80), 5)
+    first, again = (untrained_diffusion(SparseConfig.miniature(), varied(80), 4) for _ in range(2))
+    other = untrained_diffusion(SparseConfig.miniature(), varied(80), 5)
     state = first.state_dict()
     assert all(torch.equal(value, again.state_dict()[key]) for key, value in state.items())
     assert not torch.equal(
         state["head.det_head.fc_before.weight"], other.state_dict()["head.det_head.fc_before.weight"]
     )
     assert all(torch.equal(state[key], other.state_dict()[key]) for key in (BOXES, FORECASTS, PLANS))
-    assert isinstance(first, DiffusionDrive) and isinstance(untrained("sparsedrive-mini", varied(80), 4), SparseDrive)
+    assert isinstance(first, DiffusionDrive) and isinstance(
+        untrained(SparseConfig.miniature(), varied(80), 4), SparseDrive
+    )
 
 
 @pytest.mark.parametrize("perception", [True, False])
@@ -324,7 +326,7 @@ def test_the_planner_gives_the_network_what_the_lesson_gives(tmp_path: Path) -> 
     write_root(root, [short_scene("scene-9901", seconds=4.5)])
     store = build_frames(root, "val", tmp_path / "frames")
     config = replace(SparseConfig.miniature(), memory_crosses_scenes=False)
-    assert image_format(config) == MINIATURE_IMAGE
+    assert config.image_format == MINIATURE_IMAGE
     built = SparsePlanner(SparseDrive(config), name="small", normalisation=RGB_MEAN_STD, device="cpu")
     data = NuScenesData.open(root)
     for index, seen in enumerate(data.observations(store.scenes[0])):

@@ -252,10 +252,14 @@ def test_perfect_predictions_have_no_loss_and_are_reported_as_annotated() -> Non
 
 def test_untrained_queries_are_where_things_are() -> None:
     frames = [moved(a_frame(number), seed) for number, seed in enumerate(range(60))]
-    network = untrained(frames, 3)
-    assert all(torch.equal(one, two) for one, two in zip(network.parameters(), untrained(frames, 3).parameters()))
+    config = VADConfig.miniature()
+    network = untrained(config, frames, 3)
+    assert all(
+        torch.equal(one, two) for one, two in zip(network.parameters(), untrained(config, frames, 3).parameters())
+    )
     assert not torch.equal(
-        network.pts_bbox_head.bev_embedding.weight, untrained(frames, 4).pts_bbox_head.bev_embedding.weight
+        network.pts_bbox_head.bev_embedding.weight,
+        untrained(config, frames, 4).pts_bbox_head.bev_embedding.weight,
     )
     head, channels = network.pts_bbox_head, network.config.channels
     low = torch.tensor(network.config.perception_range_m[:2])

@@ -10,7 +10,8 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.checkpoint import load_denoiser, read_tensors
+from benchmark.weights.tensors import read_tensors
+from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig
 from generation.diffusion.training import loop as training
 from generation.diffusion.training.loop import TrainingConfig, train_denoiser

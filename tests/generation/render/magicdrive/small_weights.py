@@ -24,7 +24,7 @@ _TEXT = "A driving scene image at boston-seaport. Straight road, day.\nDaytime. 
 
 
 def write_weights(folder: Path) -> Path:
-    """All files that the entries of `generation.render.magicdrive.weights` name, in folders called as on the hub."""
+    """All files that rendering needs (`benchmark.weights.catalogue`), in folders called as on the hub."""
     transformer = folder / "MagicDriveDiT-stage3-40k-ft"
     transformer.mkdir(parents=True)
     torch.save(small_network(CONFIG).state_dict(), transformer / "ema.pt")

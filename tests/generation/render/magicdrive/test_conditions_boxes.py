@@ -8,10 +8,10 @@ from nuscenes.eval.detection.utils import category_to_detection_name
 from nuscenes.utils.data_classes import Box
 from pyquaternion import Quaternion
 
-from benchmark.constants import CATEGORIES
+from benchmark.constants import CATEGORIES, DETECTION_CLASSES
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.scene import Scene
-from generation.render.magicdrive.boxes import BOX_CLASSES, ClipBoxes, clip_boxes, corners_of
+from generation.render.magicdrive.boxes import ClipBoxes, clip_boxes, corners_of
 from generation.render.magicdrive.clip import clip_of
 from generation.render.magicdrive.conditions import MODEL_CAMERAS
 from generation.render.magicdrive.sensor_frames import SensorFrames
@@ -150,7 +150,7 @@ def test_classes_are_those_of_the_detection_task() -> None:
         name = category_to_detection_name(category)
         assert (scene.agents.ids[0] in boxes.ids) == (name is not None)
         if name is not None:
-            assert (boxes.classes[:, boxes.ids.index(scene.agents.ids[0])] == BOX_CLASSES.index(name)).all()
+            assert (boxes.classes[:, boxes.ids.index(scene.agents.ids[0])] == DETECTION_CLASSES.index(name)).all()
 
 
 def test_an_adversary_is_one_more_box_that_moves_otherwise() -> None:
@@ -171,4 +171,4 @@ def test_an_adversary_is_always_drawn(category: str, drawn: str) -> None:
     scene = replace(scene, agents=agents)
     assert scene.agents.ids[0] not in boxes_of(scene).ids
     boxes = boxes_of(with_adversary(scene, 0))
-    assert boxes.classes[0, boxes.ids.index(scene.agents.ids[0])] == BOX_CLASSES.index(drawn)
+    assert boxes.classes[0, boxes.ids.index(scene.agents.ids[0])] == DETECTION_CLASSES.index(drawn)

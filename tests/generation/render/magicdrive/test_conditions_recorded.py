@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmark.constants import DETECTION_CLASSES
 from benchmark.errors import InputError
-from generation.render.magicdrive.boxes import BOX_CLASSES
 from generation.render.magicdrive.clip import clip_of
 from generation.render.magicdrive.conditions import MODEL_CAMERAS
 from tests.generation.render.magicdrive.recorded_keyframe import RECORDED, official_info, recorded_scene
@@ -36,7 +36,7 @@ def test_boxes_are_the_official_ones() -> None:
         assert np.linalg.norm(corners[4] - corners[0]) == pytest.approx(width, abs=1e-4)
         assert np.cos(np.arctan2(ahead[1], ahead[0]) - yaw) == pytest.approx(1.0, abs=1e-6)
         assert boxes.corners[0, slot, :, 2].min() == pytest.approx(z, abs=1e-4)
-        assert BOX_CLASSES[int(boxes.classes[0, slot])] == names[row["bbox_label_3d"]]
+        assert DETECTION_CLASSES[int(boxes.classes[0, slot])] == names[row["bbox_label_3d"]]
 
 
 def test_what_the_official_converter_sees_in_an_image_the_view_is_told_of() -> None:

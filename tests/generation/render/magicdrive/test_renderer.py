@@ -14,7 +14,8 @@ from benchmark.machine.devices import device_of_worker
 from benchmark.machine.ray_cluster import RayCluster
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.scene import SweepPoses
-from benchmark.weights.hub import folder_of
+from benchmark.weights.catalogue import AUTOENCODER, TEXT_ENCODER, TRANSFORMER
+from benchmark.weights.folders import folder_of
 from generation.render.contract import Images
 from generation.render.magicdrive import renderer as renderer_module
 from generation.render.magicdrive.autoencoder import VideoDecoder
@@ -28,7 +29,7 @@ from generation.render.magicdrive.renderer import MagicDriveRenderer, RenderSett
 from generation.render.magicdrive.sampling import SamplingState
 from generation.render.magicdrive.sensor_frames import SensorFrames, camera_tracks
 from generation.render.magicdrive.text import T5TextEncoder
-from generation.render.magicdrive.weights import AUTOENCODER, TEXT_ENCODER, TRANSFORMER, NetworkFiles
+from generation.render.magicdrive.weights import NetworkFiles
 from tests.generation.render.magicdrive.moved_worlds import busy_scene
 from tests.generation.render.magicdrive.small_weights import CONFIG, SIZE, brief_scene, small_renderer, write_weights
 

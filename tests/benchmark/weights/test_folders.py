@@ -1,6 +1,7 @@
 """Folders of published weights: fetched in pieces, checked, imported, found; nothing half-done is ever taken."""
 
 import http.server
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,27 +12,29 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256
-from benchmark.quality.weights import QUALITY_WEIGHTS, needed_for
-from benchmark.weights.hub import (
-    HubFile,
-    HubWeights,
+from benchmark.quality.definition import needed_for
+from benchmark.weights.catalogue import FOLDERS, PublishedFile, PublishedWeights
+from benchmark.weights.folders import (
     content_hash,
-    fetch,
+    fetch_folder,
     folder_of,
     hub_folder,
-    hub_weights_at,
     import_folder,
-    known_hub_weights,
+    kept_folder,
+    weights_at,
 )
 
 BIG = bytes(range(256)) * 20_000
 CONTENT = {"config.json": b"{}", "parts/model.bin": BIG}
 
 
-def entry(root: str = "https://nowhere.invalid", **changes: Any) -> HubWeights:
-    files = (HubFile("config.json"), HubFile("parts/model.bin"))
-    made = HubWeights("small", "owner/small-model", "abc", files, "free", "tests", 5, root, "https://page")
-    return replace(made, **changes)
+def entry(root: str | None = "https://nowhere.invalid", **changes: Any) -> PublishedWeights:
+    """Weights whose files have addresses below ``root``, or are on the hub."""
+    files = (PublishedFile("config.json"), PublishedFile("parts/model.bin"))
+    made = PublishedWeights("small", files, "free", "owner/small-model", "abc", "quality", 5, "https://page")
+    made = replace(made, **changes)
+    addressed = (replace(file, url=root and f"{root}/{file.name}") for file in made.files)
+    return replace(made, files=tuple(addressed))
 
 
 def written(folder: Path) -> Path:
@@ -90,17 +93,17 @@ def test_weights_are_fetched_whole_or_not_at_all_and_goes_on_where_it_broke_off(
     weights = entry(server.url)
     server.stop_after = 3_000_000
     with pytest.raises(InputError, match="broke off after 3000000 of 5120000 bytes; run the command again"):
-        fetch(weights, tmp_path)
+        fetch_folder(weights, tmp_path)
     with pytest.raises(InputError, match="there are no weights small"):
         folder_of(weights, None, tmp_path)
     server.stop_after, server.asked = None, []
-    folder = fetch(weights, tmp_path)
+    folder = fetch_folder(weights, tmp_path)
     assert server.asked == [("parts/model.bin", "bytes=3000000-")]
     assert folder == folder_of(weights, None, tmp_path) == hub_folder(tmp_path) / "small"
     assert {name: (folder / name).read_bytes() for name in CONTENT} == CONTENT
     assert sorted(path.name for path in folder.rglob("*")) == ["config.json", "model.bin", "parts"]
     assert [path.name for path in hub_folder(tmp_path).iterdir()] == ["small"]
-    assert fetch(weights, tmp_path) == folder and len(server.asked) == 1
+    assert fetch_folder(weights, tmp_path) == folder and len(server.asked) == 1
 
 
 @pytest.mark.parametrize("tag", ['"two"', 'W/"weak"', None])
@@ -109,28 +112,28 @@ def test_a_file_that_changed_meanwhile_is_fetched_anew(server: Server, tmp_path:
     if tag is None:
         server.tag = None
     with pytest.raises(InputError, match="broke off"):
-        fetch(entry(server.url), tmp_path)
+        fetch_folder(entry(server.url), tmp_path)
     server.stop_after, server.tag = None, tag
     server.content["parts/model.bin"] = BIG[::-1]
-    assert (fetch(entry(server.url), tmp_path) / "parts/model.bin").read_bytes() == BIG[::-1]
+    assert (fetch_folder(entry(server.url), tmp_path) / "parts/model.bin").read_bytes() == BIG[::-1]
 
 
 def test_files_that_are_not_the_published_ones_are_refused(server: Server, tmp_path: Path) -> None:
-    sized = (HubFile("config.json", size_bytes=3),)
+    sized = (PublishedFile("config.json", size_bytes=3),)
     with pytest.raises(InputError, match="gave 2 bytes instead of 3"):
-        fetch(entry(server.url, files=sized), tmp_path)
+        fetch_folder(entry(server.url, files=sized), tmp_path)
     with pytest.raises(InputError, match="its SHA-256 differs"):
-        fetch(entry(server.url, files=(HubFile("config.json", sha256="00000000"),)), tmp_path)
+        fetch_folder(entry(server.url, files=(PublishedFile("config.json", sha256="00000000"),)), tmp_path)
     digest = file_sha256(written(tmp_path / "mine") / "parts/model.bin")
-    right = (HubFile("parts/model.bin", len(BIG), digest[:8].upper()),)
-    assert fetch(entry(server.url, files=right), tmp_path).is_dir()
+    right = (PublishedFile("parts/model.bin", len(BIG), digest[:8].upper()),)
+    assert fetch_folder(entry(server.url, files=right), tmp_path).is_dir()
     with pytest.raises(InputError, match=r"cannot fetch .*[Nn]ot [Ff]ound.* with a browser, then run.*import FOLDER"):
-        fetch(entry(server.url, name="other", files=(HubFile("absent"),)), tmp_path)
+        fetch_folder(entry(server.url, name="other", files=(PublishedFile("absent"),)), tmp_path)
 
 
 def test_no_connection_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot fetch .* get config\.json, parts/model\.bin from https://page"):
-        fetch(entry("http://127.0.0.1:1"), tmp_path)
+        fetch_folder(entry("http://127.0.0.1:1"), tmp_path)
 
 
 def test_the_users_folder_is_found_under_any_of_its_names(tmp_path: Path) -> None:
@@ -154,14 +157,14 @@ def test_folders_are_imported_checked_and_replace_older_ones(tmp_path: Path) -> 
     assert [path.name for path in hub_folder(cache).iterdir()] == ["small"]
     for weights, path, says in (
         (entry(), tmp_path / "none", "there is no folder"),
-        (entry(files=(HubFile("more"),)), source, "lacks more of small"),
-        (entry(files=(HubFile("config.json", 99),)), source, "has 2 bytes instead of 99"),
-        (entry(files=(HubFile("config.json", sha256="ab"),)), source, "its SHA-256 differs"),
+        (entry(files=(PublishedFile("more"),)), source, "lacks more of small"),
+        (entry(files=(PublishedFile("config.json", 99),)), source, "has 2 bytes instead of 99"),
+        (entry(files=(PublishedFile("config.json", sha256="ab"),)), source, "its SHA-256 differs"),
         (entry(), folder, "kept already"),
     ):
         with pytest.raises(InputError, match=says):
             import_folder(weights, path, cache)
-    single = entry(name="one", files=(HubFile("config.json"),))
+    single = entry(name="one", files=(PublishedFile("config.json"),))
     assert (import_folder(single, source / "config.json", cache) / "config.json").is_file()
 
 
@@ -186,40 +189,76 @@ def test_the_hash_of_the_content_sees_changes_without_reading_everything(tmp_pat
         content_hash(entry(), folder)
 
 
-def test_the_list_says_what_there_is_and_what_is_here(tmp_path: Path) -> None:
-    (absent,) = known_hub_weights((entry(),), tmp_path)
-    assert "owner/small-model at abc, about 5 MB" in absent.plain() and "not imported" in absent.plain()
+def test_sizes_and_places_are_told(tmp_path: Path) -> None:
+    assert kept_folder(entry(), tmp_path) is None
     folder = import_folder(entry(), written(tmp_path / "mine"), tmp_path)
-    (here,) = known_hub_weights((entry(about_megabytes=None),), tmp_path)
-    assert here.as_json()["imported"] == [{"path": str(folder)}] and not absent.as_json()["imported"]
-    assert here.as_json()["model"] == "small" and "size unknown" in here.plain()
-    known = entry(files=(HubFile("a", 10**6), HubFile("b", 10**6)))
-    assert known.size_text == "2 MB"
+    assert kept_folder(entry(), tmp_path) == folder
+    known = entry(files=(PublishedFile("a", 10**6), PublishedFile("b", 10**6)))
+    sizes = [entry().size_text, entry(about_megabytes=None).size_text, known.size_text]
+    assert sizes == ["about 5 MB", "size unknown", "2 MB"]
 
 
 def test_what_a_path_holds_is_told_by_its_name_or_asked(tmp_path: Path) -> None:
     clone = written(tmp_path / "small-model")
-    entries = (entry(), entry(name="one", repository="owner/one", files=(HubFile("one.pth"),)))
-    assert hub_weights_at(entries, clone, None) == entries[0]
+    entries = (entry(), entry(name="one", repository="owner/one", files=(PublishedFile("one.pth"),)))
+    assert weights_at(clone, None, entries) == entries[0]
     (tmp_path / "one.pth").touch()
-    assert hub_weights_at(entries, tmp_path / "one.pth", None) == entries[1]
-    assert hub_weights_at(entries, tmp_path / "VAD_tiny.pth", "vad-tiny") is None
-    assert hub_weights_at(entries, tmp_path / "VAD_tiny.pth", None) is None
-    assert hub_weights_at(entries, tmp_path, "small") == entries[0]
+    assert weights_at(tmp_path / "one.pth", None, entries) == entries[1]
+    assert weights_at(tmp_path / "VAD_tiny.pth", "vad-tiny", entries) is None
+    assert weights_at(tmp_path / "VAD_tiny.pth", None, entries) is None
+    assert weights_at(tmp_path, "small", entries) == entries[0]
     with pytest.raises(InputError, match=r"say which weights .* holds with --model, one of small, one"):
-        hub_weights_at(entries, tmp_path, None)
+        weights_at(tmp_path, None, entries)
 
 
 def test_names_that_leave_the_folder_are_a_mistake_of_the_program() -> None:
     for name in ("../a", "/a", "", "a/../../b"):
         with pytest.raises(ValueError, match="not a file inside"):
-            entry(files=(HubFile(name),))
+            entry(files=(PublishedFile(name),))
 
 
 def test_the_weights_of_quality_are_complete() -> None:
-    assert len({weights.name for weights in QUALITY_WEIGHTS}) == len(QUALITY_WEIGHTS) == 4
     assert [weights.name for weights in needed_for("boxes")] == ["dino-vitb16", "musiq-spaq"]
-    assert set(needed_for("grounded-sam2")) == set(QUALITY_WEIGHTS)
-    for weights in QUALITY_WEIGHTS:
-        assert weights.licence and weights.address.startswith("https://") and weights.revision != "main"
+    assert len({weights.name for weights in FOLDERS}) == len(FOLDERS)
+    for weights in needed_for("grounded-sam2"):
+        assert weights in FOLDERS and weights.revision != "main"
+    for weights in FOLDERS:
+        assert weights.licence and weights.address.startswith("https://") and weights.is_folder
         assert all(weights.url(file).startswith("https://") for file in weights.files)
+
+
+def test_folders_of_the_hub_come_by_its_own_client_and_are_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def snapshot(repository: str, *, revision: str, allow_patterns: list[str], local_dir: Path) -> None:
+        asked.append({"repository": repository, "revision": revision, "names": allow_patterns})
+        for name in allow_patterns:
+            (local_dir / name).parent.mkdir(parents=True, exist_ok=True)
+            (local_dir / name).write_bytes(CONTENT[name])
+        (local_dir / ".cache" / "huggingface").mkdir(parents=True)
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", snapshot)
+    wrong = (PublishedFile("config.json", sha256="00000000"), PublishedFile("parts/model.bin"))
+    with pytest.raises(InputError, match="its SHA-256 differs"):
+        fetch_folder(entry(None, files=wrong), tmp_path)
+    assert kept_folder(entry(None), tmp_path) is None
+    folder = fetch_folder(entry(None), tmp_path)
+    assert asked[-1] == {"repository": "owner/small-model", "revision": "abc", "names": list(CONTENT)}
+    assert sorted(path.name for path in folder.rglob("*")) == ["config.json", "model.bin", "parts"]
+    assert fetch_folder(entry(None), tmp_path) == folder and len(asked) == 2
+
+
+def test_a_hub_out_of_reach_and_an_absent_client_are_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreachable(*_: Any, **__: Any) -> None:
+        raise OSError("no route to host\nand much more")
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", unreachable)
+    with pytest.raises(InputError, match=r"cannot fetch https://page \(no route to host\); get config\.json, "):
+        fetch_folder(entry(None), tmp_path)
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    with pytest.raises(InputError, match=r"needs the package huggingface_hub; .*'challenger-bench\[quality\]'"):
+        fetch_folder(entry(None), tmp_path)

@@ -1,17 +1,21 @@
-"""The packaged miniatures: they load, drive, look at the images, are small, and say where they come from."""
+"""The table of planners; its miniatures load, drive, look at the images, are small, and say where they come from."""
 
+import inspect
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from adapters.checkpoints.cache import read_provenance, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.miniatures import EMBEDDED_DATA, MINIATURES, PACKAGED, miniature, planner_of, stand_in
-from adapters.registry import MINIATURES as REGISTERED
+from adapters.checkpoints.loading import planner_of, stand_in
+from adapters.models import MODELS, baselines, miniature, miniatures, published_as, published_models, resolve
 from adapters.registry import planner, planner_factory
 from adapters.training.plan_figures import Images, shown
 from benchmark.api import model_on
@@ -19,6 +23,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
+from benchmark.machine.workspace import EMBEDDED
 from benchmark.planning import SceneInfo
 from generation.sources.mini import TownSettings, build_town
 
@@ -61,7 +66,63 @@ def plans(name: str, data: NuScenesData, images: Images, samples: int = SAMPLES)
     return np.array(found), np.array(driven)
 
 
-@pytest.mark.parametrize("name", MINIATURES)
+def references(value: Any) -> Iterator[str]:
+    """All that an entry names as ``module:attribute``."""
+    if isinstance(value, str) and ":" in value:
+        yield value
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from references(getattr(value, field.name))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_everything_that_the_table_names_is_there(name: str) -> None:
+    found = list(references(MODELS[name]))
+    assert found and all(callable(resolve(reference)) for reference in found)
+
+
+def test_reading_the_table_imports_no_network() -> None:
+    program = (
+        "import sys, adapters.models; print([name for name in sys.modules if name == 'torch' or "
+        "name.startswith('adapters.') and name != 'adapters.models'])"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
+
+
+def test_no_planner_reads_the_table() -> None:
+    """What a plan depends on is followed from its planner's class; of the table nothing may be among it."""
+    for model in MODELS.values():
+        assert "adapters.models" not in inspect.getsource(resolve(model.planner)), model.name
+        assert not hasattr(sys.modules[model.planner.partition(":")[0]], "MODELS")
+
+
+def test_the_own_entry_counts_and_where_things_are_defined_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = miniature("vad-mini")
+    before = planner_factory("vad-mini").facts.code_sha256
+    moved = replace(model.net, build="adapters.networks.vad.elsewhere:VAD", config="elsewhere:VADConfig.miniature")
+    assert replace(model, network=moved, published_as="VAD").identity == model.identity
+    another = replace(model, network=replace(model.net, config="adapters.networks.vad.config:VADConfig.tiny"))
+    assert another.identity != model.identity
+    monkeypatch.setitem(MODELS, "vad-tiny", replace(MODELS["vad-tiny"], blind=True))
+    assert planner_factory("vad-mini").facts.code_sha256 == before
+
+
+def test_kinds_of_planners_are_told_apart() -> None:
+    kinds = (*baselines(), *published_models(), *miniatures())
+    assert len(set(kinds)) == len(kinds)
+    assert set(MODELS) - set(kinds) == {"vad", "uniad-unoptimised", "uniad-ipopt"}
+    assert MODELS["vad"].name == "vad-base" and published_as("VAD") == "VAD"
+    assert {name: published_as(name) for name in ("UniAD", "vad-tiny", "uniad-mini", "mine")} == {
+        "UniAD": "UniAD",
+        "vad-tiny": None,
+        "uniad-mini": None,
+        "mine": None,
+    }
+    assert {name for name, model in MODELS.items() if model.blind} == set(baselines())
+
+
+@pytest.mark.parametrize("name", miniatures())
 def test_it_drives_and_looks_at_the_images(town: NuScenesData, name: str) -> None:
     own, driven = plans(name, town, Images.OWN)
     again, _ = plans(name, town, Images.OWN, samples=2)
@@ -75,17 +136,18 @@ def test_it_drives_and_looks_at_the_images(town: NuScenesData, name: str) -> Non
         assert np.linalg.norm(others - driven, axis=-1)[:, -1].mean() > error_m + 0.1
 
 
-@pytest.mark.parametrize("name", MINIATURES)
+@pytest.mark.parametrize("name", miniatures())
 def test_it_says_what_it_is(name: str) -> None:
     small = miniature(name)
     driver = planner(name)
     assert driver.name == name and driver.native_protocol == NATIVE[name]  # type: ignore[attr-defined]
     assert read_provenance(small.packaged).model == name
     facts = planner_factory(name).facts
+    assert facts.miniature and facts.published_as is None and facts.native_protocol == NATIVE[name]
     assert facts.name == name and facts.weights_sha256 == file_sha256(small.packaged)
 
 
-@pytest.mark.parametrize("name", MINIATURES)
+@pytest.mark.parametrize("name", miniatures())
 def test_facts_and_card_are_of_this_file(name: str) -> None:
     path = miniature(name).packaged
     facts, card = json.loads(path.with_suffix(".json").read_text()), path.with_suffix(".md").read_text()
@@ -105,10 +167,7 @@ def test_facts_and_card_are_of_this_file(name: str) -> None:
 
 
 def test_all_together_are_small() -> None:
-    assert sum(miniature(name).packaged.stat().st_size for name in MINIATURES) <= MOST_BYTES
-    assert set(REGISTERED) == set(MINIATURES) and all(
-        small.packaged.parent == PACKAGED for small in MINIATURES.values()
-    )
+    assert sum(miniature(name).packaged.stat().st_size for name in miniatures()) <= MOST_BYTES
 
 
 @pytest.mark.parametrize(
@@ -123,10 +182,10 @@ def test_all_together_are_small() -> None:
     ],
 )
 def test_it_stands_in_for_the_full_model_on_the_embedded_data_only(full: str, small: str, tmp_path: Path) -> None:
-    assert stand_in(full, None, EMBEDDED_DATA) == small
+    assert stand_in(full, None, EMBEDDED) == small
     assert stand_in(full, None, "nuscenes") == full
-    assert stand_in(full, tmp_path / "weights.pth", EMBEDDED_DATA) == full
-    assert stand_in("idm", None, EMBEDDED_DATA) == "idm" and stand_in(small, None, EMBEDDED_DATA) == small
+    assert stand_in(full, tmp_path / "weights.pth", EMBEDDED) == full
+    assert stand_in("idm", None, EMBEDDED) == "idm" and stand_in(small, None, EMBEDDED) == small
 
 
 def test_imported_weights_of_the_full_model_go_first(tmp_path: Path) -> None:
@@ -135,7 +194,7 @@ def test_imported_weights_of_the_full_model_go_first(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     provenance = read_provenance(miniature("vad-mini").packaged).model_copy(update={"model": "vad-tiny"})
     write_weights(folder / "vad-x.safetensors", {}, provenance)
-    assert stand_in("vad-tiny", None, EMBEDDED_DATA) == "vad-tiny"
+    assert stand_in("vad-tiny", None, EMBEDDED) == "vad-tiny"
 
 
 def test_missing_weights_are_a_sentence_that_names_the_miniature() -> None:
@@ -146,13 +205,13 @@ def test_missing_weights_are_a_sentence_that_names_the_miniature() -> None:
 def test_a_miniature_without_its_file_and_with_another_is_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("adapters.miniatures.PACKAGED", tmp_path)
+    monkeypatch.setattr("adapters.models.PACKAGED", tmp_path)
     with pytest.raises(InputError, match="not in this installation; train them with"):
-        planner_of("vad-mini", None)
-    assert stand_in("vad", None, EMBEDDED_DATA) == "vad"
+        planner_of(miniature("vad-mini"))
+    assert stand_in("vad", None, EMBEDDED) == "vad"
     monkeypatch.undo()
     with pytest.raises(InputError, match=r"holds the weights of vad-mini, not of uniad-mini"):
-        planner_of("uniad-mini", miniature("vad-mini").packaged)
+        planner_of(miniature("uniad-mini"), miniature("vad-mini").packaged)
     with pytest.raises(InputError, match="'nonsense' is no miniature; those are uniad-mini"):
         miniature("nonsense")
 
@@ -163,7 +222,7 @@ def test_a_miniature_is_a_value() -> None:
 
 
 def test_the_command_says_which_model_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert model_on(EMBEDDED_DATA, "vad", None) == "vad-mini"
+    assert model_on(EMBEDDED, "vad", None) == "vad-mini"
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")
-    assert model_on(EMBEDDED_DATA, "vad-mini", None) == "vad-mini" and capsys.readouterr().err == ""
+    assert model_on(EMBEDDED, "vad-mini", None) == "vad-mini" and capsys.readouterr().err == ""

@@ -1,0 +1,86 @@
+"""Planners of the table with their weights: the network is built, filled, and put under test."""
+
+from pathlib import Path
+from typing import Any
+
+from adapters.camera_inputs import normalisation_of
+from adapters.checkpoints.cache import cached_weights, load_weights, read_shapes, weights_folder
+from adapters.checkpoints.importing import resolve_checkpoint
+from adapters.models import MODELS, Model, miniatures, resolve
+from adapters.planner import NativePlanner
+from benchmark.errors import InputError
+from benchmark.machine.devices import Precision
+from benchmark.machine.storage import file_sha256
+from benchmark.machine.workspace import EMBEDDED
+
+
+def planner_of(
+    model: Model,
+    checkpoint: Path | None = None,
+    seed: int = 0,
+    device: str = "auto",
+    precision: Precision = "float32",
+) -> NativePlanner[Any]:
+    """A network under test.
+
+    Args:
+        model: Its entry in the table.
+        checkpoint: Its weights (`resolve_checkpoint`); without, those of this package for a miniature, and what has
+            been imported for the others.
+        seed: Of the noise, where there is some.
+        device: See `adapters.planner.NativePlanner`.
+        precision: See there.
+
+    Returns:
+        The planner.
+
+    Raises:
+        InputError: If the weights are absent, broken or of another model, or a package is absent.
+    """
+    if model.requires is not None:
+        resolve(model.requires)()
+    path = _weights_file(model, checkpoint)
+    network = model.build(read_shapes(path) if model.net.fitted else None, seed=seed)
+    provenance = load_weights(network, path)
+    made: NativePlanner[Any] = resolve(model.planner)(
+        network,
+        name=model.name,
+        normalisation=normalisation_of(provenance.normalisation),
+        weights_sha256=file_sha256(path),
+        settings={"weights": provenance.model_dump(mode="json")},
+        native_protocol=model.native_protocol,
+        device=device,
+        precision=precision,
+    )
+    return made
+
+
+def stand_in(name: str, checkpoint: Path | None, data_name: str) -> str:
+    """The model that really runs: a miniature where it may stand in for a full one.
+
+    Args:
+        name: The model that was asked for.
+        checkpoint: Its weights, if any were named.
+        data_name: Name of the data set.
+
+    Returns:
+        The name of a miniature on the embedded data set if the full model has no weights; else ``name``.
+    """
+    if checkpoint is not None or data_name != EMBEDDED or name not in MODELS:
+        return name
+    full = MODELS[name].name
+    small = next((each for each in miniatures().values() if full in each.small.stands_for), None)
+    if small is None or not small.packaged.is_file():
+        return name
+    return name if cached_weights(weights_folder(), full) else small.name
+
+
+def _weights_file(model: Model, checkpoint: Path | None) -> Path:
+    if model.miniature is None or checkpoint is not None:
+        return resolve_checkpoint(model.weights or model.name, checkpoint)
+    if not model.packaged.is_file():
+        raise InputError(
+            f"the weights of {model.name} are not in this installation; train them with: challenger-bench train "
+            f"planner --model {model.name}, and give the file with --checkpoint"
+        )
+    return resolve_checkpoint(model.name, model.packaged)

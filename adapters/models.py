@@ -1,0 +1,345 @@
+"""The table of planners: what each built-in one is, where it is defined, and what its weights and its paper are called.
+
+One entry a planner; evaluation, training, verification, imports of checkpoints and the speed figures all go through it.
+Everything is named as ``module:attribute`` and imported when it is asked for (`resolve`), so that reading the table
+imports no network. A new model of a known family is one entry; a new family is a folder in `adapters.networks` and an
+entry.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.errors import InputError
+
+PACKAGED: Final = Path(__file__).parent / "weights"
+"""Folder of the weights that come with this package."""
+MOTION_ANCHORS: Final = "motion_head.anchors"
+"""UniAD's typical forecasts, (groups, modes, steps, 2) metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """A network and what is known of its official code; variants of a family replace a few of these.
+
+    Attributes:
+        build: Its class, which is given a configuration.
+        config: Makes the configuration.
+        example: Makes inputs of one key frame of a configuration, the same every time, on the processor.
+        published_normalisation: What the official weights were trained with (`adapters.camera_inputs.NORMALISATIONS`).
+        settings: What else `build` is given.
+        fitted: Whether `config` is given the shapes of a checkpoint's tensors by name, where official files differ.
+        seeded: Whether `build` is given the seed of the run.
+        verify: Compares it with numbers of its official code (`adapters.verification.models`).
+        renamed: Patterns and replacements for tensor names that official files have under an older name.
+        ignored: Patterns of tensor names that official files may have and the network does not need.
+        anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
+            (`adapters.checkpoints.motion_anchors`).
+        clustered: Whether its queries start from cluster centres of a data set (`adapters.checkpoints.anchor_files`).
+    """
+
+    build: str
+    config: str
+    example: str = ""
+    published_normalisation: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    fitted: bool = False
+    seeded: bool = False
+    verify: str | None = None
+    renamed: tuple[tuple[str, str], ...] = ()
+    ignored: tuple[str, ...] = ()
+    anchors: str | None = None
+    clustered: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Miniature:
+    """What a small network whose weights come with this package stands for, and how it is trained.
+
+    Attributes:
+        stands_for: Full models in whose place it runs on the embedded data set where their weights are absent.
+        untrained: Makes the network as training starts, of a configuration, frames of the training data and a seed.
+        phases: Makes the parts of its training, one after the other.
+        renamed: Brings weights that its training may start from under its own names.
+    """
+
+    stands_for: tuple[str, ...]
+    untrained: str
+    phases: str
+    renamed: str = "builtins:dict"
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """One planner.
+
+    Attributes:
+        name: Shown in tables.
+        planner: Its class; that of a network is given the network and where its weights come from.
+        network: What plans, if it is a network that is written here natively.
+        weights: Published weights that it has (`benchmark.weights.catalogue`); variants share those of another.
+        miniature: Set where it is a small network whose weights come with this package.
+        published_as: What the paper calls it; the paper does not say which VAD it ran, whose larger one is the usual.
+        native_protocol: Protocol of the repository that it comes from.
+        blind: Whether it looks at no image, so that nothing needs to be drawn for it.
+        requires: Raises `InputError` where a package is absent that it needs.
+    """
+
+    name: str
+    planner: str
+    network: Network | None = None
+    weights: str | None = None
+    miniature: Miniature | None = None
+    published_as: str | None = None
+    native_protocol: str | None = None
+    blind: bool = False
+    requires: str | None = None
+
+    @property
+    def packaged(self) -> Path:
+        """File of the weights that come with this package."""
+        return PACKAGED / f"{self.name}.safetensors"
+
+    @property
+    def net(self) -> Network:
+        """Its network; only networks have weights, are trained, imported and verified."""
+        assert self.network is not None, f"{self.name} is no network"
+        return self.network
+
+    @property
+    def small(self) -> Miniature:
+        """What it is as a miniature."""
+        assert self.miniature is not None, f"{self.name} is no miniature"
+        return self.miniature
+
+    @property
+    def identity(self) -> list[Any]:
+        """What of this entry plans depend on; where things are defined does not count, so that they may move."""
+        made = (self.planner, self.net.build, self.net.config)
+        return [*(reference.partition(":")[2] for reference in made), dict(self.net.settings), self.net.seeded]
+
+    def configuration(self, shapes: Mapping[str, Sequence[int]] | None = None) -> Any:
+        """Sizes of its network.
+
+        Args:
+            shapes: Of the tensors that the network is for, by name.
+
+        Returns:
+            What the network is built from.
+        """
+        make = resolve(self.net.config)
+        return make(shapes or {}) if self.net.fitted else make()
+
+    def build(self, shapes: Mapping[str, Sequence[int]] | None = None, *, seed: int = 0, device: str = "cpu") -> Any:
+        """Its network as it is evaluated, with random weights.
+
+        Args:
+            shapes: See `configuration`.
+            seed: Of the run.
+            device: Where it is made; ``meta`` needs no memory.
+
+        Returns:
+            A `torch.nn.Module`.
+        """
+        # Read before the device is set: constants of modules need memory whatever the network is built on.
+        make, config = resolve(self.net.build), self.configuration(shapes)
+        settings = {**self.net.settings, **({"seed": seed} if self.net.seeded else {})}
+        with import_module("torch").device(device):
+            return make(config, **settings)
+
+
+def resolve(reference: str) -> Any:
+    """What a text of the table names.
+
+    Args:
+        reference: ``module:attribute``, where attributes may have dots.
+
+    Returns:
+        The attribute, its module imported.
+    """
+    module, _, attribute = reference.partition(":")
+    return attrgetter(attribute)(import_module(module))
+
+
+def miniatures() -> dict[str, Model]:
+    """Small networks whose weights come with this package (docs/miniatures.md), by name."""
+    return _those(lambda model: model.miniature is not None)
+
+
+def published_models() -> dict[str, Model]:
+    """Networks that have published weights of their own (docs/models.md), by name."""
+    return _those(lambda model: model.weights == model.name)
+
+
+def baselines() -> dict[str, Model]:
+    """Planners that are no native networks, by name."""
+    return _those(lambda model: model.network is None)
+
+
+def published_model(name: str) -> Model:
+    """A network with published weights by name; raises `InputError` if there is none."""
+    known = published_models()
+    if name not in known:
+        raise InputError(f"{name!r} is no model with weights; those are {', '.join(known)}")
+    return known[name]
+
+
+def miniature(name: str) -> Model:
+    """A miniature by name; raises `InputError` if there is none."""
+    known = miniatures()
+    if name not in known:
+        raise InputError(f"{name!r} is no miniature; those are {', '.join(known)}")
+    return known[name]
+
+
+def published_as(planner: str) -> str | None:
+    """What the paper calls a planner of this name, whoever runs it; ``None`` if it did not run it."""
+    model = MODELS.get(planner.lower())
+    return None if model is None else model.published_as
+
+
+def _those(kind: Callable[[Model], bool]) -> dict[str, Model]:
+    return {name: model for name, model in MODELS.items() if name == model.name and kind(model)}
+
+
+_VAD: Final = Network(
+    build="adapters.networks.vad.model:VAD",
+    config="adapters.networks.vad.config:VADConfig.base",
+    example="adapters.networks.vad.planner:example_frame",
+    published_normalisation="bgr-mean",
+    verify="adapters.verification.vad:verify_vad",
+)
+_SPARSE: Final = Network(
+    build="adapters.networks.sparse.model:SparseDrive",
+    config="adapters.networks.sparse.config:SparseConfig.sparsedrive",
+    example="adapters.networks.sparse.planner:example_frame",
+    published_normalisation="rgb-mean-std",
+    verify="adapters.verification.sparse:verify_sparse",
+    clustered=True,
+)
+_DIFFUSION: Final = replace(
+    _SPARSE,
+    build="adapters.networks.sparse.model:DiffusionDrive",
+    config="adapters.networks.sparse.config:SparseConfig.diffusiondrive",
+)
+_UNIAD: Final = Network(
+    build="adapters.networks.uniad.model:UniAD",
+    config="adapters.networks.uniad.config:UniADConfig.base_of",
+    example="adapters.networks.uniad.planner:example_frame",
+    published_normalisation="bgr-mean",
+    settings={"solver": "newton", "stores_anchors": True},
+    fitted=True,
+    verify="adapters.verification.uniad:verify_uniad",
+    renamed=((r"\.conv(\d)_offset\.", r".conv\1.conv_offset."),),
+    # Left over from a rewrite of the official code, whose authors say that nothing reads them.
+    ignored=(
+        r"^bbox_size_fc\.",
+        r"^pts_bbox_head\.query_embedding\.",
+        r"^pts_bbox_head\.transformer\.reference_points\.",
+    ),
+    anchors=MOTION_ANCHORS,
+)
+_VAD_PLANNER: Final = "adapters.networks.vad.planner:VADPlanner"
+_SPARSE_PLANNER: Final = "adapters.networks.sparse.planner:SparsePlanner"
+_UNIAD_PLANNER: Final = "adapters.networks.uniad.planner:UniADPlanner"
+_VAD_BASE: Final = Model("vad-base", _VAD_PLANNER, _VAD, weights="vad-base", published_as="VAD", native_protocol="vad")
+_BASELINES: Final = (
+    Model("constant-velocity", "adapters.baselines.constant_velocity:ConstantVelocity", blind=True),
+    Model("log-replay", "adapters.baselines.log_replay:LogReplay", blind=True),
+    Model("idm", "adapters.baselines.idm:IntelligentDriver", blind=True),
+    Model("ego-status", "adapters.baselines.ego_status:EgoStatus", blind=True),
+)
+_PUBLISHED: Final = (
+    Model(
+        "vad-tiny",
+        _VAD_PLANNER,
+        replace(_VAD, config="adapters.networks.vad.config:VADConfig.tiny"),
+        weights="vad-tiny",
+        native_protocol="vad",
+    ),
+    _VAD_BASE,
+    Model(
+        "sparsedrive",
+        _SPARSE_PLANNER,
+        _SPARSE,
+        weights="sparsedrive",
+        published_as="SparseDrive",
+        native_protocol="sparsedrive",
+    ),
+    Model(
+        "diffusiondrive",
+        _SPARSE_PLANNER,
+        replace(_DIFFUSION, seeded=True),
+        weights="diffusiondrive",
+        published_as="DiffusionDrive",
+        native_protocol="diffusiondrive",
+    ),
+    Model("uniad", _UNIAD_PLANNER, _UNIAD, weights="uniad", published_as="UniAD", native_protocol="uniad"),
+    Model(
+        "uniad-unoptimised",
+        _UNIAD_PLANNER,
+        replace(_UNIAD, settings={"solver": None, "stores_anchors": True}),
+        weights="uniad",
+        native_protocol="uniad",
+    ),
+    Model(
+        "uniad-ipopt",
+        _UNIAD_PLANNER,
+        replace(_UNIAD, settings={"solver": "ipopt", "stores_anchors": True}),
+        weights="uniad",
+        native_protocol="uniad",
+        requires="adapters.networks.uniad.collision_solvers:require_casadi",
+    ),
+)
+_MINIATURES: Final = (
+    Model(
+        "uniad-mini",
+        _UNIAD_PLANNER,
+        replace(_UNIAD, config="adapters.networks.uniad.config:UniADConfig.miniature", fitted=False),
+        miniature=Miniature(
+            ("uniad",), "adapters.training.uniad.start:untrained", "adapters.training.uniad.objective:phases"
+        ),
+        native_protocol="uniad",
+    ),
+    Model(
+        "vad-mini",
+        _VAD_PLANNER,
+        replace(_VAD, config="adapters.networks.vad.config:VADConfig.miniature"),
+        miniature=Miniature(
+            ("vad-tiny", "vad-base"), "adapters.training.vad.start:untrained", "adapters.training.vad.objective:phases"
+        ),
+        native_protocol="vad",
+    ),
+    Model(
+        "sparsedrive-mini",
+        _SPARSE_PLANNER,
+        replace(_SPARSE, config="adapters.networks.sparse.config:SparseConfig.miniature"),
+        miniature=Miniature(
+            ("sparsedrive",),
+            "adapters.training.sparse.start:untrained",
+            "adapters.training.sparse.objective:phases",
+        ),
+        native_protocol="sparsedrive",
+    ),
+    Model(
+        "diffusiondrive-mini",
+        _SPARSE_PLANNER,
+        replace(_DIFFUSION, config="adapters.networks.sparse.config:SparseConfig.miniature"),
+        miniature=Miniature(
+            ("diffusiondrive",),
+            "adapters.training.sparse.start:untrained_diffusion",
+            "adapters.training.sparse.objective:diffusion_phases",
+            "adapters.training.sparse.start:planned_from",
+        ),
+        native_protocol="diffusiondrive",
+    ),
+)
+MODELS: Final = {
+    **{model.name: model for model in _BASELINES},
+    "vad": _VAD_BASE,
+    **{model.name: model for model in (*_PUBLISHED, *_MINIATURES)},
+}
+"""All built-in planners by what ``--model`` takes; ``vad`` is short for ``vad-base``."""

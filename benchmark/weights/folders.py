@@ -1,0 +1,204 @@
+"""Weights that are kept as they come: folders of published files, fetched, imported or given by the user.
+
+Models that other libraries load (transformers, diffusers) want a folder with a configuration beside the tensors. It
+lies in the cache under ``weights/hub/NAME``, or wherever the user says. Nothing in such a folder is a pickle unless
+its entry names one, and who reads that reads it without running anything in it.
+"""
+
+import hashlib
+import shutil
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, only_writer, writing_to
+from benchmark.machine.workspace import cache_root
+from benchmark.weights.catalogue import FOLDERS, PublishedWeights
+from benchmark.weights.fetch import fetch_files, require_published
+
+_READ_WHOLE_BYTES: Final = 1 << 22
+_BLOCK_BYTES: Final = 1 << 18
+_BLOCKS: Final = 16
+
+
+def hub_folder(cache: Path | None = None) -> Path:
+    """Where folders of weights are kept.
+
+    Args:
+        cache: Folder of all weights; the user's by default.
+
+    Returns:
+        A folder that need not exist.
+    """
+    return (cache or cache_root() / "weights") / "hub"
+
+
+def missing_in(folder: Path, weights: PublishedWeights) -> tuple[str, ...]:
+    """Names of the files of published weights that a folder lacks."""
+    return tuple(file.name for file in weights.files if not (folder / file.name).is_file())
+
+
+def kept_folder(weights: PublishedWeights, cache: Path | None = None) -> Path | None:
+    """Where weights lie in the cache; ``None`` if they are not there, or not all of them."""
+    place = hub_folder(cache) / weights.name
+    return None if missing_in(place, weights) else place
+
+
+def folder_of(weights: PublishedWeights, given: Path | None, cache: Path | None = None) -> Path:
+    """The folder in which weights lie.
+
+    Args:
+        weights: Which.
+        given: What the user says: their folder, or one that holds it under their name here or in the hub; or ``None``
+            for the cache.
+        cache: Folder of all weights; the user's by default.
+
+    Returns:
+        A folder with every file that is needed.
+
+    Raises:
+        InputError: If there is none: what to get, where, how big, and with which command.
+    """
+    places = [hub_folder(cache) / weights.name]
+    if given is not None:
+        places = [given / weights.name, given / PurePosixPath(weights.repository).name, given]
+    for place in places:
+        if not missing_in(place, weights):
+            return place
+    started = next((place for place in places if any((place / file.name).is_file() for file in weights.files)), None)
+    lacks = "" if started is None else f" ({started} lacks {', '.join(missing_in(started, weights))})"
+    where = "" if given is None else f" in {given}"
+    raise InputError(
+        f"there are no weights {weights.name}{where}{lacks}, which {weights.used_by} needs; get {weights.names} "
+        f"({weights.size_text}) from {weights.address} and run: challenger-bench weights import FOLDER --model "
+        f"{weights.name}, or on a machine with internet: challenger-bench weights fetch {weights.name}"
+    )
+
+
+def fetch_folder(weights: PublishedWeights, cache: Path | None = None) -> Path:
+    """Fetch weights from the internet into the cache; the same command goes on where it broke off.
+
+    Args:
+        weights: Which.
+        cache: Folder of all weights; the user's by default.
+
+    Returns:
+        Their folder, which is there whole or not at all.
+
+    Raises:
+        InputError: If a file cannot be fetched or is not the published one.
+    """
+    target = hub_folder(cache) / weights.name
+    if not missing_in(target, weights):
+        return target
+    folder = hub_folder(cache) / f".fetching-{weights.name}"
+    with only_writer(folder):
+        fetch_files(weights, folder)
+        _put_in_place(folder, target)
+    return target
+
+
+def import_folder(weights: PublishedWeights, path: Path, cache: Path | None = None) -> Path:
+    """Copy weights that the user has into the cache, checked as far as anything is known of them.
+
+    Args:
+        weights: Which.
+        path: Their folder; where they are one file, that file is enough.
+        cache: Folder of all weights; the user's by default.
+
+    Returns:
+        Their folder in the cache.
+
+    Raises:
+        InputError: If a file is missing, has another size or hash than the published one, or cannot be copied.
+    """
+    source = path.parent if path.is_file() and [path.name] == [file.name for file in weights.files] else path
+    if not source.is_dir():
+        raise InputError(f"there is no folder {path}; give the one that holds {weights.names}")
+    missing = missing_in(source, weights)
+    if missing:
+        raise InputError(f"{source} lacks {', '.join(missing)} of {weights.name}; get them from {weights.address}")
+    target, folder = hub_folder(cache) / weights.name, hub_folder(cache) / f".importing-{weights.name}"
+    if target.is_dir() and target.resolve() == source.resolve():
+        raise InputError(f"{source} is where {weights.name} is kept already; there is nothing to import")
+    for file in weights.files:
+        require_published(weights, file, source / file.name)
+    with only_writer(folder):
+        for file in weights.files:
+            with writing_to(folder / file.name):
+                (folder / file.name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source / file.name, folder / file.name)
+        _put_in_place(folder, target)
+    return target
+
+
+def weights_at(
+    path: Path, name: str | None, entries: tuple[PublishedWeights, ...] = FOLDERS
+) -> PublishedWeights | None:
+    """Which weights a user means.
+
+    Args:
+        path: A folder, or the one file of weights that are one file.
+        name: What the user calls them, or ``None`` to go by names of folder and files.
+        entries: All weights that are kept as folders.
+
+    Returns:
+        The weights, or ``None`` if these are others than folders of published files.
+
+    Raises:
+        InputError: If the path is a folder and does not tell which weights it holds.
+    """
+    if name is not None:
+        return next((entry for entry in entries if entry.name == name), None)
+    if path.is_file():
+        return next((entry for entry in entries if [file.name for file in entry.files] == [path.name]), None)
+    if not path.is_dir():
+        return None
+    named = [entry for entry in entries if path.name in (entry.name, PurePosixPath(entry.repository).name)]
+    if len(named) != 1:
+        known = ", ".join(entry.name for entry in entries)
+        raise InputError(f"say which weights {path} holds with --model, one of {known}")
+    return named[0]
+
+
+def content_hash(weights: PublishedWeights, folder: Path) -> str:
+    """A hash for records that tells weights apart without reading gigabytes.
+
+    Args:
+        weights: Which.
+        folder: Where they lie (`folder_of`).
+
+    Returns:
+        64 hexadecimal digits: of names, sizes, small files whole, and of large ones sixteen blocks of 256 KiB spread
+        evenly from the first byte to the last.
+
+    Raises:
+        InputError: If a file cannot be read.
+    """
+    found = hashlib.sha256()
+    for file in sorted(weights.files, key=lambda file: file.name):
+        path = folder / file.name
+        try:
+            size = path.stat().st_size
+            found.update(canonical_json([file.name, size]).encode())
+            with path.open("rb") as stream:
+                if size <= _READ_WHOLE_BYTES:
+                    found.update(stream.read())
+                    continue
+                for block in range(_BLOCKS):
+                    stream.seek((size - _BLOCK_BYTES) * block // (_BLOCKS - 1))
+                    found.update(stream.read(_BLOCK_BYTES))
+        except OSError as error:
+            raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return found.hexdigest()
+
+
+def _put_in_place(folder: Path, target: Path) -> None:
+    """A folder becomes the kept one; the old one goes only when the new one is complete."""
+    old = target.with_name(f".old-{target.name}")
+    with writing_to(target):
+        shutil.rmtree(old, ignore_errors=True)
+        if target.exists():
+            target.replace(old)
+        folder.replace(target)
+        shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,88 @@
+"""Tensors with facts about them: one safetensors file, whose header holds the facts as JSON."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import safetensors
+import safetensors.torch
+import torch
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, write_bytes
+
+FACTS: Final = "challenger-bench"
+"""Name of the header's entry, if a kind of file has none of its own."""
+_BROKEN: Final = (OSError, ValueError, safetensors.SafetensorError)
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: Any, *, entry: str = FACTS) -> None:
+    """Write tensors and facts, whole or not at all; the same content gives the same bytes.
+
+    Args:
+        path: A .safetensors file.
+        tensors: By name, on any device.
+        facts: JSON values; one entry of the header, because the order of several is not fixed.
+        entry: Its name, which tells kinds of files apart.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    # Each on its own: safetensors refuses tensors that share memory, as slices of one storage do.
+    held = {
+        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
+    }
+    write_bytes(path, safetensors.torch.save(held, {entry: canonical_json(facts)}))
+
+
+def read_tensors(
+    path: Path, *, entry: str = FACTS, what: str = "weights from ", instead: str = "fetch or make the file again"
+) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read what `write_tensors` wrote, or any other safetensors file.
+
+    Args:
+        path: A .safetensors file.
+        entry: Name of the header's entry with the facts.
+        what: What the file would hold, for the message.
+        instead: What to do if it is broken, for the message.
+
+    Returns:
+        Tensors by name; the facts, none where there is no such entry.
+
+    Raises:
+        InputError: If it is absent or broken.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as stream:
+            tensors = {name: stream.get_tensor(name) for name in sorted(stream.keys())}
+            return tensors, _facts(stream, entry)
+    except _BROKEN as error:
+        raise InputError(f"cannot read {what}{path} ({error}); {instead}") from error
+
+
+def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]], dict[str, Any]]:
+    """What a file of weights says of itself; the tensors are not read.
+
+    Args:
+        path: A .safetensors file.
+        instead: What to do if it is broken, for the message.
+
+    Returns:
+        Shapes by name; the facts.
+
+    Raises:
+        InputError: If it is absent or broken.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as stream:
+            shapes = {name: tuple(stream.get_slice(name).get_shape()) for name in list(stream.keys())}
+            return shapes, _facts(stream, FACTS)
+    except _BROKEN as error:
+        raise InputError(f"cannot read weights from {path} ({error}); {instead}") from error
+
+
+def _facts(stream: Any, entry: str) -> dict[str, Any]:
+    facts = json.loads((stream.metadata() or {}).get(entry, "null"))
+    return facts if isinstance(facts, dict) else {}
