@@ -63,6 +63,7 @@ def demo_command(
         renderer=api.schematic_renderer(),
         frames="keyframes",
         executor=LocalProcesses(processes),
+        keep_rounds=True,
     )
     tell("2/4 generating adversarial scenes")
     report = api.build_split(source, "adv", settings)
@@ -72,8 +73,8 @@ def demo_command(
     for split in ("val", "adv"):
         dataset = api.open_split(source, split, out, workers=workers)
         records += _evaluate_demo(dataset, split, space, processes)
-        sheet_settings = SheetSettings(workers=processes)
-        api.write_sheets(source, dataset, split, space.sheet_root(), sheet_settings, rounds=split == "adv")
+        sheet_settings = SheetSettings(workers=processes, rounds=split == "adv")
+        api.write_sheets(dataset, split, space.sheet_root(), sheet_settings)
     tell("4/4 writing the leaderboard")
     write_leaderboard(api.records_below(out, None), out / "leaderboard", sheets=find_sheets(space.sheet_root()))
     if json_output:

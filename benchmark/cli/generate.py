@@ -98,6 +98,9 @@ def generate_command(
     workers: WorkersOption = 0,
     executor: ExecutorOption = ExecutorName.LOCAL,
     address: AddressOption = None,
+    keep_rounds: Annotated[
+        bool, typer.Option("--keep-rounds", help="Keep what sheets --rounds shows, about half a megabyte a scene.")
+    ] = False,
     profile: Annotated[bool, typer.Option(help="Say where the time went, beside the paper's table.")] = False,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
@@ -155,6 +158,7 @@ def generate_command(
         executor=place,
         rendering=rendering,
         together=together,
+        keep_rounds=keep_rounds,
         dry_run=dry_run,
     )
     if photorealistic is not None:

@@ -1,7 +1,7 @@
 """Scene sheets on disk: their schema, and how they are read. Everything that is shown of a scene comes from here.
 
 ``<sheets>/<data set>/<split>/split.json`` is a `SplitSheet`; ``.../<split>/scenes/<scene>/`` holds ``sheet.json`` (a
-`Sheet`), pictures below ``cameras/`` and, for scenes whose search was traced, ``rounds.json`` (a `RefinementTrace`).
+`Sheet`), pictures below ``cameras/`` and, where the search kept its rounds, ``rounds.json`` (a `RefinementTrace`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,6 +18,8 @@ from benchmark.records.run_schema import DataFacts
 SCHEMA: Final = 1
 SHEET_FILE, ROUNDS_FILE, SPLIT_FILE = "sheet.json", "rounds.json", "split.json"
 SCENES_FOLDER: Final = "scenes"
+KEPT_ROUNDS_FOLDER: Final = "rounds"
+"""Below a generated root: a `RefinementTrace` for each scene, where the search kept its rounds."""
 CAMERA_GRID: Final = (
     ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"),
     ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"),
@@ -258,7 +260,7 @@ class StoredSheet:
     Attributes:
         directory: Of ``sheet.json``.
         sheet: The sheet.
-        rounds: The search for its adversary, if it was traced.
+        rounds: The search for its adversary, if its rounds were kept.
     """
 
     directory: Path
@@ -299,6 +301,11 @@ def split_folder(root: Path, data_name: str, split: str) -> Path:
 def scene_folder(root: Path, data_name: str, split: str, scene: str) -> Path:
     """Folder of a scene's sheet below the folder of all sheets."""
     return split_folder(root, data_name, split) / SCENES_FOLDER / file_name(scene)
+
+
+def kept_rounds_path(root: Path, scene: str) -> Path:
+    """Where a generated root has the rounds of the search for a scene's adversary, if they were kept."""
+    return root / KEPT_ROUNDS_FOLDER / f"{file_name(scene)}.json"
 
 
 def find_sheets(root: Path) -> Sheets:

@@ -222,15 +222,15 @@ def _make(job: Job, data: "DataSet", name: str, keyframes: Videos, sweeps: Video
         (folder / SHEET_FILE).unlink(missing_ok=True)
         if (folder / _PICTURES_FOLDER).exists():
             shutil.rmtree(folder / _PICTURES_FOLDER)
-        if not _fits(folder / ROUNDS_FILE, sheet):
+        if not rounds_fit(folder / ROUNDS_FILE, sheet):
             (folder / ROUNDS_FILE).unlink(missing_ok=True)
     sheet = sheet.model_copy(update=_write_pictures(job, folder, scene, keyframes, sweeps))
     write_json(folder / SHEET_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
     return sheet
 
 
-def _fits(path: Path, sheet: Sheet) -> bool:
-    """Whether the trace of a search can stay beside a new sheet; a damaged one would make the sheet unreadable."""
+def rounds_fit(path: Path, sheet: Sheet) -> bool:
+    """Whether the rounds of a search can stand beside a sheet; damaged ones would make the sheet unreadable."""
     try:
         trace = RefinementTrace.model_validate(read_kept_json(path))
     except ValidationError:

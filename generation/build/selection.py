@@ -107,5 +107,15 @@ def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]
         variant = seen.get(chain.scene_name, 0)
         seen[chain.scene_name] = variant + 1
         written_as = chain.scene_name if plan.layout == "per-variant" else chain.name
-        jobs.append(WritingJob(chain.name, written_as, chain.scene_name, variant, chain.adversarial, chain.report()))
+        jobs.append(
+            WritingJob(
+                chain.name,
+                written_as,
+                chain.scene_name,
+                variant,
+                chain.adversarial,
+                chain.report(),
+                last_attempt=(chain.links[-1].key, chain.last_place),
+            )
+        )
     return jobs

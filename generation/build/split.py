@@ -19,14 +19,13 @@ from generation.build.profile import runtime_table
 from generation.build.report import BuildReport
 from generation.build.selection import select
 from generation.build.surrogate import PlannerUnderTest
-from generation.build.writing import WritingJob, publish_reports, withdraw, write_scenes
+from generation.build.writing import WritingJob, publish_reports, publish_rounds, withdraw, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.render.contract import Renderer
 from generation.search.attempts import PackagedPrior, PriorFactory, Search, kept_attempt
 from generation.search.chains import Chain, Harvest, first_units, harvest
 from generation.search.hyperparameters import HyperParameters
-from generation.search.search_file import SEARCH_FILE, search_file
 
 Split = Literal["adv", "val-r"]
 
@@ -68,6 +67,7 @@ class BuildSettings:
         version: Version folder that is written.
         jpeg_quality: 1 to 100.
         lossless: Beside each JPEG file a PNG file of the same name.
+        keep_rounds: Whether the rounds of the search are kept for ``sheets --rounds``; of ``adv`` alone.
         dry_run: Only count the work.
     """
 
@@ -91,6 +91,7 @@ class BuildSettings:
     version: str = "v1.0-trainval"
     jpeg_quality: int = 92
     lossless: bool = False
+    keep_rounds: bool = False
     dry_run: bool = False
 
     def __post_init__(self) -> None:
@@ -182,7 +183,8 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
     """How much there is to do."""
     chosen = first_units(search, source, names, keep=False)
     units = [unit for _, of_scene in chosen for unit in of_scene]
-    left = [unit for unit in units if kept_attempt(search, unit) is None]
+    with_rounds = settings.keep_rounds and settings.adversaries == 1
+    left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
     not_tried: Counter[str] = Counter()
     for seen, _ in chosen:
         not_tried.update(seen.not_tried())
@@ -214,14 +216,21 @@ def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSet
 
 def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
     found = harvest(
-        search, source, names, settings.executor, adversaries=settings.adversaries, together=settings.together
+        search,
+        source,
+        names,
+        settings.executor,
+        adversaries=settings.adversaries,
+        together=settings.together,
+        keep_rounds=settings.keep_rounds,
     )
     plan = _plan(source, "adv", settings)
     chosen = select(source, plan, found, settings)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     written = tuple(job.name for job in chosen.jobs)
     report = BuildReport.of(len(names), found, written, said, settings.adversaries)
-    files = _report_files(report, found, chosen.chains) | {SEARCH_FILE: search_file(search)}
+    files = _report_files(report, found, chosen.chains)
+    files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     publish_reports(settings.out, files)
     if not written:
         withdraw(settings.out)
@@ -271,6 +280,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     """Render, write and finish a data set; returns the notes on how long rendering took."""
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
+    publish_rounds(plan, jobs, keys)
     finish_data_set(plan, keys)
     return [timing / f"{key}.timing.json" for key in keys]
 

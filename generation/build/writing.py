@@ -7,10 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.roots import variant_folders
-from benchmark.machine.storage import canonical_json, write_bytes, writing_to
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
+from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, write_scene
 from generation.nuscenes_writer.finish import PROVENANCE
@@ -29,6 +33,8 @@ class WritingJob:
         variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
         make: Turns the recorded scene into what is written.
         report: What ``challenger.json`` says of it.
+        last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
+            adversaries; ``None`` for a recording.
     """
 
     name: str
@@ -37,6 +43,7 @@ class WritingJob:
     variant: int
     make: Callable[[Scene], Scene]
     report: dict[str, Any]
+    last_attempt: tuple[str, int] | None = None
 
     def name_read(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
@@ -128,6 +135,50 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
         write_bytes(root / name, data)
 
 
+def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]) -> None:
+    """Put the kept rounds of written scenes where `benchmark.sheets` looks for them, and take those of others away.
+
+    Of a scene with several adversaries they are the last one's. A reader of the data set does not see them: they are no
+    part of its fingerprint.
+
+    Args:
+        plan: The data set.
+        jobs: Its scenes.
+        keys: What `write_scenes` returned for them.
+
+    Raises:
+        InputError: If kept rounds are damaged, or the disk refuses.
+    """
+    wanted = set()
+    for job, key in zip(jobs, keys, strict=True):
+        content = _rounds(plan, job, key)
+        if content is not None:
+            path = kept_rounds_path(plan.root, job.name_read(plan))
+            wanted.add(path)
+            if not path.is_file() or path.read_bytes() != content:
+                write_bytes(path, content)
+    for path in (plan.root / KEPT_ROUNDS_FOLDER).glob("*"):
+        if path not in wanted:
+            with writing_to(path):
+                path.unlink()
+
+
+def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
+    """The rounds of a scene's last adversary under the names of the data set, if they were kept."""
+    if job.last_attempt is None:
+        return None
+    attempt, place = job.last_attempt
+    path, fragment = plan.state / "rounds" / f"{attempt}.json", read_state(plan.fragment_path(key))
+    if fragment is None or not path.is_file():
+        return None
+    try:
+        trace = RefinementTrace.model_validate(read_json(path))
+    except ValidationError as error:
+        raise InputError(f"{path} is damaged; delete it and run the same challenger-bench generate again") from error
+    named = trace.model_copy(update={"scene": job.name_read(plan), "agent": fragment["adversaries"][place]})
+    return (canonical_json(named.model_dump(mode="json", by_alias=True)) + "\n").encode()
+
+
 def _leave_other_layout(plan: DataSetPlan) -> None:
     """Take away what an earlier build wrote in the other layout: whoever opens the folder would read that one."""
     if not plan.state.is_dir():
@@ -148,10 +199,13 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
 
 
 def unfinish(root: Path) -> None:
-    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build."""
-    for mark in _marks(root):
-        with writing_to(mark):
-            mark.unlink()
+    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build.
+
+    Rounds go with it: they belong to the search that the reports are about.
+    """
+    for path in (*_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
+        with writing_to(path):
+            path.unlink()
 
 
 def withdraw(root: Path) -> None:

@@ -5,28 +5,36 @@ Workers never open the data set: they are sent the scene that they work on.
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
+from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.scene import Scene
+from benchmark.sheets.motion import origin_of
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
 from generation.search.adversary import ALGORITHM_VERSION, Attempt, attempts_together
 from generation.search.eligibility import Survey, read_survey, survey
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Prior
+from generation.search.rounds import SHOWN_CANDIDATES
 from generation.search.verify import verify
 
 PriorFactory = Callable[[], Prior]
 """Gives the same prior in any process. Must be picklable."""
+TRACE_VERSION: Final = "1"
+"""Changes when the rounds of the same search would be written in another way."""
+SAME_M: Final = 1e-9
+"""How far a track that is searched again for its rounds may be from the one that was kept; radians for the heading."""
 _HASH: Final = "sha256"
 """Field of kept work that says what the others must hash to."""
 
@@ -119,6 +127,10 @@ class Search:
         """File of one finished attempt."""
         return self.state / "attempts" / f"{self.key(unit)}.json"
 
+    def rounds_path(self, unit: Unit) -> Path:
+        """File of the rounds of one kept attempt."""
+        return self.state / "rounds" / f"{self.key(unit)}.json"
+
     def timing_path(self, unit: Unit) -> Path:
         """File that says how long an attempt took; no result depends on it."""
         return self.state / "timing" / "attempts" / f"{self.key(unit)}.timing.json"
@@ -128,6 +140,35 @@ class Search:
         chain = [link.key for link in earlier]
         parts = ("survey", ALGORITHM_VERSION, self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
         return self.state / "surveys" / f"{content_key(*parts)}.json"
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything that decided the attempts of a build, for ``search.json``."""
+        return {
+            "algorithm": ALGORITHM_VERSION,
+            "source": self.fingerprint,
+            "seed": self.seed,
+            "prior": self.prior_fingerprint,
+            "sampler": asdict(self.prior.sampler) if isinstance(self.prior, PackagedPrior) else None,
+            "hyper": asdict(self.hyper),
+            "hyper_fingerprint": self.hyper.fingerprint,
+        }
+
+    def rounds_facts(self, unit: Unit) -> dict[str, Any]:
+        """What the rounds of an attempt say of the search."""
+        return {
+            "trace": TRACE_VERSION,
+            "algorithm": ALGORITHM_VERSION,
+            "source": self.fingerprint,
+            "seed": self.seed,
+            "hyper": self.hyper.fingerprint,
+            "prior": self.prior_fingerprint,
+            "candidates": self.hyper.candidates,
+            "shown": min(SHOWN_CANDIDATES, self.hyper.candidates),
+            "step_s": FRAMES_PER_KEYFRAME / FRAME_HZ,
+            "executed_s": self.hyper.horizon / FRAME_HZ,
+            "scored_s": self.hyper.scored_frames[-1] / FRAME_HZ,
+            "attempt": self.key(unit),
+        }
 
 
 class StoredAttempt(BaseModel):
@@ -208,15 +249,16 @@ def surveyed(
     return found
 
 
-def kept_attempt(search: Search, unit: Unit) -> StoredAttempt | None:
-    """A finished attempt, or ``None`` where there is none or it is damaged."""
+def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> StoredAttempt | None:
+    """A finished attempt, or ``None`` where there is none, it is damaged, or its rounds are wanted and not there."""
     try:
         stored = StoredAttempt.model_validate(_kept_work(search.path(unit)))
     except ValidationError:
         # A damaged file is unfinished work: it is made again.
         return None
     same_unit = (stored.scene_name, stored.agent, stored.agent_id) == (unit.scene_name, unit.agent, unit.agent_id)
-    return stored if same_unit else None
+    unfinished = with_rounds and stored.kept and not search.rounds_path(unit).is_file()
+    return stored if same_unit and not unfinished else None
 
 
 def attempts(
@@ -226,6 +268,7 @@ def attempts(
     executor: Executor,
     *,
     together: int = 1,
+    keep_rounds: bool = False,
     label: str = "planning adversaries",
 ) -> list[StoredAttempt]:
     """Results of the units in their order; finished ones are read, missing ones are computed and kept.
@@ -236,15 +279,17 @@ def attempts(
         scene_of: Gives the scene of a unit, with the earlier adversaries in it; called here, for missing units only.
         executor: Where the missing ones are computed; the results do not depend on it.
         together: Units that a worker plans side by side, which pays on an accelerator; no result depends on it.
+        keep_rounds: Whether the rounds of attempts that pass verification are kept as well. Those that were kept
+            without are searched again.
         label: Text beside the progress bar.
 
     Returns:
         One stored attempt per unit.
 
     Raises:
-        InputError: If workers are lost, or results cannot be written.
+        InputError: If workers are lost, results cannot be written, or searching again gives another track.
     """
-    found = [kept_attempt(search, unit) for unit in units]
+    found = [kept_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
     missing = [index for index, stored in enumerate(found) if stored is None]
     batches = [missing[first : first + together] for first in range(0, len(missing), together)]
 
@@ -252,26 +297,59 @@ def attempts(
         for batch in batches:
             yield [(scene_of(units[index]), units[index]) for index in batch]
 
-    done = executor.map(functools.partial(_attempted, search), work(), total=len(batches), label=label)
+    done = executor.map(functools.partial(_attempted, search, keep_rounds), work(), total=len(batches), label=label)
     for batch, results in zip(batches, done, strict=True):
         for index, stored in zip(batch, results, strict=True):
             found[index] = stored
     return [stored for stored in found if stored is not None]
 
 
-def _attempted(search: Search, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
+def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
     """Compute and keep a few attempts; runs in a worker."""
     vehicles = [(scene, unit.agent) for scene, unit in work]
-    results = attempts_together(vehicles, search.seed, search.hyper, search.prior())
+    results = attempts_together(vehicles, search.seed, search.hyper, search.prior(), keep_rounds=keep_rounds)
     kept = []
-    for (_, unit), result in zip(work, results, strict=True):
+    for (scene, unit), result in zip(work, results, strict=True):
         stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))
+        before = kept_attempt(search, unit)
+        if before is not None:
+            # Whatever was planned or drawn with this track stays true.
+            _require_same(before, stored)
+            stored = before
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
-        # Before the attempt: whoever finds the attempt finds its time as well.
+        # Before the attempt: whoever finds the attempt finds its time and its rounds as well.
         write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
-        _keep_work(search.path(unit), stored.model_dump(mode="json"))
+        if keep_rounds and stored.kept:
+            _keep_rounds(search, unit, scene, result.rounds)
+        if before is None:
+            _keep_work(search.path(unit), stored.model_dump(mode="json"))
         kept.append(stored)
     return kept
+
+
+def _require_same(before: StoredAttempt, again: StoredAttempt) -> None:
+    """The rounds must belong to the track that was kept."""
+    poses, expected = (np.array(each.poses, dtype=np.float64).reshape(-1, 3) for each in (again, before))
+    same = (again.kept, again.start, poses.shape) == (before.kept, before.start, expected.shape)
+    if not same or not np.abs(poses - expected).max(initial=0.0) <= SAME_M:
+        raise InputError(
+            f"searching again for {before.agent_id} in {before.scene_name} gives another track here than the one that "
+            "was kept, as happens with other versions of the numerical libraries, so its rounds cannot be kept; leave "
+            "--keep-rounds out, or delete the output and generate it again"
+        )
+
+
+def _keep_rounds(search: Search, unit: Unit, scene: Scene, frames: tuple[TraceFrame, ...]) -> None:
+    """Keep what was searched, under the names that the source has."""
+    trace = RefinementTrace(
+        schema=SCHEMA,
+        scene=unit.scene_name,
+        agent=unit.agent_id,
+        origin_m=origin_of(scene),
+        search=search.rounds_facts(unit),
+        frames=frames,
+    )
+    write_json(search.rounds_path(unit), trace.model_dump(mode="json", by_alias=True), indent=None)
 
 
 def _keep_work(path: Path, value: dict[str, Any]) -> None:

@@ -95,6 +95,11 @@ class Chain:
         )
 
     @property
+    def last_place(self) -> int:
+        """Place of the last adversary among all of them in the order of the scene's agents."""
+        return sorted(link.unit.agent for link in self.links).index(self.links[-1].unit.agent)
+
+    @property
     def name(self) -> str:
         """Name of the generated scene; it does not depend on the rank."""
         suffix = token("adversary", self.scene_name, *self.agent_ids)[:8]
@@ -179,6 +184,7 @@ def harvest(
     *,
     adversaries: int = 1,
     together: int = 1,
+    keep_rounds: bool = False,
 ) -> Harvest:
     """Search for scenes with a number of adversaries in each.
 
@@ -192,6 +198,7 @@ def harvest(
         executor: Where attempts are computed.
         adversaries: Wanted in each scene.
         together: See `attempts.attempts`.
+        keep_rounds: Likewise, of the last adversary of each chain: the others are as they are shown.
 
     Returns:
         What came of it; the same whatever the executor.
@@ -208,7 +215,15 @@ def harvest(
         owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}
         scene_of = functools.partial(_scene_of, scenes, owner)
         label = "planning adversaries" if stage == 0 else f"planning adversary {stage + 1} of {adversaries}"
-        results = attempts(search, list(owner), scene_of, executor, together=together, label=label)
+        results = attempts(
+            search,
+            list(owner),
+            scene_of,
+            executor,
+            together=together,
+            keep_rounds=keep_rounds and stage == adversaries - 1,
+            label=label,
+        )
         found.tried += map(Tried, owner, results)
         links = [Link(unit, search.key(unit), stored) for unit, stored in zip(owner, results) if stored.kept]
         chains = _begun(links) if stage == 0 else _extended(found, chains, links)

@@ -8,9 +8,10 @@ from benchmark.dynamics.bicycle import DriverLimits, MotionModel, rear_axle
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.machine.storage import canonical_json
-from generation.search.adversary import Attempt, _Hunt, attempt, attempts_together, scene_identity
+from generation.search.adversary import Attempt, attempt, attempts_together, scene_identity
 from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
+from generation.search.planning import Planning
 from generation.search.recorded_ego import log_replay_contacts
 from generation.search.verify import Discard, is_drivable_motion
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
@@ -119,10 +120,10 @@ def test_the_frame_at_which_the_area_is_left_is_named() -> None:
 def test_contact_is_looked_for_at_the_frames_that_are_executed() -> None:
     """Right behind a car that drives away there is room from the frame after the planning frame on, and not before."""
     scene, frame = scene_on_straight_road((Car(60.0, 205.25, 0.0), Car(90.0, 194.75, 12.0)), seconds=9.0), 20
-    hunt = _Hunt(scene, 0, frame, HYPER, unchanged, MotionModel.si(), np.random.default_rng(0), {})
+    planning = Planning(scene, 0, frame, HYPER, unchanged, MotionModel.si(), np.random.default_rng(0), {})
     behind = scene.agents.position[1, frame + 1, :2] - [0.5 * (4.6 + 4.6) + 0.1, 0.0]
-    assert hunt._touched(frame, np.array([[*behind, 0.0]])) is None
-    assert hunt._touched(frame, np.array([[*(behind + [0.2, 0.0]), 0.0]])) == scene.agents.ids[1]
+    assert planning._touched(frame, np.array([[*behind, 0.0]])) is None
+    assert planning._touched(frame, np.array([[*(behind + [0.2, 0.0]), 0.0]])) == scene.agents.ids[1]
 
 
 def test_the_diffusion_model_is_told_where_the_vehicle_was_half_a_second_ago() -> None:
