@@ -205,8 +205,7 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
     from generation.build.profile import kept_runtime
     from generation.nuscenes_writer.plan import STATE_FOLDER
 
-    runtime = kept_runtime(dataset.root / STATE_FOLDER)
-    return write(dataset, split, root, settings, runtime=None if runtime is None else runtime.as_json())
+    return write(dataset, split, root, settings, runtime=kept_runtime(dataset.root / STATE_FOLDER))
 
 
 def published_folders() -> "tuple[HubWeights, ...]":

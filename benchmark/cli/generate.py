@@ -166,7 +166,7 @@ def generate_command(
     report = api.build_split(source, split, settings)
     runtime = report.runtime if profile else None
     if json_output:
-        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.as_json()}))
+        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.model_dump()}))
         return
     typer.echo(report.summary())
     if runtime is not None:

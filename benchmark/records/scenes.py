@@ -13,7 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, file_sha256, read_json
+from benchmark.records.attempts import Attempt
 from benchmark.records.run_schema import DataFacts
+from benchmark.records.statistics import Runtime, SplitStatistics
 
 SCHEMA: Final = 1
 SHEET_FILE, ROUNDS_FILE, SPLIT_FILE = "sheet.json", "rounds.json", "split.json"
@@ -227,6 +229,17 @@ class AttemptFacts(_Stored):
     discarded: str | None
     manoeuvre: str | None
 
+    @classmethod
+    def of(cls, attempt: Attempt) -> "AttemptFacts":
+        """What is shown of an attempt."""
+        return cls(
+            source=attempt.scene,
+            agent=attempt.agent,
+            scene=attempt.written,
+            discarded=attempt.discard or attempt.dropped,
+            manoeuvre=None if attempt.labels is None else attempt.labels.manoeuvre,
+        )
+
 
 class SplitSheet(_Stored):
     """What is shown of one split.
@@ -236,18 +249,18 @@ class SplitSheet(_Stored):
         data: Data set.
         split: Split.
         scenes: All scene names of the split, in order.
-        statistics: ``benchmark.datasets.statistics.Statistics.as_json()`` without its path.
+        statistics: The split in numbers.
         attempts: What the search tried, for generated splits.
-        runtime: Seconds of each stage of generation (`generation.build.profile`), if this machine measured them.
+        runtime: Seconds of each stage of generation, if this machine measured them.
     """
 
     schema_version: int = Field(alias="schema")
     data: DataFacts
     split: str
     scenes: tuple[str, ...]
-    statistics: dict[str, Any]
+    statistics: SplitStatistics
     attempts: tuple[AttemptFacts, ...] = ()
-    runtime: dict[str, Any] | None = None
+    runtime: Runtime | None = None
 
 
 _Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 from pydantic import ValidationError
 
-from benchmark.datasets.scene_facts import labels_in
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.records.attempts import stored_labels
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import (
     ROUNDS_FILE,
@@ -113,7 +113,7 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
             scene=name,
             source=data.scene_facts([name])[name].source,
             description=scene.description,
-            labels=tuple(found for found in labels_in(report) if isinstance(found, dict)),
+            labels=tuple(found for found in stored_labels(report) if isinstance(found, dict)),
             origin_m=origin,
             timestamps_us=tuple(scene.timestamps_us.tolist()),
             keyframes=tuple(scene.keyframes.tolist()),

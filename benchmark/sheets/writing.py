@@ -13,6 +13,7 @@ from benchmark.machine.storage import file_name, only_writer, read_kept_json, wr
 from benchmark.machine.workers import default_workers, map_ordered
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import ROUNDS_FILE, SCENES_FOLDER, SHEET_FILE, Sheet, kept_rounds_path, split_folder
+from benchmark.records.statistics import Runtime
 from benchmark.runs.scene_work import reopen_root
 from benchmark.sheets.making import Job, WrittenSheet, planned_sheet, rounds_fit, written_sheet
 from benchmark.sheets.split_sheets import write_split_sheet
@@ -95,7 +96,7 @@ def write_sheets(
     root: Path,
     settings: SheetSettings,
     *,
-    runtime: dict[str, Any] | None = None,
+    runtime: Runtime | None = None,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> WrittenSheets:
     """Write the sheets of a split; the same command goes on, and does nothing where nothing has changed.

@@ -50,7 +50,7 @@ class BuildReport:
         cls, scenes: int, found: Harvest, written: tuple[str, ...], surrogate: dict[str, Any] | None, adversaries: int
     ) -> "BuildReport":
         """The report on a finished search for adversaries."""
-        discarded = Counter(tried.stored.discard for tried in found.tried if tried.stored.discard is not None)
+        discarded = Counter(each.attempt.discard for each in found.tried if each.attempt.discard is not None)
         not_tried: Counter[str] = Counter()
         for earlier, seen in found.surveys:
             # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from benchmark.datasets.roots import DataSet
-from generation.build.ranking import ranked
 from generation.build.surrogate import Judgement, judge, staging_plan, take_over
 from generation.build.writing import WritingJob, write_scenes
 from generation.nuscenes_writer import DataSetPlan
 from generation.search.chains import Chain, Dropped, Harvest
+from generation.search.ranking import ranked
 
 if TYPE_CHECKING:
     from generation.build.split import BuildSettings

@@ -13,6 +13,7 @@ from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer
 from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.build.profile import runtime_table
@@ -236,7 +237,7 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
         withdraw(settings.out)
         raise NothingSurvivedError(
             f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
-            f"(details in {settings.out / 'attempts.jsonl'})",
+            f"(details in {settings.out / ATTEMPTS_FILE})",
             report,
         )
     chosen.take_over(plan)
@@ -288,19 +289,18 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
 def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain]) -> dict[str, bytes]:
     """What a build says of itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
-    attempts = [
-        {
-            **tried.stored.report,
-            "earlier": [link.agent_id for link in tried.unit.earlier],
+    attempts = []
+    for tried in found.tried:
+        fate = {
+            "earlier": tuple(link.agent_id for link in tried.unit.earlier),
             "dropped": found.dropped.get(tried.unit),
             "written": name_of.get(tried.unit),
         }
-        for tried in found.tried
-    ]
+        attempts.append(tried.attempt.model_copy(update=fate).as_json())
     candidates = [seen.row(earlier) for earlier, seen in found.surveys]
     files = {
         "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
-        "attempts.jsonl": "".join(canonical_json(row) + "\n" for row in attempts).encode(),
+        ATTEMPTS_FILE: "".join(canonical_json(row) + "\n" for row in attempts).encode(),
     }
     if candidates:
         files["candidates.jsonl"] = "".join(canonical_json(row) + "\n" for row in candidates).encode()

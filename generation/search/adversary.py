@@ -15,14 +15,15 @@ from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.machine.storage import content_key, content_seed
+from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
-from generation.build.ranking import challenge_score
-from generation.labels.labelling import ClosestApproach, Labels, closest_approach, describe, times_to_collision
+from generation.labels.labelling import closest_approach, describe, times_to_collision
 from generation.search.candidates import launch_frame
 from generation.search.hyperparameters import HyperParameters
-from generation.search.planning import Planning, PlanningFrame
+from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, Search, Seconds, run_together
+from generation.search.ranking import challenge_score
 from generation.search.recorded_ego import log_replay_contacts
 from generation.search.verify import Discard, Finding, verify
 
@@ -31,83 +32,34 @@ ALGORITHM_VERSION = "3"
 
 
 @dataclass(frozen=True, slots=True)
-class Attempt:
+class Searched:
     """What came of one (scene, vehicle, seed).
 
     Attributes:
-        scene_name: Recorded scene.
-        agent_id: Instance that was tried.
-        seed: User's seed.
+        attempt: All of it that is reported.
         finding: Why the result is not kept and what shows it, or ``None``.
-        start: Frame of the launch, ``None`` if there was none.
         poses: (T - start, 3) executed poses of the box centre; fewer where planning gave up, (0, 3) without launch.
-        challenge: Ranking score, see `ranking.challenge_score`; 0 where discarded.
-        closest: Closest approach, where the track is complete.
-        least_time_to_collision_s: Smallest of `labels.times_to_collision`, ``None`` if never within 5 s.
-        plans: Trace.
         scene: The adversarial scene, if kept.
-        tries: Searches that were made; everything else is about the last one.
+        rounds: What was searched, where the whole track was planned and rounds are kept.
         stage_seconds: Processor seconds of all tries by stage: sampling, physics, scoring, other (everything else).
-            Not in the report.
-        labels: What the adversary does, if kept.
-        rounds: What was searched, where the whole track was planned and rounds are kept. Not in the report.
     """
 
-    scene_name: str
-    agent_id: str
-    seed: int
+    attempt: Attempt
     finding: Finding | None
-    start: int | None
     poses: Floats
-    challenge: float
-    closest: ClosestApproach | None
-    least_time_to_collision_s: float | None
-    plans: tuple[PlanningFrame, ...]
-    scene: Scene | None
-    tries: int = 0
-    stage_seconds: dict[str, float] = field(default_factory=dict)
-    labels: Labels | None = None
+    scene: Scene | None = None
     rounds: tuple[TraceFrame, ...] = ()
-
-    @property
-    def discard(self) -> Discard | None:
-        """Why the result is not kept, or ``None``."""
-        return None if self.finding is None else self.finding.reason
+    stage_seconds: dict[str, float] = field(default_factory=dict)
 
     @property
     def kept(self) -> bool:
         """Whether the scene survived verification."""
         return self.finding is None
 
-    def report(self) -> dict[str, Any]:
-        """Everything but the track and the scene, as JSON values."""
-        closest = self.closest
-        return {
-            "scene": self.scene_name,
-            "agent": self.agent_id,
-            "seed": self.seed,
-            "kept": self.kept,
-            "discard": None if self.discard is None else self.discard.value,
-            "because": None if self.finding is None else self.finding.as_json(),
-            "launch_frame": self.start,
-            "tries": self.tries,
-            "challenge": self.challenge,
-            "closest_approach": None
-            if closest is None
-            else {"gap_m": closest.gap_m, "time_s": closest.time_s, "side": closest.side.value},
-            "least_time_to_collision_s": self.least_time_to_collision_s,
-            "labels": None if self.labels is None else self.labels.as_json(),
-            "plans": [
-                {
-                    "frame": plan.frame,
-                    "round": plan.chosen_round,
-                    "score": plan.score,
-                    "best_scores": list(plan.best_scores),
-                    "collision_free": list(plan.collision_free),
-                }
-                for plan in self.plans
-            ],
-        }
+    def discarded(self, finding: Finding) -> "Searched":
+        """The same without a scene, for a reason."""
+        told = {"kept": False, "discard": finding.reason.value, "because": finding.as_json(), "challenge": 0.0}
+        return replace(self, attempt=self.attempt.model_copy(update=told), finding=finding, scene=None)
 
 
 def attempt(
@@ -120,7 +72,7 @@ def attempt(
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
     keep_rounds: bool = False,
-) -> Attempt:
+) -> Searched:
     """Let one vehicle challenge the ego from its launch to the end of the scene, with ``hyper.tries`` chances.
 
     Args:
@@ -152,7 +104,7 @@ def attempts_together(
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
     keep_rounds: bool = False,
-) -> list[Attempt]:
+) -> list[Searched]:
     """Attempts side by side, so that the diffusion model answers all of them in one call; each is as if alone.
 
     Args:
@@ -203,48 +155,65 @@ def _chances(
     diversify: Diversify,
     model: MotionModel,
     keep_rounds: bool,
-) -> Search[Attempt]:
+) -> Search[Searched]:
     """Searches for one vehicle until one is kept or there is no use in another."""
-    blank = Attempt(scene.name, scene.agents.ids[agent], seed, None, None, np.zeros((0, 3)), 0.0, None, None, (), None)
     start = launch_frame(scene, agent, hyper)
+    blank = _untried(scene.name, scene.agents.ids[agent], seed, start)
     if start is None:
-        return replace(blank, finding=Finding(Discard.NEVER_LAUNCHED))
+        return blank.discarded(Finding(Discard.NEVER_LAUNCHED))
     if ego_already_collides(scene):
-        return replace(blank, start=start, finding=Finding(Discard.ORIGINAL_COLLIDES))
-    content = (scene_identity(scene), blank.agent_id, seed, hyper.fingerprint, prior_fingerprint, ALGORITHM_VERSION)
+        return blank.discarded(Finding(Discard.ORIGINAL_COLLIDES))
+    content = (scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
     stages = {"physics": 0.0, "scoring": 0.0}
     result = blank
     for number in range(hyper.tries):
-        rng = np.random.default_rng(content_seed(*content, number))
+        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number))
         planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds)
         driven = yield from planning.run()
-        tried = replace(blank, start=start, tries=number + 1, poses=driven.poses, plans=driven.plans)
-        if driven.gave_up is None:
-            result = replace(_judged(tried, planning), rounds=driven.rounds)
-        else:
-            result = replace(tried, finding=driven.gave_up)
+        told = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
+        tried = Searched(told, None, driven.poses, rounds=driven.rounds)
+        result = _judged(tried, planning) if driven.gave_up is None else tried.discarded(driven.gave_up)
         # A vehicle that the area loses drives the other way; it would be lost again.
-        if result.kept or result.discard is Discard.LEAVES_AREA:
+        if result.finding is None or result.finding.reason is Discard.LEAVES_AREA:
             break
     return replace(result, stage_seconds=stages)
 
 
-def _judged(driven: Attempt, planning: Planning) -> Attempt:
-    """The attempt with its verdict and its numbers."""
+def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Searched:
+    attempt = Attempt(
+        scene=scene_name,
+        agent=agent_id,
+        seed=seed,
+        kept=True,
+        discard=None,
+        because=None,
+        launch_frame=start,
+        tries=0,
+        challenge=0.0,
+        closest_approach=None,
+        least_time_to_collision_s=None,
+        labels=None,
+        plans=(),
+    )
+    return Searched(attempt, None, np.zeros((0, 3)))
+
+
+def _judged(tried: Searched, planning: Planning) -> Searched:
+    """The result with its verdict and its numbers."""
     agent, start, limits = planning.agent, planning.start, planning.model.limits
     assert limits is not None
-    changed = planning.scene.with_adversary(agent, slice(start, start + len(driven.poses)), driven.poses)
+    changed = planning.scene.with_adversary(agent, slice(start, start + len(tried.poses)), tried.poses)
     finding = verify(changed, agent, start, planning.hyper, limits)
     soonest = float(times_to_collision(changed, agent, start).min())
-    return replace(
-        driven,
-        finding=finding,
-        challenge=challenge_score(changed, agent, start) if finding is None else 0.0,
-        closest=closest_approach(changed, agent, start),
-        least_time_to_collision_s=None if np.isinf(soonest) else soonest,
-        scene=changed if finding is None else None,
-        labels=describe(changed, agent, start) if finding is None else None,
-    )
+    closest = closest_approach(changed, agent, start)
+    told: dict[str, Any] = {
+        "closest_approach": Approach(gap_m=closest.gap_m, time_s=closest.time_s, side=closest.side),
+        "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
+    }
+    if finding is None:
+        told |= {"challenge": challenge_score(changed, agent, start), "labels": describe(changed, agent, start)}
+    result = replace(tried, attempt=tried.attempt.model_copy(update=told), scene=changed)
+    return result if finding is None else result.discarded(finding)
 
 
 def ego_already_collides(scene: Scene) -> bool:

@@ -5,7 +5,7 @@ Workers never open the data set: they are sent the scene that they work on.
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,11 +18,12 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
+from benchmark.records.attempts import Attempt
 from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.scene import Scene
 from benchmark.sheets.motion import origin_of
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
-from generation.search.adversary import ALGORITHM_VERSION, Attempt, attempts_together
+from generation.search.adversary import ALGORITHM_VERSION, Searched, attempts_together
 from generation.search.eligibility import Survey, read_survey, survey
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Prior
@@ -172,35 +173,41 @@ class Search:
 
 
 class StoredAttempt(BaseModel):
-    """A finished attempt on disk: its report and, where it was kept, its track."""
+    """A finished attempt on disk, with its track where it was kept.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    Attributes:
+        agent: Index of the vehicle.
+        report: What came of it.
+        poses: (T - start, 3) executed poses; none where it was discarded.
+    """
 
-    schema_version: int = 1
-    scene_name: str
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
     agent: int
-    agent_id: str
-    kept: bool
-    discard: str | None
-    start: int | None
-    challenge: float
-    report: dict[str, Any]
-    poses: list[tuple[float, float, float]]
+    report: Attempt
+    poses: tuple[tuple[float, float, float], ...]
 
     @classmethod
-    def of(cls, unit: Unit, result: Attempt) -> "StoredAttempt":
+    def of(cls, unit: Unit, result: Searched) -> "StoredAttempt":
         """What is stored of an attempt."""
-        return cls(
-            scene_name=unit.scene_name,
-            agent=unit.agent,
-            agent_id=unit.agent_id,
-            kept=result.kept,
-            discard=None if result.discard is None else result.discard.value,
-            start=result.start,
-            challenge=result.challenge,
-            report=result.report(),
-            poses=[(float(x), float(y), float(yaw)) for x, y, yaw in result.poses] if result.kept else [],
-        )
+        poses = result.poses.tolist() if result.kept else []
+        return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON values; what others than this program look for stands outside the report as well."""
+        report = self.report
+        return {
+            "schema_version": 1,
+            "scene_name": report.scene,
+            "agent": self.agent,
+            "agent_id": report.agent,
+            "kept": report.kept,
+            "discard": report.discard,
+            "start": report.launch_frame,
+            "challenge": report.challenge,
+            "report": report.as_json(),
+            "poses": self.poses,
+        }
 
     def adversarial(self, scene: Scene) -> Scene:
         """The kept scene, from the one that the attempt started from.
@@ -214,14 +221,15 @@ class StoredAttempt(BaseModel):
         Raises:
             InputError: If the attempt was discarded or belongs to another scene.
         """
-        known = self.agent < len(scene.agents) and scene.agents.ids[self.agent] == self.agent_id
-        if not self.kept or self.start is None or not known:
+        start, agent_id = self.report.launch_frame, self.report.agent
+        known = self.agent < len(scene.agents) and scene.agents.ids[self.agent] == agent_id
+        if not self.report.kept or start is None or not known:
             raise InputError(
-                f"the stored attempt for {self.agent_id} in {self.scene_name} does not fit this scene; delete the "
+                f"the stored attempt for {agent_id} in {self.report.scene} does not fit this scene; delete the "
                 ".challenger folder of the output and run again"
             )
         poses: Floats = np.array(self.poses, dtype=np.float64)
-        return scene.with_adversary(self.agent, slice(self.start, self.start + len(poses)), poses)
+        return scene.with_adversary(self.agent, slice(start, start + len(poses)), poses)
 
 
 def surveyed(
@@ -256,8 +264,9 @@ def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> St
     except ValidationError:
         # A damaged file is unfinished work: it is made again.
         return None
-    same_unit = (stored.scene_name, stored.agent, stored.agent_id) == (unit.scene_name, unit.agent, unit.agent_id)
-    unfinished = with_rounds and stored.kept and not search.rounds_path(unit).is_file()
+    report = stored.report
+    same_unit = (report.scene, stored.agent, report.agent) == (unit.scene_name, unit.agent, unit.agent_id)
+    unfinished = with_rounds and report.kept and not search.rounds_path(unit).is_file()
     return stored if same_unit and not unfinished else None
 
 
@@ -319,10 +328,10 @@ def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Un
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
         # Before the attempt: whoever finds the attempt finds its time and its rounds as well.
         write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
-        if keep_rounds and stored.kept:
+        if keep_rounds and stored.report.kept:
             _keep_rounds(search, unit, scene, result.rounds)
         if before is None:
-            _keep_work(search.path(unit), stored.model_dump(mode="json"))
+            _keep_work(search.path(unit), stored.as_json())
         kept.append(stored)
     return kept
 
@@ -330,10 +339,11 @@ def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Un
 def _require_same(before: StoredAttempt, again: StoredAttempt) -> None:
     """The rounds must belong to the track that was kept."""
     poses, expected = (np.array(each.poses, dtype=np.float64).reshape(-1, 3) for each in (again, before))
-    same = (again.kept, again.start, poses.shape) == (before.kept, before.start, expected.shape)
+    told, said = again.report, before.report
+    same = (told.kept, told.launch_frame, poses.shape) == (said.kept, said.launch_frame, expected.shape)
     if not same or not np.abs(poses - expected).max(initial=0.0) <= SAME_M:
         raise InputError(
-            f"searching again for {before.agent_id} in {before.scene_name} gives another track here than the one that "
+            f"searching again for {said.agent} in {said.scene} gives another track here than the one that "
             "was kept, as happens with other versions of the numerical libraries, so its rounds cannot be kept; leave "
             "--keep-rounds out, or delete the output and generate it again"
         )
@@ -370,12 +380,12 @@ def _kept_work(path: Path) -> dict[str, Any] | None:
         return None
 
 
-def _undisturbed(result: Attempt, unit: Unit, hyper: HyperParameters) -> Attempt:
+def _undisturbed(result: Searched, unit: Unit, hyper: HyperParameters) -> Searched:
     """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
     limits = MotionModel.si().limits
     assert limits is not None
     for link in unit.earlier:
         finding = None if result.scene is None else verify(result.scene, link.agent, link.start, hyper, limits)
         if finding is not None:
-            return replace(result, finding=finding, challenge=0.0, scene=None)
+            return result.discarded(finding)
     return result

@@ -13,10 +13,11 @@ from typing import Any
 from benchmark.datasets.roots import DataSet
 from benchmark.machine.storage import token
 from benchmark.machine.workers import Executor, progress
+from benchmark.records.attempts import Attempt
 from benchmark.scene import Scene
-from generation.build.ranking import ranked
 from generation.search.attempts import Earlier, Search, StoredAttempt, Unit, attempts, surveyed
 from generation.search.eligibility import Survey
+from generation.search.ranking import ranked
 
 
 class Dropped(StrEnum):
@@ -29,8 +30,8 @@ class Dropped(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
-    """One attempt that was kept.
+class Tried:
+    """One attempt, kept or not; those that are kept are the links of chains.
 
     Attributes:
         unit: What was tried.
@@ -43,19 +44,24 @@ class Link:
     stored: StoredAttempt
 
     @property
+    def attempt(self) -> Attempt:
+        """What is reported of it."""
+        return self.stored.report
+
+    @property
     def scene_name(self) -> str:
         """Name of the recorded scene."""
         return self.unit.scene_name
 
     @property
     def agent_id(self) -> str:
-        """Instance identifier of the adversary."""
+        """Instance identifier of the vehicle."""
         return self.unit.agent_id
 
     @property
     def challenge(self) -> float:
         """Its `ranking.challenge_score`."""
-        return self.stored.challenge
+        return self.attempt.challenge
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,7 @@ class Chain:
     """
 
     scene_name: str
-    links: tuple[Link, ...] = ()
+    links: tuple[Tried, ...] = ()
 
     @property
     def agent_ids(self) -> tuple[str, ...]:
@@ -89,9 +95,9 @@ class Chain:
     def earlier(self) -> tuple[Earlier, ...]:
         """What the next adversary finds."""
         return tuple(
-            Earlier(link.key, link.unit.agent, link.agent_id, link.stored.start)
+            Earlier(link.key, link.unit.agent, link.agent_id, link.attempt.launch_frame)
             for link in self.links
-            if link.stored.start is not None
+            if link.attempt.launch_frame is not None
         )
 
     @property
@@ -123,18 +129,10 @@ class Chain:
 
     def report(self) -> dict[str, Any]:
         """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several."""
-        reports = [{key: value for key, value in link.stored.report.items() if key != "plans"} for link in self.links]
+        reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude={"plans"}) for link in self.links]
         if len(reports) == 1:
             return reports[0]
         return {"challenge": self.challenge, "adversaries": reports}
-
-
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """One attempt, kept or not."""
-
-    unit: Unit
-    stored: StoredAttempt
 
 
 @dataclass(slots=True)
@@ -224,21 +222,22 @@ def harvest(
             keep_rounds=keep_rounds and stage == adversaries - 1,
             label=label,
         )
-        found.tried += map(Tried, owner, results)
-        links = [Link(unit, search.key(unit), stored) for unit, stored in zip(owner, results) if stored.kept]
+        tried = [Tried(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
+        found.tried += tried
+        links = [each for each in tried if each.attempt.kept]
         chains = _begun(links) if stage == 0 else _extended(found, chains, links)
     found.chains = chains
     return found
 
 
-def _begun(links: Sequence[Link]) -> list[Chain]:
+def _begun(links: Sequence[Tried]) -> list[Chain]:
     """Every first adversary is a chain of its own."""
     return [Chain(link.scene_name, (link,)) for link in links]
 
 
-def _extended(found: Harvest, chains: Sequence[Chain], links: Sequence[Link]) -> list[Chain]:
+def _extended(found: Harvest, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
     """Each chain with the most challenging of its new adversaries; chains without any are dropped."""
-    of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Link]] = {}
+    of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Tried]] = {}
     for link in links:
         of_chain.setdefault((link.scene_name, link.unit.earlier), []).append(link)
     longer = []

@@ -8,6 +8,7 @@ import numpy as np
 from benchmark.constants import FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import MotionModel, VehicleState, rear_axle, simulate
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
+from benchmark.records.attempts import PlanningFrame
 from benchmark.records.scenes import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
@@ -18,25 +19,6 @@ from generation.search.refinement import Evaluated, NothingToDraw, Refinement, r
 from generation.search.rounds import rounds_of
 from generation.search.scoring import score_terms, surroundings
 from generation.search.verify import EGO, Discard, Finding, contacts
-
-
-@dataclass(frozen=True, slots=True)
-class PlanningFrame:
-    """Trace of one planning frame.
-
-    Attributes:
-        frame: Frame index.
-        chosen_round: Round of the executed candidate.
-        score: Its final score over all rounds, ``None`` if no candidate was finite.
-        best_scores: Best final score of each round, normalised within the round.
-        collision_free: Candidates without contact in each round.
-    """
-
-    frame: int
-    chosen_round: int
-    score: float | None
-    best_scores: tuple[float | None, ...]
-    collision_free: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,9 +154,9 @@ def _trace(frame: int, found: Refinement) -> PlanningFrame:
         return value if np.isfinite(value) else None
 
     return PlanningFrame(
-        frame,
-        found.round,
-        finite(found.score),
-        tuple(finite(float(entry.scores.min())) for entry in found.rounds),
-        tuple(entry.collision_free for entry in found.rounds),
+        frame=frame,
+        round=found.round,
+        score=finite(found.score),
+        best_scores=tuple(finite(float(entry.scores.min())) for entry in found.rounds),
+        collision_free=tuple(entry.collision_free for entry in found.rounds),
     )

@@ -49,7 +49,7 @@ def never(unit: Unit) -> Scene:
 def test_results_come_in_the_order_of_the_units_and_are_kept(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
     found = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    assert [stored.agent_id for stored in found] == [unit.agent_id for unit in units]
+    assert [stored.report.agent for stored in found] == [unit.agent_id for unit in units]
     assert attempts(search, units, never, Forbidden()) == found
     assert [kept_attempt(search, unit) for unit in units] == found
 
@@ -158,7 +158,7 @@ def test_a_survey_that_is_not_as_it_was_written_is_made_again(tmp_path: Path) ->
 def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
     stored = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]
-    assert stored.adversarial(SCENE).adversaries == (stored.agent_id,)
+    assert stored.adversarial(SCENE).adversaries == (stored.report.agent,)
     for other in (recorded("scene-9902"), replace(SCENE, agents=recorded("scene-9903", ()).agents)):
         with pytest.raises(InputError, match="does not fit"):
             stored.adversarial(other)

@@ -64,11 +64,11 @@ def test_keeping_rounds_changes_nothing_else() -> None:
     alone, kept = (
         attempt(scene, 0, 0, HYPER, DrivingPrior(), diversify=unchanged, keep_rounds=keep) for keep in (False, True)
     )
-    assert canonical_json(alone.report()) == canonical_json(kept.report())
+    assert canonical_json(alone.attempt.as_json()) == canonical_json(kept.attempt.as_json())
     np.testing.assert_array_equal(alone.poses, kept.poses)
-    assert alone.rounds == () and len(kept.rounds) == len(kept.plans)
-    for at, plan in zip(kept.rounds, kept.plans, strict=True):
-        assert (at.frame, at.chosen_round) == (plan.frame, plan.chosen_round)
+    assert alone.rounds == () and len(kept.rounds) == len(kept.attempt.plans)
+    for at, plan in zip(kept.rounds, kept.attempt.plans, strict=True):
+        assert (at.frame, at.chosen_round) == (plan.frame, plan.round)
         assert tuple(entry.collision_free for entry in at.rounds) == plan.collision_free
         assert plan.score == pytest.approx(at.rounds[at.chosen_round].scores[at.chosen], abs=1e-5)
 
@@ -174,7 +174,7 @@ def test_a_search_that_gives_another_track_here_is_not_kept(source: DataSet, cop
 def test_damaged_rounds_are_named(source: DataSet, copied: Path) -> None:
     for path in (copied / ".challenger" / "rounds").iterdir():
         path.write_text("{}")
-    with pytest.raises(InputError, match="rounds/.*is damaged; delete it"):
+    with pytest.raises(InputError, match=r"rounds/.*is damaged; delete it"):
         build_split(source, "adv", replace(TWO, out=copied))
 
 
