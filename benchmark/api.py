@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
     from benchmark.weights.hub import HubWeights
     from generation.build.report import BuildReport
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
     from generation.build.surrogate import PlannerUnderTest
     from generation.render.contract import Renderer
 
@@ -98,7 +98,7 @@ def open_split(source: "DataSet", split: str, out: Path = OUT, *, workers: int =
 
     def build() -> None:
         from benchmark.machine.workers import LocalProcesses
-        from generation.build.split import BuildSettings
+        from generation.build.settings import BuildSettings
 
         tell(f"generating split {split} of the embedded data set (once, some minutes)")
         target = workspace(out).split_root(source.name, split)

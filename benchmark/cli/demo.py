@@ -41,7 +41,7 @@ def demo_command(
     from benchmark.metrics.transfer import transfer
     from benchmark.records.scenes import find_sheets
     from benchmark.sheets.writing import SheetSettings
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
     from generation.search.hyperparameters import HyperParameters
     from generation.sources.mini import TownSettings, build_town
     from leaderboard.build import write_leaderboard
@@ -105,7 +105,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     from benchmark.machine.workers import LocalProcesses
     from benchmark.machine.workspace import EMBEDDED
     from generation.build.ablation import ablate
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
     from generation.search.hyperparameters import HyperParameters
     from leaderboard.results import stale_results, write_results
 
@@ -143,7 +143,7 @@ def _results_from() -> dict[str, Any]:
     from benchmark.machine.storage import file_sha256
     from benchmark.protocols import PROTOCOLS
     from generation.search.adversary import ALGORITHM_VERSION
-    from generation.search.attempts import PackagedPrior
+    from generation.search.definition import PackagedPrior
     from generation.search.hyperparameters import HyperParameters
     from generation.sources.mini import TownSettings
 

@@ -53,7 +53,7 @@ from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from generation.render.contract import Renderer
-    from generation.search.attempts import PriorFactory
+    from generation.search.definition import PriorFactory
     from generation.search.hyperparameters import HyperParameters
 
 
@@ -106,7 +106,8 @@ def generate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from generation.build.split import BuildSettings, source_scenes
+    from generation.build.settings import BuildSettings
+    from generation.build.split import source_scenes
 
     api.require_generated(split)
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
@@ -200,7 +201,7 @@ def ablate_command(
     """The paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
     from benchmark.machine.storage import file_name
     from generation.build.ablation import ablate, ablation_estimate
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
 
     planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
     hyper = _hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes)
@@ -242,7 +243,7 @@ def _hyper_parameters(preset: Preset, shortcuts: dict[str, Any], changes: list[s
 def _prior(preset: Preset, weights: Path | None, device: str, calls: int | None, *, dropout: bool) -> "PriorFactory":
     """The trajectory model; with the paper's preset nothing that it draws is drawn again."""
     from generation.diffusion.prior import SamplerSettings
-    from generation.search.attempts import PackagedPrior
+    from generation.search.definition import PackagedPrior
 
     literal = preset is Preset.PAPER
     return PackagedPrior(weights, device, SamplerSettings(mutation_steps=calls, drivable=not literal, dropout=dropout))

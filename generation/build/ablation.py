@@ -22,7 +22,8 @@ from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts, RateRow
 from generation.build.report import BuildReport
-from generation.build.split import BuildSettings, NothingSurvivedError, build_split, source_scenes
+from generation.build.settings import BuildSettings
+from generation.build.split import NothingSurvivedError, build_split, source_scenes
 from generation.build.surrogate import PROTOCOL, PlannerUnderTest, require_all_planned
 
 

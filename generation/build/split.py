@@ -5,28 +5,26 @@ Every step is resumable and gives the same bytes for any executor.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer
-from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.build.profile import runtime_table
 from generation.build.report import BuildReport
 from generation.build.selection import select
-from generation.build.surrogate import PlannerUnderTest
+from generation.build.settings import BuildSettings
 from generation.build.writing import WritingJob, publish_reports, publish_rounds, withdraw, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.render.contract import Renderer
-from generation.search.attempts import PackagedPrior, PriorFactory, Search, kept_attempt
-from generation.search.chains import Chain, Harvest, first_units, harvest
-from generation.search.hyperparameters import HyperParameters
+from generation.search.attempts import kept_attempt
+from generation.search.chains import Chain, SearchResult, first_units, search_chains
+from generation.search.definition import Search
 
 Split = Literal["adv", "val-r"]
 
@@ -41,74 +39,6 @@ class NothingSurvivedError(InputError):
     def __init__(self, sentence: str, report: BuildReport) -> None:
         super().__init__(sentence)
         self.report = report
-
-
-@dataclass(frozen=True, slots=True)
-class BuildSettings:
-    """What to build and where.
-
-    Attributes:
-        out: Root of the new data set.
-        source_split: Split of the source that is used.
-        scenes: Names of source scenes to use, ``None`` for all.
-        limit: Use only this many source scenes.
-        seed: Seed of the choice of vehicles and of the search.
-        executor: Where the work is done.
-        rendering: Where scenes are rendered, if elsewhere: GPUs are fewer than processors.
-        together: Attempts that a worker plans side by side, which pays on an accelerator.
-        hyper: Settings of the search.
-        prior: Makes the diffusion model.
-        adversaries: In each scene.
-        surrogate: Keep only scenes in which this planner collides; ``None`` keeps all.
-        per_scene: Most adversarial variants kept of one source scene, ``None`` for all.
-        total: Most adversarial scenes kept, ``None`` for all.
-        renderer: Draws the images, ``None`` for a data set without images.
-        layout: One root with suffixed names, or one root per variant with original names.
-        frames: Which frames get images and rows.
-        version: Version folder that is written.
-        jpeg_quality: 1 to 100.
-        lossless: Beside each JPEG file a PNG file of the same name.
-        keep_rounds: Whether the rounds of the search are kept for ``sheets --rounds``; of ``adv`` alone.
-        dry_run: Only count the work.
-    """
-
-    out: Path
-    source_split: str = "val"
-    scenes: tuple[str, ...] | None = None
-    limit: int | None = None
-    seed: int = 0
-    executor: Executor = field(default_factory=LocalProcesses)
-    rendering: Executor | None = None
-    together: int = 1
-    hyper: HyperParameters = field(default_factory=HyperParameters)
-    prior: PriorFactory = field(default_factory=PackagedPrior)
-    adversaries: int = 1
-    surrogate: PlannerUnderTest | None = None
-    per_scene: int | None = None
-    total: int | None = None
-    renderer: Renderer | None = None
-    layout: Literal["suffixed", "per-variant"] = "suffixed"
-    frames: Literal["all", "keyframes"] = "all"
-    version: str = "v1.0-trainval"
-    jpeg_quality: int = 92
-    lossless: bool = False
-    keep_rounds: bool = False
-    dry_run: bool = False
-
-    def __post_init__(self) -> None:
-        for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
-            if number is not None and number < 1:
-                raise InputError(f"--{option} must be at least 1, got {number}")
-
-    @property
-    def where_rendered(self) -> Executor:
-        """Where scenes are rendered."""
-        return self.rendering or self.executor
-
-    @property
-    def timing(self) -> Path:
-        """Folder of notes on how long work took; no result depends on them."""
-        return self.out / STATE_FOLDER / "timing"
 
 
 def build_split(source: DataSet, split: Split, settings: BuildSettings) -> BuildReport:
@@ -216,7 +146,7 @@ def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSet
 
 
 def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    found = harvest(
+    found = search_chains(
         search,
         source,
         names,
@@ -254,7 +184,7 @@ def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSetti
         return BuildReport("val-r", len(names), estimate=about, dry_run=True)
     report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
     with only_writer(settings.out):
-        publish_reports(settings.out, _report_files(report, Harvest(), []))
+        publish_reports(settings.out, _report_files(report, SearchResult(), []))
         notes = _write(source, _plan(source, "val-r", settings), jobs, settings)
     return replace(report, runtime=runtime_table([], notes))
 
@@ -286,7 +216,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     return [timing / f"{key}.timing.json" for key in keys]
 
 
-def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain]) -> dict[str, bytes]:
+def _report_files(report: BuildReport, found: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
     """What a build says of itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
     attempts = []
@@ -297,7 +227,7 @@ def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain])
             "written": name_of.get(tried.unit),
         }
         attempts.append(tried.attempt.model_copy(update=fate).as_json())
-    candidates = [seen.row(earlier) for earlier, seen in found.surveys]
+    candidates = [seen.row(earlier) for earlier, seen in found.eligibility]
     files = {
         "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
         ATTEMPTS_FILE: "".join(canonical_json(row) + "\n" for row in attempts).encode(),

@@ -22,7 +22,7 @@ from generation.labels.labelling import closest_approach, describe, times_to_col
 from generation.search.candidates import launch_frame
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
-from generation.search.proposals import Diversify, Prior, Search, Seconds, run_together
+from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
 from generation.search.ranking import challenge_score
 from generation.search.recorded_ego import log_replay_contacts
 from generation.search.verify import Discard, Finding, verify
@@ -62,39 +62,6 @@ class Searched:
         return replace(self, attempt=self.attempt.model_copy(update=told), finding=finding, scene=None)
 
 
-def attempt(
-    scene: Scene,
-    agent_index: int,
-    seed: int,
-    hyper: HyperParameters,
-    prior: Prior,
-    *,
-    diversify: Diversify | None = None,
-    model: MotionModel | None = None,
-    keep_rounds: bool = False,
-) -> Searched:
-    """Let one vehicle challenge the ego from its launch to the end of the scene, with ``hyper.tries`` chances.
-
-    Args:
-        scene: The recorded scene; earlier adversaries in it are surroundings like any other vehicle.
-        agent_index: Index of the vehicle.
-        seed: User's seed; part of a seed made of content.
-        hyper: Settings.
-        prior: Diffusion model.
-        diversify: Spread of the initial batch; the package's own by default.
-        model: Physics; `MotionModel.si` by default.
-        keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
-
-    Returns:
-        The kept scene, or the reason why there is none.
-
-    Raises:
-        InputError: If there is no such vehicle or the model has no limits.
-    """
-    vehicles = [(scene, agent_index)]
-    return attempts_together(vehicles, seed, hyper, prior, diversify=diversify, model=model, keep_rounds=keep_rounds)[0]
-
-
 def attempts_together(
     vehicles: Sequence[tuple[Scene, int]],
     seed: int,
@@ -105,19 +72,21 @@ def attempts_together(
     model: MotionModel | None = None,
     keep_rounds: bool = False,
 ) -> list[Searched]:
-    """Attempts side by side, so that the diffusion model answers all of them in one call; each is as if alone.
+    """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
+
+    They are searched side by side, so that the diffusion model answers all of them in one call; each is as if alone.
 
     Args:
-        vehicles: Scenes and indices of vehicles in them.
-        seed: As in `attempt`.
-        hyper: As in `attempt`.
-        prior: As in `attempt`.
-        diversify: As in `attempt`.
-        model: As in `attempt`.
-        keep_rounds: As in `attempt`.
+        vehicles: Recorded scenes and indices of vehicles in them; earlier adversaries are surroundings like any other.
+        seed: User's seed; part of a seed made of content.
+        hyper: Settings.
+        prior: Diffusion model.
+        diversify: Spread of the initial batch; the package's own by default.
+        model: Physics; `MotionModel.si` by default.
+        keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
 
     Returns:
-        One attempt for each vehicle.
+        For each vehicle the kept scene, or the reason why there is none.
 
     Raises:
         InputError: If there is no such vehicle or the model has no limits.
@@ -130,8 +99,7 @@ def attempts_together(
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or _packaged_diversify()
     searches = [
-        _chances(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds)
-        for scene, agent in vehicles
+        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds) for scene, agent in vehicles
     ]
     found, spent = run_together(searches, prior)
     return [
@@ -146,7 +114,7 @@ def _stage_seconds(simulated_and_scored: Mapping[str, float], spent: Seconds) ->
     return {"sampling": spent.answers, "physics": 0.0, "scoring": 0.0, **simulated_and_scored, "other": other}
 
 
-def _chances(
+def _tries(
     scene: Scene,
     agent: int,
     seed: int,
@@ -155,7 +123,7 @@ def _chances(
     diversify: Diversify,
     model: MotionModel,
     keep_rounds: bool,
-) -> Search[Searched]:
+) -> SearchSteps[Searched]:
     """Searches for one vehicle until one is kept or there is no use in another."""
     start = launch_frame(scene, agent, hyper)
     blank = _untried(scene.name, scene.agents.ids[agent], seed, start)

@@ -15,8 +15,9 @@ from benchmark.machine.storage import token
 from benchmark.machine.workers import Executor, progress
 from benchmark.records.attempts import Attempt
 from benchmark.scene import Scene
-from generation.search.attempts import Earlier, Search, StoredAttempt, Unit, attempts, surveyed
-from generation.search.eligibility import Survey
+from generation.search.attempts import StoredAttempt, attempts, eligibility
+from generation.search.definition import Earlier, Search, Unit
+from generation.search.eligibility import Eligibility
 from generation.search.ranking import ranked
 
 
@@ -136,17 +137,17 @@ class Chain:
 
 
 @dataclass(slots=True)
-class Harvest:
+class SearchResult:
     """What came of a search.
 
     Attributes:
-        surveys: Every look at the vehicles of a scene, after the instances that were adversaries already.
+        eligibility: Every look at the vehicles of a scene, after the instances that were adversaries already.
         tried: Every attempt, in the order of stages and scenes.
         chains: Generated scenes with the wanted number of adversaries.
         dropped: Why attempts that passed verification are not written.
     """
 
-    surveys: list[tuple[tuple[str, ...], Survey]] = field(default_factory=list)
+    eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
     tried: list[Tried] = field(default_factory=list)
     chains: list[Chain] = field(default_factory=list)
     dropped: dict[Unit, Dropped] = field(default_factory=dict)
@@ -158,7 +159,7 @@ class Harvest:
 
 def first_units(
     search: Search, source: DataSet, names: Sequence[str], *, keep: bool
-) -> list[tuple[Survey, list[Unit]]]:
+) -> list[tuple[Eligibility, list[Unit]]]:
     """Vehicles that are tried first in each recorded scene.
 
     Args:
@@ -168,13 +169,13 @@ def first_units(
         keep: Whether the choice is written.
 
     Returns:
-        The survey and the units of each scene.
+        Which vehicles are tried, and the units of each scene.
     """
     scenes = _Scenes(source)
     return [_chosen(search, Chain(name), scenes, keep=keep) for name in names]
 
 
-def harvest(
+def search_chains(
     search: Search,
     source: DataSet,
     names: Sequence[str],
@@ -183,7 +184,7 @@ def harvest(
     adversaries: int = 1,
     together: int = 1,
     keep_rounds: bool = False,
-) -> Harvest:
+) -> SearchResult:
     """Search for scenes with a number of adversaries in each.
 
     Every vehicle that is chosen in a recorded scene and passes verification begins a chain. In each chain, vehicles
@@ -204,12 +205,12 @@ def harvest(
     Raises:
         InputError: If workers are lost, or results cannot be written.
     """
-    found, scenes = Harvest(), _Scenes(source)
+    found, scenes = SearchResult(), _Scenes(source)
     chains = [Chain(name) for name in names]
     for stage in range(adversaries):
         looking = (_chosen(search, chain, scenes, keep=True) for chain in chains)
         chosen = list(progress(looking, total=len(chains), label="choosing vehicles"))
-        found.surveys += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
+        found.eligibility += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
         owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}
         scene_of = functools.partial(_scene_of, scenes, owner)
         label = "planning adversaries" if stage == 0 else f"planning adversary {stage + 1} of {adversaries}"
@@ -235,7 +236,7 @@ def _begun(links: Sequence[Tried]) -> list[Chain]:
     return [Chain(link.scene_name, (link,)) for link in links]
 
 
-def _extended(found: Harvest, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
+def _extended(found: SearchResult, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
     """Each chain with the most challenging of its new adversaries; chains without any are dropped."""
     of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Tried]] = {}
     for link in links:
@@ -256,9 +257,9 @@ def _scene_of(scenes: "_Scenes", owner: Mapping[Unit, Chain], unit: Unit) -> Sce
     return scenes.of(owner[unit])
 
 
-def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Survey, list[Unit]]:
-    """The survey of a scene, and the vehicles to try in it."""
-    seen = surveyed(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
+def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Eligibility, list[Unit]]:
+    """Which vehicles of a scene are tried, and the vehicles to try in it."""
+    seen = eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
     return seen, [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in seen.chosen]
 
 

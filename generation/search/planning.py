@@ -14,7 +14,7 @@ from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.search.candidates import in_canvas, initial_state
 from generation.search.hyperparameters import HyperParameters
-from generation.search.proposals import Diversify, Search
+from generation.search.proposals import Diversify, SearchSteps
 from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine
 from generation.search.rounds import rounds_of
 from generation.search.scoring import score_terms, surroundings
@@ -64,7 +64,7 @@ class Planning:
     stages: dict[str, float]
     keep_rounds: bool = False
 
-    def run(self) -> Search[Driven]:
+    def run(self) -> SearchSteps[Driven]:
         """Plan and execute to the end of the scene, or to where there is no use in going on."""
         assert self.model.limits is not None
         state = initial_state(self.scene, self.agent, self.start, self.model.limits)
@@ -101,7 +101,7 @@ class Planning:
         inside = in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
         return None if inside.all() else Finding(Discard.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
 
-    def _plan(self, frame: int, state: VehicleState, track: Floats) -> Search[Refinement]:
+    def _plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
         offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))
         raster = _raster(self.scene, frame, self.hyper.half_extent_m)
         around = surroundings(self.scene, self.agent, tuple(frame + offset for offset in offsets), raster)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats
 from generation.search.hyperparameters import HyperParameters
-from generation.search.proposals import Diversify, Mutation, Sampling, Search
+from generation.search.proposals import Diversify, Mutation, Sampling, SearchSteps
 from generation.search.scoring import Terms, final_scores, normalised
 
 
@@ -90,7 +90,7 @@ def refine(
     previous: Floats,
     hyper: HyperParameters,
     rng: np.random.Generator,
-) -> Search[Refinement]:
+) -> SearchSteps[Refinement]:
     """Search one planning frame.
 
     Args:

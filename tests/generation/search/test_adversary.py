@@ -8,13 +8,14 @@ from benchmark.dynamics.bicycle import DriverLimits, MotionModel, rear_axle
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.machine.storage import canonical_json
-from generation.search.adversary import Searched, attempt, attempts_together, scene_identity
+from generation.search.adversary import Searched, attempts_together, scene_identity
 from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
 from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, is_drivable_motion
+from generation.search.verify import Discard, broken_limit
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
+from tests.generation.search.one_vehicle import attempt
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters(candidates=48)
@@ -41,7 +42,7 @@ def test_a_kept_scene_is_clear_of_everything_and_drivable(kept: Searched) -> Non
     assert not boxes_overlap(boxes[0], scene.ego.boxes).any()
     assert not boxes_overlap(boxes[0], boxes[1:]).any()
     assert not log_replay_contacts(scene).any()
-    assert is_drivable_motion(boxes[0, start:], DriverLimits())
+    assert broken_limit(boxes[0, start:], DriverLimits()) is None
     assert scene.adversaries == (kept.attempt.agent,)
 
 

@@ -16,11 +16,11 @@ from benchmark.machine.workers import LocalProcesses
 from benchmark.records.scenes import RefinementTrace, StoredSheet, find_sheets, kept_rounds_path
 from benchmark.sheets.writing import SheetSettings, write_sheets
 from generation.build.split import build_split
-from generation.search.adversary import attempt
 from generation.search.attempts import _keep_work
 from generation.search.rounds import SHOWN_CANDIDATES, shown_candidates
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
+from tests.generation.search.one_vehicle import attempt
 
 TWO = replace(CHEAP, per_scene=2, keep_rounds=True)
 
