@@ -52,6 +52,7 @@ from benchmark.cli.options import (
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
+    from generation.build.report import BuildReport
     from generation.render.contract import Renderer
     from generation.search.definition import PriorFactory
     from generation.search.hyperparameters import HyperParameters
@@ -164,7 +165,11 @@ def generate_command(
     )
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    report = api.build_split(source, split, settings)
+    _tell(api.build_split(source, split, settings), profile=profile, json_output=json_output)
+
+
+def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:
+    """What was done and, if asked for, where the time went."""
     runtime = report.runtime if profile else None
     if json_output:
         print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.model_dump()}))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, model_serializer
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json
@@ -65,7 +65,7 @@ class AblationRow(_Stored):
         rate_attempted: Colliding samples over ``samples_attempted``, with its interval over recorded scenes.
         rate_kept: Colliding samples over ``samples_kept``.
         mean_gap_m: Mean over kept attempts of the smallest gap between adversary and ego.
-        paper_rate: Quoted from the paper, which had another set-up.
+        paper_rate: The paper's, which older studies quote; `VARIANTS` has it.
     """
 
     name: str
@@ -78,7 +78,12 @@ class AblationRow(_Stored):
     rate_attempted: RateRow
     rate_kept: RateRow
     mean_gap_m: float | None
-    paper_rate: float
+    paper_rate: float | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_it_was_read(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        stored: dict[str, Any] = handler(self)
+        return {name: value for name, value in stored.items() if name != "paper_rate" or value is not None}
 
 
 class AblationReport(_Stored):
@@ -175,10 +180,10 @@ def find_ablations(folder: Path) -> list[AblationReport]:
 
 
 def _cells(row: AblationRow) -> tuple[str, ...]:
-    label = next((variant.label for variant in VARIANTS if variant.name == row.name), row.name)
+    variant = next((variant for variant in VARIANTS if variant.name == row.name), None)
     share = f"{100 * sum(row.discarded.values()) / row.attempted:.0f} %" if row.attempted else "-"
     return (
-        label,
+        row.name if variant is None else variant.label,
         str(row.attempted),
         str(row.kept),
         share,
@@ -186,7 +191,7 @@ def _cells(row: AblationRow) -> tuple[str, ...]:
         _percent(row.rate_attempted),
         _percent(row.rate_kept),
         "-" if row.mean_gap_m is None else f"{row.mean_gap_m:.2f}",
-        f"{100 * row.paper_rate:.2f}",
+        "-" if variant is None else f"{100 * variant.paper_rate:.2f}",
     )
 
 

@@ -156,7 +156,6 @@ def _counted(
         rate_attempted=_rate_row(of_tried),
         rate_kept=_rate_row(of_kept),
         mean_gap_m=float(np.mean(gaps)) if gaps else None,
-        paper_rate=variant.paper_rate,
     )
 
 

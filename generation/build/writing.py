@@ -31,7 +31,7 @@ class WritingJob:
         written_as: Its name in its root.
         source_scene: Name of the recorded scene.
         variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
-        make: Turns the recorded scene into what is written.
+        make: Turns the recorded scene into what is written; picklable, as jobs go to workers.
         report: What ``challenger.json`` says of it.
         last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
             adversaries; ``None`` for a recording.
@@ -48,17 +48,6 @@ class WritingJob:
     def name_read(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
         return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
-
-
-@dataclass(frozen=True, slots=True)
-class _Shipment:
-    """One scene on its way to a worker."""
-
-    scene: Scene
-    name: str
-    source_scene: str
-    variant: int
-    report: dict[str, Any]
 
 
 def write_scenes(
@@ -90,30 +79,25 @@ def write_scenes(
     # Variants of one recording after each other: it is read once.
     order = sorted(range(len(jobs)), key=lambda index: (jobs[index].source_scene, index))
 
-    def shipments() -> Iterator[_Shipment]:
+    def shipments() -> Iterator[tuple[Scene, WritingJob]]:
         for job in (jobs[index] for index in order):
-            scene = job.make(read(job.source_scene))
-            yield _Shipment(scene, job.written_as, job.source_scene, job.variant, job.report)
+            yield job.make(read(job.source_scene)), job
 
-    job = functools.partial(_write_one, plan, timing)
-    keys = dict(zip(order, executor.map(job, shipments(), total=len(jobs), label=label), strict=True))
+    work = functools.partial(_write_one, plan, timing)
+    keys = dict(zip(order, executor.map(work, shipments(), total=len(jobs), label=label), strict=True))
     return [keys[index] for index in range(len(jobs))]
 
 
-def _write_one(plan: DataSetPlan, timing: Path, shipped: _Shipment) -> str:
+def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob]) -> str:
+    scene, job = shipped
     started = time.process_time()
     key = write_scene(
-        plan,
-        shipped.scene,
-        name=shipped.name,
-        variant=shipped.variant,
-        source_scene=shipped.source_scene,
-        report=shipped.report,
+        plan, scene, name=job.written_as, variant=job.variant, source_scene=job.source_scene, report=job.report
     )
     note = timing / f"{key}.timing.json"
     # A scene that was complete takes no time: what it took when it was rendered stays.
     if not note.exists():
-        value = {"scene": shipped.name, "seconds": {"rendering": time.process_time() - started}}
+        value = {"scene": job.written_as, "seconds": {"rendering": time.process_time() - started}}
         write_bytes(note, (canonical_json(value) + "\n").encode(), durable=False)
     return key
 

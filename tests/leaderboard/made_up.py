@@ -96,7 +96,6 @@ def study(planner: str = "p", *, seed: int = 0, protocol: str = "exact") -> Abla
                 rate_attempted=RateRow(value=kept / 8, numerator=10 * kept, denominator=80, low=0.0, high=0.5),
                 rate_kept=RateRow.model_validate(of_kept if kept else nothing),
                 mean_gap_m=0.4 if kept else None,
-                paper_rate=variant.paper_rate,
             )
         )
     return AblationReport(
