@@ -9,26 +9,26 @@ import time
 from benchmark.machine.workers import single_threaded
 from benchmark.published import RUNTIME_S
 from generation.diffusion.prior import TrajectoryPrior
-from generation.search.adversary import Attempt, attempt
-from generation.search.candidates import choose
+from generation.search.adversary import Searched, attempts_together
+from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
 from generation.sources.town import town_scene
 
 STAGES = ("sampling", "physics", "scoring", "other")
 
 
-def evaluations(result: Attempt) -> int:
+def evaluations(result: Searched) -> int:
     """Batches that were simulated and scored; the trace of a vehicle's last search has one entry for each."""
-    return sum(len(plan.best_scores) for plan in result.plans)
+    return sum(len(plan.best_scores) for plan in result.attempt.plans)
 
 
-def report(result: Attempt, processor_s: float, wall_s: float) -> None:
+def report(result: Searched, processor_s: float, wall_s: float) -> None:
     """Stages of one attempt, each as a whole and for one evaluation."""
-    outcome = "kept" if result.discard is None else result.discard.value
+    attempt = result.attempt
     count = evaluations(result)
     print(
-        f"{result.scene_name} {result.agent_id[:8]}: {outcome}, {result.tries} tries, {len(result.poses)} frames, "
-        f"{len(result.plans)} plans, {count} evaluations; {wall_s:.2f} s by the clock"
+        f"{attempt.scene} {attempt.agent[:8]}: {attempt.discard or 'kept'}, {attempt.tries} tries, "
+        f"{len(result.poses)} frames, {len(attempt.plans)} plans, {count} evaluations; {wall_s:.2f} s by the clock"
     )
     print(f"  {'':<10}{'s':>9}{'share':>9}{'ms an evaluation':>18}{'paper, s':>11}")
     for stage in STAGES:
@@ -53,12 +53,12 @@ def main() -> None:
     # One try, so that the trace counts every evaluation that took time.
     hyper = HyperParameters(candidates=arguments.candidates, tries=1)
     prior, scene = TrajectoryPrior.load(), town_scene("val", arguments.scene)
-    agents = choose(scene, hyper, 0)[: arguments.vehicles]
+    agents = [vehicle.agent for vehicle in eligibility_of(scene, hyper, 0).chosen][: arguments.vehicles]
     # The first use of everything pays for matrices that are kept.
-    attempt(scene, agents[0], 0, HyperParameters(candidates=4, rounds=1, tries=1), prior)
+    attempts_together([(scene, agents[0])], 0, HyperParameters(candidates=4, rounds=1, tries=1), prior)
     for agent in agents:
         processor, wall = time.process_time(), time.perf_counter()
-        result = attempt(scene, agent, 0, hyper, prior)
+        (result,) = attempts_together([(scene, agent)], 0, hyper, prior)
         report(result, time.process_time() - processor, time.perf_counter() - wall)
 
 

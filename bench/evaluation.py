@@ -24,7 +24,8 @@ from benchmark.machine.workers import single_threaded
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.diffusion.prior import TrajectoryPrior, diversify
-from generation.search.candidates import choose, initial_state, launch_frame
+from generation.search.candidates import initial_state, launch_frame
+from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
 from generation.search.scoring import Surroundings, score_terms, surroundings
 from generation.sources.town import town_scene
@@ -75,9 +76,9 @@ def sampled(prior: TrajectoryPrior, speed: float) -> Floats:
 
 def town_case(name: str, prior: TrajectoryPrior, hyper: HyperParameters, *, traffic: bool) -> Case:
     """A planning frame of the embedded town: the one with most traffic near the vehicle, or one with the ego alone."""
-    places = [(scene, agent) for scene in map(town, range(4)) for agent in choose(scene, USUAL, 0)]
+    chosen = [(scene, each.agent) for scene in map(town, range(4)) for each in eligibility_of(scene, USUAL, 0).chosen]
     scene, agent, frame = max(
-        ((scene, agent, launch_frame(scene, agent, USUAL) or 0) for scene, agent in places),
+        ((scene, agent, launch_frame(scene, agent, USUAL) or 0) for scene, agent in chosen),
         key=lambda place: neighbours(*place),
     )
     frame = min(frame, len(scene.timestamps_us) - 1 - hyper.scored_frames[-1])

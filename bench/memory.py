@@ -48,8 +48,8 @@ def main() -> None:
     started_s = time.process_time()
     from benchmark.machine.workers import single_threaded
     from generation.diffusion.prior import TrajectoryPrior
-    from generation.search.adversary import attempt
-    from generation.search.candidates import choose
+    from generation.search.adversary import attempts_together
+    from generation.search.eligibility import eligibility_of
     from generation.search.hyperparameters import HyperParameters
 
     single_threaded()
@@ -62,13 +62,13 @@ def main() -> None:
     shipped = pickle.dumps(scene)
     report(f"{scene.name}, {len(scene.agents)} objects, {len(shipped) / 1e6:.1f} MB", started_s)
     hyper = HyperParameters(candidates=arguments.candidates)
-    agents = choose(scene, hyper, 0)
+    agents = [vehicle.agent for vehicle in eligibility_of(scene, hyper, 0).chosen]
     units = [(seed, agent) for seed in range(arguments.attempts) for agent in agents]
     for seed, agent in units[: arguments.attempts]:
         started_s = time.process_time()
         # As a worker gets it: each unit comes with its own copy.
-        result = attempt(pickle.loads(shipped), agent, seed, hyper, prior)  # noqa: S301
-        outcome = "kept" if result.kept else result.discard
+        (result,) = attempts_together([(pickle.loads(shipped), agent)], seed, hyper, prior)  # noqa: S301
+        outcome = result.attempt.discard or "kept"
         report(f"vehicle {agent}, seed {seed}: {outcome}", started_s)
     verdict = "within" if most_mb() <= MOST_MB else "PAST"
     print(f"{most_mb():.0f} MB at most, {verdict} the {MOST_MB:.0f} MB that a worker may need")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from benchmark.records.run import RunRecord
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
     from generation.build.report import BuildReport
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
     from generation.build.surrogate import PlannerUnderTest
     from generation.render.contract import Renderer
 
@@ -97,7 +97,7 @@ def open_split(source: "DataSet", split: str, out: Path = OUT, *, workers: int =
 
     def build() -> None:
         from benchmark.machine.workers import LocalProcesses
-        from generation.build.split import BuildSettings
+        from generation.build.settings import BuildSettings
 
         tell(f"generating split {split} of the embedded data set (once, some minutes)")
         target = workspace(out).split_root(source.name, split)
@@ -186,34 +186,23 @@ def planner_under_test(
     return PlannerUnderTest(factory, images=name not in MODELS or not MODELS[name].blind, workers=worker_count(workers))
 
 
-def write_sheets(
-    source: "DataSet", dataset: "DataSet", split: str, root: Path, settings: "SheetSettings", *, rounds: bool
-) -> "tuple[WrittenSheets, int | None]":
+def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
     """Write the scene sheets of a split.
 
     Args:
-        source: The recordings that the split was made from.
         dataset: The data set that holds the split.
         split: The split.
         root: Folder of all sheets.
         settings: What the sheets show.
-        rounds: Whether to search again, to show the rounds of refinement.
 
     Returns:
-        The sheets, and the number of scenes whose search was traced, if that was asked for.
+        The sheets.
 
     Raises:
-        InputError: If the split or a scene is unknown, or the data is broken.
+        InputError: If the split or a scene is unknown, the data is broken, or rounds are asked for and none were kept.
     """
     from benchmark.sheets.writing import write_sheets as write
     from generation.build.profile import kept_runtime
     from generation.nuscenes_writer.plan import STATE_FOLDER
 
-    runtime = kept_runtime(dataset.root / STATE_FOLDER)
-    written = write(dataset, split, root, settings, runtime=None if runtime is None else runtime.as_json())
-    if not rounds:
-        return written, None
-    from generation.search.trace import write_traces
-
-    names = [each.scene for each in written.scenes]
-    return written, len(write_traces(dataset, source, split, root, names, workers=settings.workers))
+    return write(dataset, split, root, settings, runtime=kept_runtime(dataset.root / STATE_FOLDER))

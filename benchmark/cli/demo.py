@@ -41,7 +41,7 @@ def demo_command(
     from benchmark.metrics.transfer import transfer
     from benchmark.records.scenes import find_sheets
     from benchmark.sheets.writing import SheetSettings
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
     from generation.search.hyperparameters import HyperParameters
     from generation.sources.mini import TownSettings, build_town
     from leaderboard.build import write_leaderboard
@@ -64,6 +64,7 @@ def demo_command(
         renderer=api.schematic_renderer(),
         frames="keyframes",
         executor=LocalProcesses(processes),
+        keep_rounds=True,
     )
     tell("2/4 generating adversarial scenes")
     report = api.build_split(source, "adv", settings)
@@ -73,8 +74,8 @@ def demo_command(
     for split in ("val", "adv"):
         dataset = api.open_split(source, split, out, workers=workers)
         records += _evaluate_demo(dataset, split, space, processes)
-        sheet_settings = SheetSettings(workers=processes)
-        api.write_sheets(source, dataset, split, space.sheet_root(), sheet_settings, rounds=split == "adv")
+        sheet_settings = SheetSettings(workers=processes, rounds=split == "adv")
+        api.write_sheets(dataset, split, space.sheet_root(), sheet_settings)
     tell("4/4 writing the leaderboard")
     write_leaderboard(api.records_below(out, None), out / "leaderboard", sheets=find_sheets(space.sheet_root()))
     if json_output:
@@ -106,7 +107,7 @@ def _full_demo(out: Path, to: Path, workers: int, *, check: bool, json_output: b
     from benchmark.machine.workers import LocalProcesses
     from benchmark.machine.workspace import EMBEDDED
     from generation.build.ablation import ablate
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
     from generation.search.hyperparameters import HyperParameters
     from leaderboard.results import stale_results, write_results
 
@@ -144,7 +145,7 @@ def _results_from() -> dict[str, Any]:
     from benchmark.machine.storage import file_sha256
     from benchmark.protocols import PROTOCOLS
     from generation.search.adversary import ALGORITHM_VERSION
-    from generation.search.attempts import PackagedPrior
+    from generation.search.definition import PackagedPrior
     from generation.search.hyperparameters import HyperParameters
     from generation.sources.mini import TownSettings
 

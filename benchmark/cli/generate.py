@@ -52,8 +52,9 @@ from benchmark.cli.options import (
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
+    from generation.build.report import BuildReport
     from generation.render.contract import Renderer
-    from generation.search.attempts import PriorFactory
+    from generation.search.definition import PriorFactory
     from generation.search.hyperparameters import HyperParameters
 
 
@@ -98,12 +99,16 @@ def generate_command(
     workers: WorkersOption = 0,
     executor: ExecutorOption = ExecutorName.LOCAL,
     address: AddressOption = None,
+    keep_rounds: Annotated[
+        bool, typer.Option("--keep-rounds", help="Keep what sheets --rounds shows, about half a megabyte a scene.")
+    ] = False,
     profile: Annotated[bool, typer.Option(help="Say where the time went, beside the paper's table.")] = False,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from generation.build.split import BuildSettings, source_scenes
+    from generation.build.settings import BuildSettings
+    from generation.build.split import source_scenes
 
     api.require_generated(split)
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
@@ -155,14 +160,19 @@ def generate_command(
         executor=place,
         rendering=rendering,
         together=together,
+        keep_rounds=keep_rounds,
         dry_run=dry_run,
     )
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    report = api.build_split(source, split, settings)
+    _tell(api.build_split(source, split, settings), profile=profile, json_output=json_output)
+
+
+def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:
+    """What was done and, if asked for, where the time went."""
     runtime = report.runtime if profile else None
     if json_output:
-        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.as_json()}))
+        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.model_dump()}))
         return
     typer.echo(report.summary())
     if runtime is not None:
@@ -196,7 +206,7 @@ def ablate_command(
     """The paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
     from benchmark.machine.storage import file_name
     from generation.build.ablation import ablate, ablation_estimate
-    from generation.build.split import BuildSettings
+    from generation.build.settings import BuildSettings
 
     planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
     hyper = _hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes)
@@ -238,7 +248,7 @@ def _hyper_parameters(preset: Preset, shortcuts: dict[str, Any], changes: list[s
 def _prior(preset: Preset, weights: Path | None, device: str, calls: int | None, *, dropout: bool) -> "PriorFactory":
     """The trajectory model; with the paper's preset nothing that it draws is drawn again."""
     from generation.diffusion.prior import SamplerSettings
-    from generation.search.attempts import PackagedPrior
+    from generation.search.definition import PackagedPrior
 
     literal = preset is Preset.PAPER
     return PackagedPrior(weights, device, SamplerSettings(mutation_steps=calls, drivable=not literal, dropout=dropout))

@@ -44,7 +44,9 @@ def sheets_command(
         SheetPictures, typer.Option(help="Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.")
     ] = SheetPictures.KEYFRAMES,
     cell_width: Annotated[int, typer.Option(help="Width of one camera in them, pixels; never enlarged.")] = 320,
-    rounds: Annotated[bool, typer.Option("--rounds", help="Search again, to show the rounds of refinement.")] = False,
+    rounds: Annotated[
+        bool, typer.Option("--rounds", help="Also the rounds of refinement that generate --keep-rounds kept.")
+    ] = False,
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
@@ -52,19 +54,17 @@ def sheets_command(
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
     from benchmark.sheets.writing import SheetSettings, plan_of
 
-    settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers))
+    settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
     source, root = api.open_data(data, tables=tables, workers=workers), api.workspace(out).sheet_root()
-    dataset = api.open_split(source, split, out, workers=workers)
+    dataset = api.open_split(source, split, out, workers=workers, keep_rounds=rounds)
     if dry_run:
         typer.echo(plan_of(dataset, split, root, settings))
         return
-    written, traced = api.write_sheets(source, dataset, split, root, settings, rounds=rounds)
+    written = api.write_sheets(dataset, split, root, settings)
     if json_output:
-        print_json(written.as_json() | ({} if traced is None else {"traced": traced}))
-        return
-    typer.echo(written.sentence())
-    if traced is not None:
-        typer.echo(f"rounds of refinement of {traced} scenes")
+        print_json(written.as_json())
+    else:
+        typer.echo(written.sentence())
 
 
 @leaderboard_app.callback(invoke_without_command=True)

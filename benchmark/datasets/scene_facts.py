@@ -1,9 +1,10 @@
 """Where a scene comes from and what is done in it, from ``challenger.json`` or from the scene's name."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
+from benchmark.records.attempts import stored_labels
 from benchmark.records.run_schema import SceneFacts
 
 _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")
@@ -22,28 +23,8 @@ def scene_facts_of(name: str, made: Mapping[str, Any]) -> SceneFacts:
         the primary one of the first adversary that has labels.
     """
     published = _PUBLISHED.fullmatch(name)
-    manoeuvres = (found.get("manoeuvre") for found in labels_in(made.get("report")) if isinstance(found, dict))
+    manoeuvres = (found.get("manoeuvre") for found in stored_labels(made.get("report")) if isinstance(found, dict))
     return SceneFacts(
         source=made.get("source_scene") or (published[1] if published else name),
         manoeuvre=next((manoeuvre for manoeuvre in manoeuvres if isinstance(manoeuvre, str)), None),
     )
-
-
-def labels_in(report: Any) -> Iterator[Any]:
-    """Labels in a report, which has one for each adversary, wherever it puts them.
-
-    Args:
-        report: Any JSON value.
-
-    Yields:
-        What stands under the key ``labels``, in the order of the keys and lists.
-    """
-    if isinstance(report, list):
-        for item in report:
-            yield from labels_in(item)
-    elif isinstance(report, dict):
-        for key in sorted(report):
-            if key == "labels" and report[key] is not None:
-                yield report[key]
-            else:
-                yield from labels_in(report[key])

@@ -5,80 +5,35 @@ Reads the tables without the devkit, so that maps and images may be missing.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from benchmark.datasets.roots import variant_folders
-from benchmark.datasets.scene_facts import labels_in
 from benchmark.datasets.split_names import read_splits, scenes_of_split
-from benchmark.datasets.table_rows import TableCounts, count_rows, table_rows
+from benchmark.datasets.table_rows import count_rows, table_rows
 from benchmark.datasets.tables import find_version
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 from benchmark.published import ADV_NUSC
+from benchmark.records.attempts import Labels, stored_labels
+from benchmark.records.statistics import ManoeuvreRow, Quantiles, SplitStatistics, TableCounts
 from benchmark.report.table import table_of
 
 _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
 
 
-PUBLISHED_ADV_NUSC: Final = TableCounts(**ADV_NUSC)
-"""What the paper prints for its own data set; quoted, not counted."""
-
-
-@dataclass(frozen=True, slots=True)
-class ManoeuvreRow:
-    """One kind of manoeuvre in a data set.
-
-    Attributes:
-        manoeuvre: The kind.
-        primary: Adversaries whose primary kind it is.
-        occurred: Adversaries that did it at some time.
-        places: Of the primary ones, how many happened where.
-        median_gap_m: Median smallest gap of the primary ones, ``None`` if there are none.
-    """
-
-    manoeuvre: str
-    primary: int
-    occurred: int
-    places: dict[str, int]
-    median_gap_m: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Statistics:
-    """What `statistics` found.
-
-    Attributes:
-        root: The data set.
-        split: Split that was counted, ``None`` for the whole data set.
-        counts: Table rows.
-        adversaries_per_scene: Number of scenes by number of adversaries; empty for recordings.
-        labelled: Adversaries with labels.
-        manoeuvres: Rows by falling number; empty without labels.
-        places: Adversaries by place of the closest approach.
-        gap_m: Quantiles of the smallest gap between the bodies.
-        time_to_collision_s: Quantiles over those that came within 5 s of a collision.
-        within_5_s: How many those are.
-    """
+class Statistics(SplitStatistics):
+    """What `statistics` found in the data set at ``root``."""
 
     root: str
-    split: str | None
-    counts: TableCounts
-    adversaries_per_scene: dict[int, int]
-    labelled: int
-    manoeuvres: tuple[ManoeuvreRow, ...]
-    places: dict[str, int]
-    gap_m: dict[str, float]
-    time_to_collision_s: dict[str, float]
-    within_5_s: int
 
     def as_json(self) -> dict[str, Any]:
         """Everything as JSON values, with the published table beside."""
-        return {**asdict(self), "published_adv_nusc": asdict(PUBLISHED_ADV_NUSC)}
+        return self.model_dump()
 
     def plain(self) -> str:
         """Everything as text tables."""
@@ -91,32 +46,6 @@ class Statistics:
         texts = ([tuple(map(str, row)) for row in rows] for rows in tables)
         blocks = (table_of("", "", head, rows).plain() for head, *rows in texts)
         return "\n".join([f"{self.root}, {which}\n", *blocks]).removesuffix("\n")
-
-
-class _Seconds(BaseModel):
-    model_config = ConfigDict(frozen=True)
-    seconds: float
-
-
-class _Gap(BaseModel):
-    model_config = ConfigDict(frozen=True)
-    gap_m: float
-
-
-class _Kind(BaseModel):
-    model_config = ConfigDict(frozen=True)
-    kind: str
-
-
-class _StoredLabels(BaseModel):
-    """What statistics need of ``generation.labels.labelling.Labels`` as written to ``challenger.json``."""
-
-    model_config = ConfigDict(frozen=True)
-    manoeuvre: str
-    place: str
-    occurred: tuple[_Kind, ...]
-    closest_approach: _Gap
-    time_to_collision: _Seconds | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +73,7 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
     """
     parts = _roots(root, split, version)
     counted = [count_rows(part.folder, part.scenes) for part in parts]
-    total = TableCounts(*(sum(getattr(one, item.name) for one in counted) for item in fields(TableCounts)))
+    total = TableCounts(**{name: sum(getattr(one, name) for one in counted) for name in TableCounts.model_fields})
     labels = [found for part in parts for found in _labels_of(part)]
     adversaries = Counter(len(entry.get("adversaries", ())) for part in parts for entry in part.made.values())
     reached = [found.time_to_collision.seconds for found in labels if found.time_to_collision is not None]
@@ -192,11 +121,11 @@ def _provenance(path: Path) -> dict[str, Any]:
     return dict(value)
 
 
-def _labels_of(part: _Root) -> Iterator[_StoredLabels]:
+def _labels_of(part: _Root) -> Iterator[Labels]:
     for name, entry in part.made.items():
-        for found in labels_in(entry.get("report")):
+        for found in stored_labels(entry.get("report")):
             try:
-                yield _StoredLabels.model_validate(found)
+                yield Labels.model_validate(found)
             except ValidationError as error:
                 where = ".".join(map(str, error.errors()[0]["loc"]))
                 raise InputError(
@@ -205,7 +134,7 @@ def _labels_of(part: _Root) -> Iterator[_StoredLabels]:
                 ) from error
 
 
-def _rows_of(labels: Sequence[_StoredLabels]) -> tuple[ManoeuvreRow, ...]:
+def _rows_of(labels: Sequence[Labels]) -> tuple[ManoeuvreRow, ...]:
     primary = Counter(found.manoeuvre for found in labels)
     occurred = Counter(kind for found in labels for kind in {item.kind for item in found.occurred})
     rows = []
@@ -213,8 +142,15 @@ def _rows_of(labels: Sequence[_StoredLabels]) -> tuple[ManoeuvreRow, ...]:
         own = [found for found in labels if found.manoeuvre == kind]
         gaps = [found.closest_approach.gap_m for found in own]
         places = _falling(Counter(found.place for found in own))
-        median = float(np.median(gaps)) if gaps else None
-        rows.append(ManoeuvreRow(kind, primary[kind], occurred[kind], places, median))
+        rows.append(
+            ManoeuvreRow(
+                manoeuvre=kind,
+                primary=primary[kind],
+                occurred=occurred[kind],
+                places=places,
+                median_gap_m=float(np.median(gaps)) if gaps else None,
+            )
+        )
     return tuple(rows)
 
 
@@ -222,15 +158,16 @@ def _falling(counts: Counter[str]) -> dict[str, int]:
     return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
-def _quantiles(values: Sequence[float]) -> dict[str, float]:
-    return {name: float(np.quantile(values, level)) for name, level in _QUANTILES.items()} if values else {}
+def _quantiles(values: Sequence[float]) -> Quantiles | None:
+    if not values:
+        return None
+    return Quantiles(**{name: float(np.quantile(values, level)) for name, level in _QUANTILES.items()})
 
 
 def _count_rows(counts: TableCounts) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = [("", "here", "Adv-nuSc as published")]
-    for item in fields(TableCounts):
-        here, published = getattr(counts, item.name), getattr(PUBLISHED_ADV_NUSC, item.name)
-        rows.append((item.name.replace("_", " "), f"{here:,}", f"{published:,}"))
+    for name, published in ADV_NUSC.items():
+        rows.append((name.replace("_", " "), f"{getattr(counts, name):,}", f"{published:,}"))
     return rows
 
 
@@ -244,8 +181,10 @@ def _manoeuvre_rows(table: Sequence[ManoeuvreRow], places: Mapping[str, int]) ->
 
 def _quantile_rows(found: Statistics) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = [("", "of", *(name for name in _QUANTILES))]
-    rows.append(("smallest gap, m", found.labelled, *(f"{value:.2f}" for value in found.gap_m.values())))
-    if found.within_5_s:
-        times = (f"{value:.1f}" for value in found.time_to_collision_s.values())
-        rows.append(("time to collision, s", found.within_5_s, *times))
+    for label, count, quantiles, digits in (
+        ("smallest gap, m", found.labelled, found.gap_m, 2),
+        ("time to collision, s", found.within_5_s, found.time_to_collision_s, 1),
+    ):
+        if quantiles is not None:
+            rows.append((label, count, *(f"{getattr(quantiles, name):.{digits}f}" for name in _QUANTILES)))
     return rows

@@ -1,33 +1,12 @@
 """Tables read row by row and counted, without the devkit: only tokens are held in memory."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.datasets.stored_rows import PassOverRows
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-
-
-@dataclass(frozen=True, slots=True)
-class TableCounts:
-    """Numbers of table rows that belong to some scenes: the paper's table "Overview of the Adv-nuSc Dataset".
-
-    Attributes:
-        instances: Rows of ``instance`` with an annotation in the scenes.
-        ego_poses: Rows of ``ego_pose`` that sensor data of the scenes name.
-        scenes: Rows of ``scene``.
-        samples: Rows of ``sample``.
-        sample_data: Rows of ``sample_data``.
-        annotations: Rows of ``sample_annotation``.
-    """
-
-    instances: int
-    ego_poses: int
-    scenes: int
-    samples: int
-    sample_data: int
-    annotations: int
+from benchmark.records.statistics import TableCounts
 
 
 def count_rows(folder: Path, names: Collection[str] | None) -> TableCounts:

@@ -1,7 +1,7 @@
 """Scene sheets on disk: their schema, and how they are read. Everything that is shown of a scene comes from here.
 
 ``<sheets>/<data set>/<split>/split.json`` is a `SplitSheet`; ``.../<split>/scenes/<scene>/`` holds ``sheet.json`` (a
-`Sheet`), pictures below ``cameras/`` and, for scenes whose search was traced, ``rounds.json`` (a `RefinementTrace`).
+`Sheet`), pictures below ``cameras/`` and, where the search kept its rounds, ``rounds.json`` (a `RefinementTrace`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,11 +13,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, file_sha256, read_json
+from benchmark.records.attempts import Attempt
 from benchmark.records.run_schema import DataFacts
+from benchmark.records.statistics import Runtime, SplitStatistics
 
 SCHEMA: Final = 1
 SHEET_FILE, ROUNDS_FILE, SPLIT_FILE = "sheet.json", "rounds.json", "split.json"
 SCENES_FOLDER: Final = "scenes"
+KEPT_ROUNDS_FOLDER: Final = "rounds"
+"""Below a generated root: a `RefinementTrace` for each scene, where the search kept its rounds."""
 CAMERA_GRID: Final = (
     ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT"),
     ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT"),
@@ -225,6 +229,17 @@ class AttemptFacts(_Stored):
     discarded: str | None
     manoeuvre: str | None
 
+    @classmethod
+    def of(cls, attempt: Attempt) -> "AttemptFacts":
+        """What is shown of an attempt."""
+        return cls(
+            source=attempt.scene,
+            agent=attempt.agent,
+            scene=attempt.written,
+            discarded=attempt.discard or attempt.dropped,
+            manoeuvre=None if attempt.labels is None else attempt.labels.manoeuvre,
+        )
+
 
 class SplitSheet(_Stored):
     """What is shown of one split.
@@ -234,18 +249,18 @@ class SplitSheet(_Stored):
         data: Data set.
         split: Split.
         scenes: All scene names of the split, in order.
-        statistics: ``benchmark.datasets.statistics.Statistics.as_json()`` without its path.
+        statistics: The split in numbers.
         attempts: What the search tried, for generated splits.
-        runtime: Seconds of each stage of generation (`generation.build.profile`), if this machine measured them.
+        runtime: Seconds of each stage of generation, if this machine measured them.
     """
 
     schema_version: int = Field(alias="schema")
     data: DataFacts
     split: str
     scenes: tuple[str, ...]
-    statistics: dict[str, Any]
+    statistics: SplitStatistics
     attempts: tuple[AttemptFacts, ...] = ()
-    runtime: dict[str, Any] | None = None
+    runtime: Runtime | None = None
 
 
 _Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)
@@ -258,7 +273,7 @@ class StoredSheet:
     Attributes:
         directory: Of ``sheet.json``.
         sheet: The sheet.
-        rounds: The search for its adversary, if it was traced.
+        rounds: The search for its adversary, if its rounds were kept.
     """
 
     directory: Path
@@ -299,6 +314,11 @@ def split_folder(root: Path, data_name: str, split: str) -> Path:
 def scene_folder(root: Path, data_name: str, split: str, scene: str) -> Path:
     """Folder of a scene's sheet below the folder of all sheets."""
     return split_folder(root, data_name, split) / SCENES_FOLDER / file_name(scene)
+
+
+def kept_rounds_path(root: Path, scene: str) -> Path:
+    """Where a generated root has the rounds of the search for a scene's adversary, if they were kept."""
+    return root / KEPT_ROUNDS_FOLDER / f"{file_name(scene)}.json"
 
 
 def find_sheets(root: Path) -> Sheets:

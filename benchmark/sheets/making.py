@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 from pydantic import ValidationError
 
-from benchmark.datasets.scene_facts import labels_in
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256, read_kept_json, write_bytes, write_json, writing_to
+from benchmark.records.attempts import stored_labels
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import (
     ROUNDS_FILE,
@@ -118,7 +118,7 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
             "split": split,
             "scene": name,
             "source": data.scene_facts([name])[name].source,
-            "labels": tuple(found for found in labels_in(report) if isinstance(found, dict)),
+            "labels": tuple(found for found in stored_labels(report) if isinstance(found, dict)),
             "sample_tokens": tuple(truth.sample_token for truth in data.truth(name)),
         }
     )
@@ -247,15 +247,15 @@ def _make(job: Job, data: "DataSet", name: str, keyframes: Videos, sweeps: Video
         (folder / SHEET_FILE).unlink(missing_ok=True)
         if (folder / _PICTURES_FOLDER).exists():
             shutil.rmtree(folder / _PICTURES_FOLDER)
-        if not _fits(folder / ROUNDS_FILE, sheet):
+        if not rounds_fit(folder / ROUNDS_FILE, sheet):
             (folder / ROUNDS_FILE).unlink(missing_ok=True)
     sheet = sheet.model_copy(update=_write_pictures(job, folder, scene, keyframes, sweeps))
     write_json(folder / SHEET_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
     return sheet
 
 
-def _fits(path: Path, sheet: Sheet) -> bool:
-    """Whether the trace of a search can stay beside a new sheet; a damaged one would make the sheet unreadable."""
+def rounds_fit(path: Path, sheet: Sheet) -> bool:
+    """Whether the rounds of a search can stand beside a sheet; damaged ones would make the sheet unreadable."""
     try:
         trace = RefinementTrace.model_validate(read_kept_json(path))
     except ValidationError:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
-from benchmark.machine.storage import file_name, only_writer, read_kept_json, writing_to
+from benchmark.machine.storage import file_name, only_writer, read_kept_json, write_bytes, writing_to
 from benchmark.machine.workers import default_workers, map_ordered
 from benchmark.records.run_schema import DataFacts
-from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, split_folder
+from benchmark.records.scenes import ROUNDS_FILE, SCENES_FOLDER, SHEET_FILE, Sheet, kept_rounds_path, split_folder
+from benchmark.records.statistics import Runtime
 from benchmark.runs.scene_work import reopen_root
-from benchmark.sheets.making import Job, WrittenSheet, planned_sheet, written_sheet
+from benchmark.sheets.making import Job, WrittenSheet, planned_sheet, rounds_fit, written_sheet
 from benchmark.sheets.split_sheets import write_split_sheet
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class SheetSettings:
         scenes: Only these scenes of the split.
         limit: Only the first so many scenes.
         workers: Number of processes; 0 is one for each processor. The result does not depend on it.
+        rounds: Whether to show the rounds of refinement that the search kept.
     """
 
     pictures: Literal["keyframes", "all", "none"] = "keyframes"
@@ -40,6 +42,7 @@ class SheetSettings:
     scenes: tuple[str, ...] | None = None
     limit: int | None = None
     workers: int = 0
+    rounds: bool = False
 
     def __post_init__(self) -> None:
         if self.workers < 0:
@@ -57,10 +60,12 @@ class WrittenSheets:
     Attributes:
         directory: Of ``split.json``.
         scenes: One for each scene that was asked for.
+        traced: How many of them show the rounds of refinement; ``None`` if that was not asked for.
     """
 
     directory: Path
     scenes: tuple[WrittenSheet, ...]
+    traced: int | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The same in numbers."""
@@ -71,6 +76,7 @@ class WrittenSheets:
             "pictures": sum(each.pictures for each in self.scenes),
             "sheet_bytes": sum(each.sheet_bytes for each in self.scenes),
             "picture_bytes": sum(each.picture_bytes for each in self.scenes),
+            **({} if self.traced is None else {"traced": self.traced}),
         }
 
     def sentence(self) -> str:
@@ -80,6 +86,7 @@ class WrittenSheets:
             f"{len(self.scenes)} sheets in {self.directory} ({total['made']} made, the others were there): "
             f"{total['sheet_bytes'] / 1e6:.1f} MB, with {total['pictures']} pictures of "
             f"{total['picture_bytes'] / 1e6:.1f} MB"
+            + ("" if self.traced is None else f"\nrounds of refinement of {self.traced} scenes")
         )
 
 
@@ -89,7 +96,7 @@ def write_sheets(
     root: Path,
     settings: SheetSettings,
     *,
-    runtime: dict[str, Any] | None = None,
+    runtime: Runtime | None = None,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> WrittenSheets:
     """Write the sheets of a split; the same command goes on, and does nothing where nothing has changed.
@@ -107,10 +114,15 @@ def write_sheets(
         removed.
 
     Raises:
-        InputError: If the split or a scene is unknown, something in it is broken, some of its images are missing, or
-            another command is writing there.
+        InputError: If the split or a scene is unknown, something in it is broken, some of its images are missing,
+            another command is writing there, or rounds are asked for and none were kept.
     """
     chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
+    if settings.rounds and not any(kept_rounds_path(data.root, name).is_file() for name in chosen):
+        raise InputError(
+            f"{data.root} has no rounds of refinement; challenger-bench generate --split adv --keep-rounds keeps them "
+            "(run again, it searches anew where they are missing)"
+        )
     job = _job(data, split, root, settings)
     directory = split_folder(root, data.name, split)
     with only_writer(directory):
@@ -120,7 +132,19 @@ def write_sheets(
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
         work = partial(written_sheet, job, data) if workers == 1 else partial(_in_worker, job, opener)
         written = tuple(map_ordered(work, chosen, workers=workers, label="scene sheets"))
-    return WrittenSheets(directory, written)
+        traced = sum(_show_rounds(job.folder(name), data.root, name) for name in chosen) if settings.rounds else None
+    return WrittenSheets(directory, written, traced)
+
+
+def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:
+    """Put the rounds that the search kept beside a scene's sheet; whether there are any that belong to it."""
+    kept = kept_rounds_path(data_root, scene)
+    if not rounds_fit(kept, Sheet.model_validate(read_kept_json(folder / SHEET_FILE))):
+        return False
+    content, shown = kept.read_bytes(), folder / ROUNDS_FILE
+    if not shown.is_file() or shown.read_bytes() != content:
+        write_bytes(shown, content)
+    return True
 
 
 def plan_of(data: "DataSet", split: str, root: Path, settings: SheetSettings) -> str:

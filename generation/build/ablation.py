@@ -9,20 +9,21 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.machine.storage import read_json_lines, write_json
+from benchmark.machine.storage import write_json
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.protocols import protocol
 from benchmark.records.ablation import RECORD, SCHEMA, VARIANTS, AblationReport, AblationRow, Variant
+from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts, RateRow
 from generation.build.report import BuildReport
-from generation.build.split import BuildSettings, NothingSurvivedError, build_split, source_scenes
+from generation.build.settings import BuildSettings
+from generation.build.split import NothingSurvivedError, build_split, source_scenes
 from generation.build.surrogate import PROTOCOL, PlannerUnderTest, require_all_planned
 
 
@@ -110,7 +111,7 @@ def _row(
         report = nothing.report
     else:
         record = _evaluated(source, planner, row, settings.out / "runs" / variant.name)
-    return _counted(variant, report, read_json_lines(row.out / "attempts.jsonl"), record, samples, settings.seed)
+    return _counted(variant, report, read_attempts(row.out / ATTEMPTS_FILE), record, samples, settings.seed)
 
 
 def _evaluated(source: DataSet, planner: PlannerUnderTest, row: BuildSettings, runs: Path) -> RunRecord:
@@ -124,13 +125,13 @@ def _evaluated(source: DataSet, planner: PlannerUnderTest, row: BuildSettings, r
 def _counted(
     variant: Variant,
     report: BuildReport,
-    attempts: Sequence[dict[str, Any]],
+    attempts: Sequence[Attempt],
     record: RunRecord | None,
     samples: dict[str, int],
     seed: int,
 ) -> AblationRow:
     """Numbers of one variant, by recorded scene first: variants of one recording are resampled together."""
-    scene_of = {row["written"]: row["scene"] for row in attempts if row["written"] is not None}
+    scene_of = {each.written: each.scene for each in attempts if each.written is not None}
     colliding: Counter[str] = Counter()
     judged: Counter[str] = Counter()
     for row in () if record is None else record.rows:
@@ -138,12 +139,12 @@ def _counted(
         if outcome.counted:
             judged[scene_of[row.scene]] += 1
             colliding[scene_of[row.scene]] += any(outcome.collision)
-    tried = Counter(row["scene"] for row in attempts)
+    tried = Counter(each.scene for each in attempts)
     scenes = sorted(samples)
     above = np.array([[float(colliding[scene])] * 2 for scene in scenes]).reshape(-1, 2)
     below = np.array([[float(tried[scene] * samples[scene]), float(judged[scene])] for scene in scenes]).reshape(-1, 2)
     of_tried, of_kept = ratios_over_scenes(above, below, scenes, seed=seed)
-    gaps = [row["closest_approach"]["gap_m"] for row in attempts if row["kept"]]
+    gaps = [each.closest_approach.gap_m for each in attempts if each.kept and each.closest_approach is not None]
     return AblationRow(
         name=variant.name,
         attempted=report.tried,

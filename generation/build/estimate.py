@@ -19,8 +19,8 @@ from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.build.profile import mean_seconds
 from generation.render.contract import LongRenderer, Renderer
-from generation.search.attempts import Search, Unit
 from generation.search.candidates import initial_state, launch_frame
+from generation.search.definition import Search, Unit
 from generation.search.proposals import Mutation, Sampling
 from generation.search.scoring import score_terms, surroundings
 

@@ -4,14 +4,14 @@ Seconds are those of a processor, so that they do not depend on how many workers
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from benchmark.machine.storage import read_kept_json
 from benchmark.published import RUNTIME_S
+from benchmark.records.statistics import Runtime
 from benchmark.report.table import Table, table_of
 
 STAGES: Final = ("sampling", "physics", "scoring", "rendering", "other")
@@ -23,28 +23,8 @@ class _Note(BaseModel):
     seconds: dict[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class RuntimeTable:
-    """Processor seconds of a build.
-
-    Attributes:
-        attempts: Attempts that are timed.
-        scenes: Rendered scenes that are timed.
-        total_s: Seconds in all, by stage.
-    """
-
-    attempts: int
-    scenes: int
-    total_s: dict[str, float]
-
-    def each_s(self, stage: str) -> float | None:
-        """Seconds of one attempt, or of one rendered scene; ``None`` where nothing was timed."""
-        count = self.scenes if stage == "rendering" else self.attempts
-        return self.total_s[stage] / count if count else None
-
-    def as_json(self) -> dict[str, Any]:
-        """The table as JSON values."""
-        return {"attempts": self.attempts, "scenes": self.scenes, "total_s": self.total_s}
+class RuntimeTable(Runtime):
+    """Processor seconds of a build, for people."""
 
     def table(self) -> Table:
         """The same for a terminal, the paper's beside it."""
@@ -78,7 +58,7 @@ def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTa
     for note in (*of_attempts, *of_scenes):
         for stage, seconds in note.seconds.items():
             total[stage if stage in total else "other"] += seconds
-    return RuntimeTable(len(of_attempts), len(of_scenes), total)
+    return RuntimeTable(attempts=len(of_attempts), scenes=len(of_scenes), total_s=total)
 
 
 def kept_runtime(state: Path) -> RuntimeTable | None:

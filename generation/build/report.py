@@ -6,7 +6,7 @@ from typing import Any
 
 from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
-from generation.search.chains import Harvest
+from generation.search.chains import SearchResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +47,17 @@ class BuildReport:
 
     @classmethod
     def of(
-        cls, scenes: int, found: Harvest, written: tuple[str, ...], surrogate: dict[str, Any] | None, adversaries: int
+        cls,
+        scenes: int,
+        found: SearchResult,
+        written: tuple[str, ...],
+        surrogate: dict[str, Any] | None,
+        adversaries: int,
     ) -> "BuildReport":
         """The report on a finished search for adversaries."""
-        discarded = Counter(tried.stored.discard for tried in found.tried if tried.stored.discard is not None)
+        discarded = Counter(each.attempt.discard for each in found.tried if each.attempt.discard is not None)
         not_tried: Counter[str] = Counter()
-        for earlier, seen in found.surveys:
+        for earlier, seen in found.eligibility:
             # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
             if not earlier:
                 not_tried.update(seen.not_tried())

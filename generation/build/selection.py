@@ -2,17 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from benchmark.datasets.roots import DataSet
-from generation.build.ranking import ranked
+from generation.build.settings import BuildSettings
 from generation.build.surrogate import Judgement, judge, staging_plan, take_over
 from generation.build.writing import WritingJob, write_scenes
 from generation.nuscenes_writer import DataSetPlan
-from generation.search.chains import Chain, Dropped, Harvest
-
-if TYPE_CHECKING:
-    from generation.build.split import BuildSettings
+from generation.search.chains import Chain, Dropped, SearchResult
+from generation.search.ranking import ranked
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +36,7 @@ class Selection:
             take_over(self.staging, plan, [self.staged[job.name] for job in self.jobs])
 
 
-def select(source: DataSet, plan: DataSetPlan, found: Harvest, settings: "BuildSettings") -> Selection:
+def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: BuildSettings) -> Selection:
     """Choose the scenes that are written, and note in ``found`` why the others are not.
 
     Args:
@@ -82,7 +79,7 @@ def select(source: DataSet, plan: DataSetPlan, found: Harvest, settings: "BuildS
     return Selection(kept, [by_name[chain.name] for chain in kept], judgement, staging, staged)
 
 
-def _most_challenging(found: Harvest, chains: Sequence[Chain], settings: "BuildSettings") -> list[Chain]:
+def _most_challenging(found: SearchResult, chains: Sequence[Chain], settings: BuildSettings) -> list[Chain]:
     kept = ranked(chains, per_scene=settings.per_scene, total=settings.total)
     names = {chain.name for chain in kept}
     for chain in chains:
@@ -107,5 +104,15 @@ def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]
         variant = seen.get(chain.scene_name, 0)
         seen[chain.scene_name] = variant + 1
         written_as = chain.scene_name if plan.layout == "per-variant" else chain.name
-        jobs.append(WritingJob(chain.name, written_as, chain.scene_name, variant, chain.adversarial, chain.report()))
+        jobs.append(
+            WritingJob(
+                chain.name,
+                written_as,
+                chain.scene_name,
+                variant,
+                chain.adversarial,
+                chain.report(),
+                last_attempt=(chain.links[-1].key, chain.last_place),
+            )
+        )
     return jobs

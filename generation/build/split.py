@@ -5,28 +5,26 @@ Every step is resumable and gives the same bytes for any executor.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer
-from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.build.profile import runtime_table
 from generation.build.report import BuildReport
 from generation.build.selection import select
-from generation.build.surrogate import PlannerUnderTest
-from generation.build.writing import WritingJob, publish_reports, withdraw, write_scenes
+from generation.build.settings import BuildSettings
+from generation.build.writing import WritingJob, publish_reports, publish_rounds, withdraw, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.render.contract import Renderer
-from generation.search.attempts import PackagedPrior, PriorFactory, Search, kept_attempt
-from generation.search.chains import Chain, Harvest, first_units, harvest
-from generation.search.hyperparameters import HyperParameters
-from generation.search.search_file import SEARCH_FILE, search_file
+from generation.search.attempts import kept_attempt
+from generation.search.chains import Chain, SearchResult, first_units, search_chains
+from generation.search.definition import Search
 
 Split = Literal["adv", "val-r"]
 
@@ -41,72 +39,6 @@ class NothingSurvivedError(InputError):
     def __init__(self, sentence: str, report: BuildReport) -> None:
         super().__init__(sentence)
         self.report = report
-
-
-@dataclass(frozen=True, slots=True)
-class BuildSettings:
-    """What to build and where.
-
-    Attributes:
-        out: Root of the new data set.
-        source_split: Split of the source that is used.
-        scenes: Names of source scenes to use, ``None`` for all.
-        limit: Use only this many source scenes.
-        seed: Seed of the choice of vehicles and of the search.
-        executor: Where the work is done.
-        rendering: Where scenes are rendered, if elsewhere: GPUs are fewer than processors.
-        together: Attempts that a worker plans side by side, which pays on an accelerator.
-        hyper: Settings of the search.
-        prior: Makes the diffusion model.
-        adversaries: In each scene.
-        surrogate: Keep only scenes in which this planner collides; ``None`` keeps all.
-        per_scene: Most adversarial variants kept of one source scene, ``None`` for all.
-        total: Most adversarial scenes kept, ``None`` for all.
-        renderer: Draws the images, ``None`` for a data set without images.
-        layout: One root with suffixed names, or one root per variant with original names.
-        frames: Which frames get images and rows.
-        version: Version folder that is written.
-        jpeg_quality: 1 to 100.
-        lossless: Beside each JPEG file a PNG file of the same name.
-        dry_run: Only count the work.
-    """
-
-    out: Path
-    source_split: str = "val"
-    scenes: tuple[str, ...] | None = None
-    limit: int | None = None
-    seed: int = 0
-    executor: Executor = field(default_factory=LocalProcesses)
-    rendering: Executor | None = None
-    together: int = 1
-    hyper: HyperParameters = field(default_factory=HyperParameters)
-    prior: PriorFactory = field(default_factory=PackagedPrior)
-    adversaries: int = 1
-    surrogate: PlannerUnderTest | None = None
-    per_scene: int | None = None
-    total: int | None = None
-    renderer: Renderer | None = None
-    layout: Literal["suffixed", "per-variant"] = "suffixed"
-    frames: Literal["all", "keyframes"] = "all"
-    version: str = "v1.0-trainval"
-    jpeg_quality: int = 92
-    lossless: bool = False
-    dry_run: bool = False
-
-    def __post_init__(self) -> None:
-        for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
-            if number is not None and number < 1:
-                raise InputError(f"--{option} must be at least 1, got {number}")
-
-    @property
-    def where_rendered(self) -> Executor:
-        """Where scenes are rendered."""
-        return self.rendering or self.executor
-
-    @property
-    def timing(self) -> Path:
-        """Folder of notes on how long work took; no result depends on them."""
-        return self.out / STATE_FOLDER / "timing"
 
 
 def build_split(source: DataSet, split: Split, settings: BuildSettings) -> BuildReport:
@@ -182,7 +114,8 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
     """How much there is to do."""
     chosen = first_units(search, source, names, keep=False)
     units = [unit for _, of_scene in chosen for unit in of_scene]
-    left = [unit for unit in units if kept_attempt(search, unit) is None]
+    with_rounds = settings.keep_rounds and settings.adversaries == 1
+    left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
     not_tried: Counter[str] = Counter()
     for seen, _ in chosen:
         not_tried.update(seen.not_tried())
@@ -213,21 +146,28 @@ def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSet
 
 
 def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
-    found = harvest(
-        search, source, names, settings.executor, adversaries=settings.adversaries, together=settings.together
+    found = search_chains(
+        search,
+        source,
+        names,
+        settings.executor,
+        adversaries=settings.adversaries,
+        together=settings.together,
+        keep_rounds=settings.keep_rounds,
     )
     plan = _plan(source, "adv", settings)
     chosen = select(source, plan, found, settings)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     written = tuple(job.name for job in chosen.jobs)
     report = BuildReport.of(len(names), found, written, said, settings.adversaries)
-    files = _report_files(report, found, chosen.chains) | {SEARCH_FILE: search_file(search)}
+    files = _report_files(report, found, chosen.chains)
+    files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     publish_reports(settings.out, files)
     if not written:
         withdraw(settings.out)
         raise NothingSurvivedError(
             f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
-            f"(details in {settings.out / 'attempts.jsonl'})",
+            f"(details in {settings.out / ATTEMPTS_FILE})",
             report,
         )
     chosen.take_over(plan)
@@ -244,7 +184,7 @@ def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSetti
         return BuildReport("val-r", len(names), estimate=about, dry_run=True)
     report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
     with only_writer(settings.out):
-        publish_reports(settings.out, _report_files(report, Harvest(), []))
+        publish_reports(settings.out, _report_files(report, SearchResult(), []))
         notes = _write(source, _plan(source, "val-r", settings), jobs, settings)
     return replace(report, runtime=runtime_table([], notes))
 
@@ -271,26 +211,26 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     """Render, write and finish a data set; returns the notes on how long rendering took."""
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
+    publish_rounds(plan, jobs, keys)
     finish_data_set(plan, keys)
     return [timing / f"{key}.timing.json" for key in keys]
 
 
-def _report_files(report: BuildReport, found: Harvest, written: Sequence[Chain]) -> dict[str, bytes]:
+def _report_files(report: BuildReport, found: SearchResult, written: Sequence[Chain]) -> dict[str, bytes]:
     """What a build says of itself, by file name."""
     name_of = {link.unit: chain.name for chain in written for link in chain.links}
-    attempts = [
-        {
-            **tried.stored.report,
-            "earlier": [link.agent_id for link in tried.unit.earlier],
+    attempts = []
+    for tried in found.tried:
+        fate = {
+            "earlier": tuple(link.agent_id for link in tried.unit.earlier),
             "dropped": found.dropped.get(tried.unit),
             "written": name_of.get(tried.unit),
         }
-        for tried in found.tried
-    ]
-    candidates = [seen.row(earlier) for earlier, seen in found.surveys]
+        attempts.append(tried.attempt.model_copy(update=fate).as_json())
+    candidates = [seen.row(earlier) for earlier, seen in found.eligibility]
     files = {
         "report.json": (canonical_json(report.as_json(), indent=1) + "\n").encode(),
-        "attempts.jsonl": "".join(canonical_json(row) + "\n" for row in attempts).encode(),
+        ATTEMPTS_FILE: "".join(canonical_json(row) + "\n" for row in attempts).encode(),
     }
     if candidates:
         files["candidates.jsonl"] = "".join(canonical_json(row) + "\n" for row in candidates).encode()

@@ -7,10 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.roots import variant_folders
-from benchmark.machine.storage import canonical_json, write_bytes, writing_to
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
+from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan, write_scene
 from generation.nuscenes_writer.finish import PROVENANCE
@@ -27,8 +31,10 @@ class WritingJob:
         written_as: Its name in its root.
         source_scene: Name of the recorded scene.
         variant: Number of its root in the ``per-variant`` layout; part of its tokens in any.
-        make: Turns the recorded scene into what is written.
+        make: Turns the recorded scene into what is written; picklable, as jobs go to workers.
         report: What ``challenger.json`` says of it.
+        last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
+            adversaries; ``None`` for a recording.
     """
 
     name: str
@@ -37,21 +43,11 @@ class WritingJob:
     variant: int
     make: Callable[[Scene], Scene]
     report: dict[str, Any]
+    last_attempt: tuple[str, int] | None = None
 
     def name_read(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
         return f"v{self.variant}/{self.written_as}" if plan.layout == "per-variant" else self.written_as
-
-
-@dataclass(frozen=True, slots=True)
-class _Shipment:
-    """One scene on its way to a worker."""
-
-    scene: Scene
-    name: str
-    source_scene: str
-    variant: int
-    report: dict[str, Any]
 
 
 def write_scenes(
@@ -83,30 +79,25 @@ def write_scenes(
     # Variants of one recording after each other: it is read once.
     order = sorted(range(len(jobs)), key=lambda index: (jobs[index].source_scene, index))
 
-    def shipments() -> Iterator[_Shipment]:
+    def shipments() -> Iterator[tuple[Scene, WritingJob]]:
         for job in (jobs[index] for index in order):
-            scene = job.make(read(job.source_scene))
-            yield _Shipment(scene, job.written_as, job.source_scene, job.variant, job.report)
+            yield job.make(read(job.source_scene)), job
 
-    job = functools.partial(_write_one, plan, timing)
-    keys = dict(zip(order, executor.map(job, shipments(), total=len(jobs), label=label), strict=True))
+    work = functools.partial(_write_one, plan, timing)
+    keys = dict(zip(order, executor.map(work, shipments(), total=len(jobs), label=label), strict=True))
     return [keys[index] for index in range(len(jobs))]
 
 
-def _write_one(plan: DataSetPlan, timing: Path, shipped: _Shipment) -> str:
+def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob]) -> str:
+    scene, job = shipped
     started = time.process_time()
     key = write_scene(
-        plan,
-        shipped.scene,
-        name=shipped.name,
-        variant=shipped.variant,
-        source_scene=shipped.source_scene,
-        report=shipped.report,
+        plan, scene, name=job.written_as, variant=job.variant, source_scene=job.source_scene, report=job.report
     )
     note = timing / f"{key}.timing.json"
     # A scene that was complete takes no time: what it took when it was rendered stays.
     if not note.exists():
-        value = {"scene": shipped.name, "seconds": {"rendering": time.process_time() - started}}
+        value = {"scene": job.written_as, "seconds": {"rendering": time.process_time() - started}}
         write_bytes(note, (canonical_json(value) + "\n").encode(), durable=False)
     return key
 
@@ -126,6 +117,50 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
     unfinish(root)
     for name, data in files.items():
         write_bytes(root / name, data)
+
+
+def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]) -> None:
+    """Put the kept rounds of written scenes where `benchmark.sheets` looks for them, and take those of others away.
+
+    Of a scene with several adversaries they are the last one's. A reader of the data set does not see them: they are no
+    part of its fingerprint.
+
+    Args:
+        plan: The data set.
+        jobs: Its scenes.
+        keys: What `write_scenes` returned for them.
+
+    Raises:
+        InputError: If kept rounds are damaged, or the disk refuses.
+    """
+    wanted = set()
+    for job, key in zip(jobs, keys, strict=True):
+        content = _rounds(plan, job, key)
+        if content is not None:
+            path = kept_rounds_path(plan.root, job.name_read(plan))
+            wanted.add(path)
+            if not path.is_file() or path.read_bytes() != content:
+                write_bytes(path, content)
+    for path in (plan.root / KEPT_ROUNDS_FOLDER).glob("*"):
+        if path not in wanted:
+            with writing_to(path):
+                path.unlink()
+
+
+def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
+    """The rounds of a scene's last adversary under the names of the data set, if they were kept."""
+    if job.last_attempt is None:
+        return None
+    attempt, place = job.last_attempt
+    path, fragment = plan.state / "rounds" / f"{attempt}.json", read_state(plan.fragment_path(key))
+    if fragment is None or not path.is_file():
+        return None
+    try:
+        trace = RefinementTrace.model_validate(read_json(path))
+    except ValidationError as error:
+        raise InputError(f"{path} is damaged; delete it and run the same challenger-bench generate again") from error
+    named = trace.model_copy(update={"scene": job.name_read(plan), "agent": fragment["adversaries"][place]})
+    return (canonical_json(named.model_dump(mode="json", by_alias=True)) + "\n").encode()
 
 
 def _leave_other_layout(plan: DataSetPlan) -> None:
@@ -148,10 +183,13 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
 
 
 def unfinish(root: Path) -> None:
-    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build."""
-    for mark in _marks(root):
-        with writing_to(mark):
-            mark.unlink()
+    """Take the mark of a finished data set away, so that nobody reads it beside reports of another build.
+
+    Rounds go with it: they belong to the search that the reports are about.
+    """
+    for path in (*_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
+        with writing_to(path):
+            path.unlink()
 
 
 def withdraw(root: Path) -> None:

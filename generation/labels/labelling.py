@@ -1,17 +1,16 @@
 """What an adversary does to the ego: kind of manoeuvre, closest approach, side, times, place."""
 
-from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_gap, boxes_overlap, to_local
+from benchmark.records.attempts import ClosestApproach, Labels, TimeToCollision
 from benchmark.scene import Scene
 from generation.labels.encounters import encounter
-from generation.labels.manoeuvres import Encroachment, Manoeuvre, Occurrence, encroachment, occurrences
-from generation.labels.places import Place, place_of
+from generation.labels.manoeuvres import encroachment, occurrences
+from generation.labels.places import place_of
 
 TIME_TO_COLLISION_LIMIT_S = 5.0
 TIME_TO_COLLISION_STEP_S = 0.1
@@ -24,60 +23,6 @@ class Side(StrEnum):
     REAR = "rear"
     LEFT = "left"
     RIGHT = "right"
-
-
-@dataclass(frozen=True, slots=True)
-class ClosestApproach:
-    """The moment at which two bodies are closest.
-
-    Attributes:
-        gap_m: Distance between the bodies.
-        frame: Frame index.
-        time_s: Seconds since the first frame.
-        side: Side of the ego.
-    """
-
-    gap_m: float
-    frame: int
-    time_s: float
-    side: Side
-
-
-@dataclass(frozen=True, slots=True)
-class Labels:
-    """What one adversary does to the ego and where; ``docs/manoeuvres.md`` defines every word.
-
-    Attributes:
-        manoeuvre: The primary kind.
-        occurred: Every kind that occurred, the primary one first.
-        closest: Closest approach.
-        least_time_to_collision_s: Smallest of `times_to_collision`, ``None`` if never within 5 s.
-        time_to_collision_at_s: When it was smallest first, seconds since the first frame.
-        encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
-        place: Where the closest approach happened.
-    """
-
-    manoeuvre: Manoeuvre
-    occurred: tuple[Occurrence, ...]
-    closest: ClosestApproach
-    least_time_to_collision_s: float | None
-    time_to_collision_at_s: float | None
-    encroachment: Encroachment | None
-    place: Place
-
-    def as_json(self) -> dict[str, Any]:
-        """The labels as JSON values."""
-        reached = self.least_time_to_collision_s
-        return {
-            "manoeuvre": self.manoeuvre.value,
-            "occurred": [{**asdict(item), "kind": item.kind.value} for item in self.occurred],
-            "closest_approach": {**asdict(self.closest), "side": self.closest.side.value},
-            "time_to_collision": None
-            if reached is None
-            else {"seconds": reached, "time_s": self.time_to_collision_at_s},
-            "encroachment": None if self.encroachment is None else asdict(self.encroachment),
-            "place": self.place.value,
-        }
 
 
 def describe(scene: Scene, agent: int, start: int) -> Labels:
@@ -112,14 +57,15 @@ def describe(scene: Scene, agent: int, start: int) -> Labels:
     closest = closest_approach(scene, agent, start)
     times = times_to_collision(scene, agent, start)[frames - start]
     soonest = int(np.argmin(times))
-    known = bool(np.isfinite(times[soonest]))
+    reached: TimeToCollision | None = None
+    if np.isfinite(times[soonest]):
+        reached = TimeToCollision(seconds=float(times[soonest]), time_s=float(scene.seconds[frames[soonest]]))
     occurred = occurrences(met)
     return Labels(
         manoeuvre=occurred[0].kind,
         occurred=occurred,
-        closest=closest,
-        least_time_to_collision_s=float(times[soonest]) if known else None,
-        time_to_collision_at_s=float(scene.seconds[frames[soonest]]) if known else None,
+        closest_approach=closest,
+        time_to_collision=reached,
         encroachment=encroachment(met),
         place=place_of(scene.road_map, scene.ego.boxes[closest.frame], boxes[closest.frame]),
     )
@@ -139,10 +85,10 @@ def closest_approach(scene: Scene, agent: int, start: int) -> ClosestApproach:
     gaps = np.where(scene.agents.valid[agent, start:], body_gaps(scene, agent, start), np.inf)
     frame = start + int(np.argmin(gaps))
     return ClosestApproach(
-        float(gaps.min()),
-        frame,
-        float(scene.seconds[frame]),
-        side_of(scene.ego.boxes[frame], agent_boxes(scene, agent)[frame]),
+        gap_m=float(gaps.min()),
+        frame=frame,
+        time_s=float(scene.seconds[frame]),
+        side=side_of(scene.ego.boxes[frame], agent_boxes(scene, agent)[frame]),
     )
 
 

@@ -4,12 +4,12 @@
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from benchmark.geometry import Bools
+from benchmark.records.attempts import Encroachment, Occurrence
 from generation.labels.encounters import MOVING_M_S, Encounter
 
 
@@ -65,38 +65,6 @@ CLOSE_M = 10.0
 """Bodies farther apart than this all the time are distant."""
 
 
-@dataclass(frozen=True, slots=True)
-class Occurrence:
-    """One kind of manoeuvre in a scene.
-
-    Attributes:
-        kind: Which.
-        first_s: When it began the first time, seconds since the scene's first frame.
-        duration_s: How long it lasted, all times together.
-        least_gap_m: Smallest gap between the bodies meanwhile.
-    """
-
-    kind: Manoeuvre
-    first_s: float
-    duration_s: float
-    least_gap_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Encroachment:
-    """Closest succession of the two bodies on one and the same piece of the ego's path (post-encroachment time).
-
-    Attributes:
-        seconds: Time between them; 0 if both were there at once, as abreast in a bend.
-        ego_first: Whether the ego was there first.
-        time_s: When the other vehicle was there, seconds since the scene's first frame.
-    """
-
-    seconds: float
-    ego_first: bool
-    time_s: float
-
-
 def occurrences(met: Encounter) -> tuple[Occurrence, ...]:
     """Every kind of manoeuvre that occurred, the primary one first; at least one.
 
@@ -136,7 +104,9 @@ def encroachment(met: Encounter) -> Encroachment | None:
         return None
     between = np.where(shared, np.abs(met.seconds - met.seconds[at, None]), np.inf)
     which, when = np.unravel_index(int(between.argmin()), between.shape)
-    return Encroachment(float(between[which, when]), bool(when < at[which]), float(met.seconds[at[which]]))
+    return Encroachment(
+        seconds=float(between[which, when]), ego_first=bool(when < at[which]), time_s=float(met.seconds[at[which]])
+    )
 
 
 def _in_front(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
@@ -240,10 +210,10 @@ def _succession(met: Encounter, run: slice) -> float:
 
 def _occurrence(met: Encounter, kind: Manoeuvre, runs: list[slice]) -> Occurrence:
     return Occurrence(
-        kind,
-        min(float(met.seconds[run.start]) for run in runs),
-        sum((run.stop - run.start) * met.frame_s for run in runs),
-        min(_least_gap(met, run, 0.0) for run in runs),
+        kind=kind,
+        first_s=min(float(met.seconds[run.start]) for run in runs),
+        duration_s=sum((run.stop - run.start) * met.frame_s for run in runs),
+        least_gap_m=min(_least_gap(met, run, 0.0) for run in runs),
     )
 
 

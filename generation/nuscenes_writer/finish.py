@@ -17,7 +17,7 @@ from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
 STATE_FOLDERS: Final = (
-    "attempts", "claims", "fragments", "maps", "surveys", "timing/attempts", "timing/rendering"
+    "attempts", "claims", "fragments", "maps", "rounds", "surveys", "timing/attempts", "timing/rendering"
 )  # fmt: skip
 """Where unfinished files may lie below the writer's own folder."""
 _LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")

@@ -5,7 +5,6 @@ Workers never open the data set: they are sent the scene that they work on.
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,149 +16,58 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
+from benchmark.records.attempts import Attempt
+from benchmark.records.scenes import SCHEMA, RefinementTrace, TraceFrame
 from benchmark.scene import Scene
-from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
-from generation.search.adversary import ALGORITHM_VERSION, Attempt, attempts_together
-from generation.search.eligibility import Survey, read_survey, survey
+from benchmark.sheets.motion import origin_of
+from generation.search.adversary import Searched, attempts_together
+from generation.search.definition import Earlier, Search, Unit
+from generation.search.eligibility import Eligibility, eligibility_of
 from generation.search.hyperparameters import HyperParameters
-from generation.search.proposals import Prior
 from generation.search.verify import verify
 
-PriorFactory = Callable[[], Prior]
-"""Gives the same prior in any process. Must be picklable."""
+SAME_M: Final = 1e-9
+"""How far a track that is searched again for its rounds may be from the one that was kept; radians for the heading."""
 _HASH: Final = "sha256"
 """Field of kept work that says what the others must hash to."""
 
 
-@dataclass(frozen=True, slots=True)
-class PackagedPrior:
-    """The diffusion model, loaded once in each process.
-
-    Attributes:
-        weights: Its weights, ``None`` for those in the package.
-        device: Where the network runs.
-        sampler: How the network is asked.
-    """
-
-    weights: Path | None = None
-    device: str = "cpu"
-    sampler: SamplerSettings = field(default_factory=SamplerSettings)
-
-    def __call__(self) -> Prior:
-        """The model."""
-        return _loaded(self.weights, self.device, self.sampler)
-
-
-@functools.lru_cache(maxsize=2)
-def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
-    return TrajectoryPrior.load(weights, sampler, device=device)
-
-
-@dataclass(frozen=True, slots=True)
-class Earlier:
-    """An adversary that a scene has already.
-
-    Attributes:
-        key: Content key of the attempt that made it.
-        agent: Index of the vehicle.
-        agent_id: Its instance identifier.
-        start: Frame of its launch.
-    """
-
-    key: str
-    agent: int
-    agent_id: str
-    start: int
-
-
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """One vehicle of one scene.
-
-    Attributes:
-        scene_name: Name in the source.
-        agent: Index of the vehicle.
-        agent_id: Its instance identifier.
-        earlier: Adversaries that the scene has already, in the order in which they were planned.
-    """
-
-    scene_name: str
-    agent: int
-    agent_id: str
-    earlier: tuple[Earlier, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """Everything that decides what an attempt gives.
-
-    Attributes:
-        fingerprint: Of the data set.
-        hyper: Settings of the search.
-        seed: User's seed.
-        prior: Makes the diffusion model.
-        prior_fingerprint: Of the diffusion model.
-        state: Where finished work is kept.
-    """
-
-    fingerprint: str
-    hyper: HyperParameters
-    seed: int
-    prior: PriorFactory
-    prior_fingerprint: str
-    state: Path
-
-    def key(self, unit: Unit) -> str:
-        """Content key of one attempt."""
-        parts = (self.fingerprint, unit.scene_name, unit.agent_id, self.seed, self.hyper.fingerprint)
-        chain = [[link.key for link in unit.earlier]] if unit.earlier else []
-        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain)
-
-    def path(self, unit: Unit) -> Path:
-        """File of one finished attempt."""
-        return self.state / "attempts" / f"{self.key(unit)}.json"
-
-    def timing_path(self, unit: Unit) -> Path:
-        """File that says how long an attempt took; no result depends on it."""
-        return self.state / "timing" / "attempts" / f"{self.key(unit)}.timing.json"
-
-    def survey_path(self, scene_name: str, earlier: tuple[Earlier, ...]) -> Path:
-        """File of one finished choice of vehicles."""
-        chain = [link.key for link in earlier]
-        parts = ("survey", ALGORITHM_VERSION, self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
-        return self.state / "surveys" / f"{content_key(*parts)}.json"
-
-
 class StoredAttempt(BaseModel):
-    """A finished attempt on disk: its report and, where it was kept, its track."""
+    """A finished attempt on disk, with its track where it was kept.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    Attributes:
+        agent: Index of the vehicle.
+        report: What came of it.
+        poses: (T - start, 3) executed poses; none where it was discarded.
+    """
 
-    schema_version: int = 1
-    scene_name: str
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
     agent: int
-    agent_id: str
-    kept: bool
-    discard: str | None
-    start: int | None
-    challenge: float
-    report: dict[str, Any]
-    poses: list[tuple[float, float, float]]
+    report: Attempt
+    poses: tuple[tuple[float, float, float], ...]
 
     @classmethod
-    def of(cls, unit: Unit, result: Attempt) -> "StoredAttempt":
+    def of(cls, unit: Unit, result: Searched) -> "StoredAttempt":
         """What is stored of an attempt."""
-        return cls(
-            scene_name=unit.scene_name,
-            agent=unit.agent,
-            agent_id=unit.agent_id,
-            kept=result.kept,
-            discard=None if result.discard is None else result.discard.value,
-            start=result.start,
-            challenge=result.challenge,
-            report=result.report(),
-            poses=[(float(x), float(y), float(yaw)) for x, y, yaw in result.poses] if result.kept else [],
-        )
+        poses = result.poses.tolist() if result.kept else []
+        return cls(agent=unit.agent, report=result.attempt, poses=tuple((x, y, yaw) for x, y, yaw in poses))
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON values; what others than this program look for stands outside the report as well."""
+        report = self.report
+        return {
+            "schema_version": 1,
+            "scene_name": report.scene,
+            "agent": self.agent,
+            "agent_id": report.agent,
+            "kept": report.kept,
+            "discard": report.discard,
+            "start": report.launch_frame,
+            "challenge": report.challenge,
+            "report": report.as_json(),
+            "poses": self.poses,
+        }
 
     def adversarial(self, scene: Scene) -> Scene:
         """The kept scene, from the one that the attempt started from.
@@ -173,50 +81,57 @@ class StoredAttempt(BaseModel):
         Raises:
             InputError: If the attempt was discarded or belongs to another scene.
         """
-        known = self.agent < len(scene.agents) and scene.agents.ids[self.agent] == self.agent_id
-        if not self.kept or self.start is None or not known:
+        start, agent_id = self.report.launch_frame, self.report.agent
+        known = self.agent < len(scene.agents) and scene.agents.ids[self.agent] == agent_id
+        if not self.report.kept or start is None or not known:
             raise InputError(
-                f"the stored attempt for {self.agent_id} in {self.scene_name} does not fit this scene; delete the "
+                f"the stored attempt for {agent_id} in {self.report.scene} does not fit this scene; delete the "
                 ".challenger folder of the output and run again"
             )
         poses: Floats = np.array(self.poses, dtype=np.float64)
-        return scene.with_adversary(self.agent, slice(self.start, self.start + len(poses)), poses)
+        return scene.with_adversary(self.agent, slice(start, start + len(poses)), poses)
 
 
-def surveyed(
+def eligibility(
     search: Search, scene_name: str, earlier: tuple[Earlier, ...], read: Callable[[], Scene], *, keep: bool
-) -> Survey:
+) -> Eligibility:
     """Which vehicles of a scene are tried; found on disk, or looked at and kept.
 
     Args:
         search: What decides the choice.
         scene_name: Name in the source.
         earlier: Adversaries that the scene has already.
-        read: Gives the scene with these adversaries; called only where the survey is not there.
-        keep: Whether the survey is written.
+        read: Gives the scene with these adversaries; called only where the choice is not there.
+        keep: Whether the choice is written.
 
     Returns:
-        The survey.
+        The choice.
     """
-    path = search.survey_path(scene_name, earlier)
-    kept = read_survey(_kept_work(path), scene_name)
-    if kept is not None:
-        return kept
-    found = survey(read(), search.hyper, search.seed)
+    path = search.eligibility_path(scene_name, earlier)
+    try:
+        kept = Eligibility.model_validate(_kept_work(path))
+        if kept.scene_name == scene_name:
+            return kept
+    except ValidationError:
+        # A damaged file is unfinished work: it is made again.
+        pass
+    found = eligibility_of(read(), search.hyper, search.seed)
     if keep:
         _keep_work(path, found.model_dump(mode="json"))
     return found
 
 
-def kept_attempt(search: Search, unit: Unit) -> StoredAttempt | None:
-    """A finished attempt, or ``None`` where there is none or it is damaged."""
+def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> StoredAttempt | None:
+    """A finished attempt, or ``None`` where there is none, it is damaged, or its rounds are wanted and not there."""
     try:
         stored = StoredAttempt.model_validate(_kept_work(search.path(unit)))
     except ValidationError:
         # A damaged file is unfinished work: it is made again.
         return None
-    same_unit = (stored.scene_name, stored.agent, stored.agent_id) == (unit.scene_name, unit.agent, unit.agent_id)
-    return stored if same_unit else None
+    report = stored.report
+    same_unit = (report.scene, stored.agent, report.agent) == (unit.scene_name, unit.agent, unit.agent_id)
+    unfinished = with_rounds and report.kept and not search.rounds_path(unit).is_file()
+    return stored if same_unit and not unfinished else None
 
 
 def attempts(
@@ -226,6 +141,7 @@ def attempts(
     executor: Executor,
     *,
     together: int = 1,
+    keep_rounds: bool = False,
     label: str = "planning adversaries",
 ) -> list[StoredAttempt]:
     """Results of the units in their order; finished ones are read, missing ones are computed and kept.
@@ -236,15 +152,17 @@ def attempts(
         scene_of: Gives the scene of a unit, with the earlier adversaries in it; called here, for missing units only.
         executor: Where the missing ones are computed; the results do not depend on it.
         together: Units that a worker plans side by side, which pays on an accelerator; no result depends on it.
+        keep_rounds: Whether the rounds of attempts that pass verification are kept as well. Those that were kept
+            without are searched again.
         label: Text beside the progress bar.
 
     Returns:
         One stored attempt per unit.
 
     Raises:
-        InputError: If workers are lost, or results cannot be written.
+        InputError: If workers are lost, results cannot be written, or searching again gives another track.
     """
-    found = [kept_attempt(search, unit) for unit in units]
+    found = [kept_attempt(search, unit, with_rounds=keep_rounds) for unit in units]
     missing = [index for index, stored in enumerate(found) if stored is None]
     batches = [missing[first : first + together] for first in range(0, len(missing), together)]
 
@@ -252,26 +170,60 @@ def attempts(
         for batch in batches:
             yield [(scene_of(units[index]), units[index]) for index in batch]
 
-    done = executor.map(functools.partial(_attempted, search), work(), total=len(batches), label=label)
+    done = executor.map(functools.partial(_attempted, search, keep_rounds), work(), total=len(batches), label=label)
     for batch, results in zip(batches, done, strict=True):
         for index, stored in zip(batch, results, strict=True):
             found[index] = stored
     return [stored for stored in found if stored is not None]
 
 
-def _attempted(search: Search, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
+def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
     """Compute and keep a few attempts; runs in a worker."""
     vehicles = [(scene, unit.agent) for scene, unit in work]
-    results = attempts_together(vehicles, search.seed, search.hyper, search.prior())
+    results = attempts_together(vehicles, search.seed, search.hyper, search.prior(), keep_rounds=keep_rounds)
     kept = []
-    for (_, unit), result in zip(work, results, strict=True):
+    for (scene, unit), result in zip(work, results, strict=True):
         stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))
+        before = kept_attempt(search, unit)
+        if before is not None:
+            # Whatever was planned or drawn with this track stays true.
+            _require_same(before, stored)
+            stored = before
         timing = {"scene": unit.scene_name, "agent": unit.agent_id, "seconds": result.stage_seconds}
-        # Before the attempt: whoever finds the attempt finds its time as well.
+        # Before the attempt: whoever finds the attempt finds its time and its rounds as well.
         write_bytes(search.timing_path(unit), (canonical_json(timing) + "\n").encode(), durable=False)
-        _keep_work(search.path(unit), stored.model_dump(mode="json"))
+        if keep_rounds and stored.report.kept:
+            _keep_rounds(search, unit, scene, result.rounds)
+        if before is None:
+            _keep_work(search.path(unit), stored.as_json())
         kept.append(stored)
     return kept
+
+
+def _require_same(before: StoredAttempt, again: StoredAttempt) -> None:
+    """The rounds must belong to the track that was kept."""
+    poses, expected = (np.array(each.poses, dtype=np.float64).reshape(-1, 3) for each in (again, before))
+    told, said = again.report, before.report
+    same = (told.kept, told.launch_frame, poses.shape) == (said.kept, said.launch_frame, expected.shape)
+    if not same or not np.abs(poses - expected).max(initial=0.0) <= SAME_M:
+        raise InputError(
+            f"searching again for {said.agent} in {said.scene} gives another track here than the one that "
+            "was kept, as happens with other versions of the numerical libraries, so its rounds cannot be kept; leave "
+            "--keep-rounds out, or delete the output and generate it again"
+        )
+
+
+def _keep_rounds(search: Search, unit: Unit, scene: Scene, frames: tuple[TraceFrame, ...]) -> None:
+    """Keep what was searched, under the names that the source has."""
+    trace = RefinementTrace(
+        schema=SCHEMA,
+        scene=unit.scene_name,
+        agent=unit.agent_id,
+        origin_m=origin_of(scene),
+        search=search.rounds_facts(unit),
+        frames=frames,
+    )
+    write_json(search.rounds_path(unit), trace.model_dump(mode="json", by_alias=True), indent=None)
 
 
 def _keep_work(path: Path, value: dict[str, Any]) -> None:
@@ -292,12 +244,12 @@ def _kept_work(path: Path) -> dict[str, Any] | None:
         return None
 
 
-def _undisturbed(result: Attempt, unit: Unit, hyper: HyperParameters) -> Attempt:
+def _undisturbed(result: Searched, unit: Unit, hyper: HyperParameters) -> Searched:
     """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
     limits = MotionModel.si().limits
     assert limits is not None
     for link in unit.earlier:
         finding = None if result.scene is None else verify(result.scene, link.agent, link.start, hyper, limits)
         if finding is not None:
-            return replace(result, finding=finding, challenge=0.0, scene=None)
+            return result.discarded(finding)
     return result

@@ -38,21 +38,6 @@ class NotTried(StrEnum):
     NOT_DRAWN = "not-drawn-by-the-seed"
 
 
-def choose(scene: Scene, hyper: HyperParameters, seed: int) -> tuple[int, ...]:
-    """Agents to try in one scene.
-
-    Args:
-        scene: The recorded scene.
-        hyper: Limits.
-        seed: Which choice, where more than ``hyper.candidate_limit`` vehicles qualify.
-
-    Returns:
-        Agent indices, ascending.
-    """
-    eligible = [agent for agent in range(len(scene.agents)) if is_eligible(scene, agent, hyper)]
-    return draw(scene, eligible, hyper, seed)
-
-
 def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
     """At most ``hyper.candidate_limit`` of the eligible vehicles.
 
@@ -72,22 +57,8 @@ def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: in
     return tuple(sorted(eligible[index] for index in drawn))
 
 
-def is_eligible(scene: Scene, agent: int, hyper: HyperParameters) -> bool:
-    """Whether a vehicle comes close on the road, moves by itself and can be launched at an ego that still drives.
-
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        hyper: Limits.
-
-    Returns:
-        The verdict.
-    """
-    return unfit(scene, agent, hyper) is None
-
-
 def unfit(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
-    """Why an object cannot become an adversary.
+    """Why an object cannot become an adversary: one can that comes close on the road and launches at a driving ego.
 
     Args:
         scene: The recorded scene.

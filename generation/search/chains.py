@@ -13,10 +13,12 @@ from typing import Any
 from benchmark.datasets.roots import DataSet
 from benchmark.machine.storage import token
 from benchmark.machine.workers import Executor, progress
+from benchmark.records.attempts import Attempt
 from benchmark.scene import Scene
-from generation.build.ranking import ranked
-from generation.search.attempts import Earlier, Search, StoredAttempt, Unit, attempts, surveyed
-from generation.search.eligibility import Survey
+from generation.search.attempts import StoredAttempt, attempts, eligibility
+from generation.search.definition import Earlier, Search, Unit
+from generation.search.eligibility import Eligibility
+from generation.search.ranking import ranked
 
 
 class Dropped(StrEnum):
@@ -29,8 +31,8 @@ class Dropped(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
-    """One attempt that was kept.
+class Tried:
+    """One attempt, kept or not; those that are kept are the links of chains.
 
     Attributes:
         unit: What was tried.
@@ -43,19 +45,24 @@ class Link:
     stored: StoredAttempt
 
     @property
+    def attempt(self) -> Attempt:
+        """What is reported of it."""
+        return self.stored.report
+
+    @property
     def scene_name(self) -> str:
         """Name of the recorded scene."""
         return self.unit.scene_name
 
     @property
     def agent_id(self) -> str:
-        """Instance identifier of the adversary."""
+        """Instance identifier of the vehicle."""
         return self.unit.agent_id
 
     @property
     def challenge(self) -> float:
         """Its `ranking.challenge_score`."""
-        return self.stored.challenge
+        return self.attempt.challenge
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,7 @@ class Chain:
     """
 
     scene_name: str
-    links: tuple[Link, ...] = ()
+    links: tuple[Tried, ...] = ()
 
     @property
     def agent_ids(self) -> tuple[str, ...]:
@@ -89,10 +96,15 @@ class Chain:
     def earlier(self) -> tuple[Earlier, ...]:
         """What the next adversary finds."""
         return tuple(
-            Earlier(link.key, link.unit.agent, link.agent_id, link.stored.start)
+            Earlier(link.key, link.unit.agent, link.agent_id, link.attempt.launch_frame)
             for link in self.links
-            if link.stored.start is not None
+            if link.attempt.launch_frame is not None
         )
+
+    @property
+    def last_place(self) -> int:
+        """Place of the last adversary among all of them in the order of the scene's agents."""
+        return sorted(link.unit.agent for link in self.links).index(self.links[-1].unit.agent)
 
     @property
     def name(self) -> str:
@@ -118,32 +130,24 @@ class Chain:
 
     def report(self) -> dict[str, Any]:
         """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several."""
-        reports = [{key: value for key, value in link.stored.report.items() if key != "plans"} for link in self.links]
+        reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude={"plans"}) for link in self.links]
         if len(reports) == 1:
             return reports[0]
         return {"challenge": self.challenge, "adversaries": reports}
 
 
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """One attempt, kept or not."""
-
-    unit: Unit
-    stored: StoredAttempt
-
-
 @dataclass(slots=True)
-class Harvest:
+class SearchResult:
     """What came of a search.
 
     Attributes:
-        surveys: Every look at the vehicles of a scene, after the instances that were adversaries already.
+        eligibility: Every look at the vehicles of a scene, after the instances that were adversaries already.
         tried: Every attempt, in the order of stages and scenes.
         chains: Generated scenes with the wanted number of adversaries.
         dropped: Why attempts that passed verification are not written.
     """
 
-    surveys: list[tuple[tuple[str, ...], Survey]] = field(default_factory=list)
+    eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
     tried: list[Tried] = field(default_factory=list)
     chains: list[Chain] = field(default_factory=list)
     dropped: dict[Unit, Dropped] = field(default_factory=dict)
@@ -155,7 +159,7 @@ class Harvest:
 
 def first_units(
     search: Search, source: DataSet, names: Sequence[str], *, keep: bool
-) -> list[tuple[Survey, list[Unit]]]:
+) -> list[tuple[Eligibility, list[Unit]]]:
     """Vehicles that are tried first in each recorded scene.
 
     Args:
@@ -165,13 +169,13 @@ def first_units(
         keep: Whether the choice is written.
 
     Returns:
-        The survey and the units of each scene.
+        Which vehicles are tried, and the units of each scene.
     """
     scenes = _Scenes(source)
     return [_chosen(search, Chain(name), scenes, keep=keep) for name in names]
 
 
-def harvest(
+def search_chains(
     search: Search,
     source: DataSet,
     names: Sequence[str],
@@ -179,7 +183,8 @@ def harvest(
     *,
     adversaries: int = 1,
     together: int = 1,
-) -> Harvest:
+    keep_rounds: bool = False,
+) -> SearchResult:
     """Search for scenes with a number of adversaries in each.
 
     Every vehicle that is chosen in a recorded scene and passes verification begins a chain. In each chain, vehicles
@@ -192,6 +197,7 @@ def harvest(
         executor: Where attempts are computed.
         adversaries: Wanted in each scene.
         together: See `attempts.attempts`.
+        keep_rounds: Likewise, of the last adversary of each chain: the others are as they are shown.
 
     Returns:
         What came of it; the same whatever the executor.
@@ -199,31 +205,40 @@ def harvest(
     Raises:
         InputError: If workers are lost, or results cannot be written.
     """
-    found, scenes = Harvest(), _Scenes(source)
+    found, scenes = SearchResult(), _Scenes(source)
     chains = [Chain(name) for name in names]
     for stage in range(adversaries):
         looking = (_chosen(search, chain, scenes, keep=True) for chain in chains)
         chosen = list(progress(looking, total=len(chains), label="choosing vehicles"))
-        found.surveys += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
+        found.eligibility += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
         owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}
         scene_of = functools.partial(_scene_of, scenes, owner)
         label = "planning adversaries" if stage == 0 else f"planning adversary {stage + 1} of {adversaries}"
-        results = attempts(search, list(owner), scene_of, executor, together=together, label=label)
-        found.tried += map(Tried, owner, results)
-        links = [Link(unit, search.key(unit), stored) for unit, stored in zip(owner, results) if stored.kept]
+        results = attempts(
+            search,
+            list(owner),
+            scene_of,
+            executor,
+            together=together,
+            keep_rounds=keep_rounds and stage == adversaries - 1,
+            label=label,
+        )
+        tried = [Tried(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
+        found.tried += tried
+        links = [each for each in tried if each.attempt.kept]
         chains = _begun(links) if stage == 0 else _extended(found, chains, links)
     found.chains = chains
     return found
 
 
-def _begun(links: Sequence[Link]) -> list[Chain]:
+def _begun(links: Sequence[Tried]) -> list[Chain]:
     """Every first adversary is a chain of its own."""
     return [Chain(link.scene_name, (link,)) for link in links]
 
 
-def _extended(found: Harvest, chains: Sequence[Chain], links: Sequence[Link]) -> list[Chain]:
+def _extended(found: SearchResult, chains: Sequence[Chain], links: Sequence[Tried]) -> list[Chain]:
     """Each chain with the most challenging of its new adversaries; chains without any are dropped."""
-    of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Link]] = {}
+    of_chain: dict[tuple[str, tuple[Earlier, ...]], list[Tried]] = {}
     for link in links:
         of_chain.setdefault((link.scene_name, link.unit.earlier), []).append(link)
     longer = []
@@ -242,9 +257,9 @@ def _scene_of(scenes: "_Scenes", owner: Mapping[Unit, Chain], unit: Unit) -> Sce
     return scenes.of(owner[unit])
 
 
-def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Survey, list[Unit]]:
-    """The survey of a scene, and the vehicles to try in it."""
-    seen = surveyed(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
+def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Eligibility, list[Unit]]:
+    """Which vehicles of a scene are tried, and the vehicles to try in it."""
+    seen = eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
     return seen, [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in seen.chosen]
 
 

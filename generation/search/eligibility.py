@@ -2,14 +2,14 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from benchmark.scene import Scene
 from generation.search.candidates import NotTried, draw, unfit
 from generation.search.hyperparameters import HyperParameters
 
 
-class SurveyedVehicle(BaseModel):
+class ConsideredVehicle(BaseModel):
     """One four-wheeled vehicle.
 
     Attributes:
@@ -27,8 +27,8 @@ class SurveyedVehicle(BaseModel):
     reason: NotTried | None
 
 
-class Survey(BaseModel):
-    """The vehicles of one scene; what is no four-wheeler is only counted.
+class Eligibility(BaseModel):
+    """Which vehicles of one scene are tried; what is no four-wheeler is only counted.
 
     Attributes:
         scene_name: The scene.
@@ -41,10 +41,10 @@ class Survey(BaseModel):
     schema_version: int = 1
     scene_name: str
     objects: int
-    vehicles: tuple[SurveyedVehicle, ...]
+    vehicles: tuple[ConsideredVehicle, ...]
 
     @property
-    def chosen(self) -> tuple[SurveyedVehicle, ...]:
+    def chosen(self) -> tuple[ConsideredVehicle, ...]:
         """Vehicles to try, by index."""
         return tuple(vehicle for vehicle in self.vehicles if vehicle.reason is None)
 
@@ -78,24 +78,24 @@ class Survey(BaseModel):
         }
 
 
-def survey(scene: Scene, hyper: HyperParameters, seed: int) -> Survey:
-    """Look at every object of a scene; who is tried is `generation.search.candidates.choose`.
+def eligibility_of(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:
+    """Look at every object of a scene.
 
     Args:
         scene: The recorded scene, or one with adversaries in it.
         hyper: Limits of the choice.
-        seed: Which choice.
+        seed: Which choice, where more than ``hyper.candidate_limit`` vehicles qualify.
 
     Returns:
-        The survey.
+        Which of them are tried, and why the others are not.
     """
     reasons: dict[int, NotTried | None] = {agent: unfit(scene, agent, hyper) for agent in range(len(scene.agents))}
     drawn = set(draw(scene, [agent for agent, reason in reasons.items() if reason is None], hyper, seed))
-    return Survey(
+    return Eligibility(
         scene_name=scene.name,
         objects=len(scene.agents),
         vehicles=tuple(
-            SurveyedVehicle(
+            ConsideredVehicle(
                 agent=agent,
                 agent_id=scene.agents.ids[agent],
                 category=scene.agents.categories[agent],
@@ -105,20 +105,3 @@ def survey(scene: Scene, hyper: HyperParameters, seed: int) -> Survey:
             if reason is not NotTried.NOT_FOUR_WHEELED
         ),
     )
-
-
-def read_survey(value: Any, scene_name: str) -> Survey | None:
-    """A survey that was kept on disk; ``None`` where it is damaged or of another scene, so that it is made again.
-
-    Args:
-        value: JSON value.
-        scene_name: The scene it should be of.
-
-    Returns:
-        The survey, or ``None``.
-    """
-    try:
-        kept = Survey.model_validate(value)
-    except ValidationError:
-        return None
-    return kept if kept.scene_name == scene_name else None

@@ -49,7 +49,7 @@ class Mutation:
 
 
 Request = Sampling | Mutation
-Search = Generator[Request, Floats, Found]
+SearchSteps = Generator[Request, Floats, Found]
 
 
 class Prior(Protocol):
@@ -83,7 +83,7 @@ class Seconds:
     search: float
 
 
-def run_together(searches: Sequence[Search[Found]], prior: Prior) -> tuple[list[Found], list[Seconds]]:
+def run_together(searches: Sequence[SearchSteps[Found]], prior: Prior) -> tuple[list[Found], list[Seconds]]:
     """Run searches side by side until each has ended.
 
     Args:

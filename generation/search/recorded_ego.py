@@ -1,6 +1,6 @@
 """Whether the recorded ego gets through: its own trajectory, judged as the metrics judge a plan.
 
-Data sets are stored at 2 Hz and metrics interpolate them; a scene is solvable only if the recorded ego is clear of
+Data sets are stored at 2 Hz and metrics interpolate them; the recorded ego gets through only if it is clear of
 everything in those interpolated boxes too, with its real heading and with the heading that a metric derives.
 """
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats
 from generation.search.hyperparameters import HyperParameters
-from generation.search.proposals import Diversify, Mutation, Sampling, Search
+from generation.search.proposals import Diversify, Mutation, Sampling, SearchSteps
 from generation.search.scoring import Terms, final_scores, normalised
 
 
@@ -53,6 +53,7 @@ class Refinement:
         round: Its round, 0 is the initial batch.
         score: Its final score, normalised over all rounds together.
         rounds: Trace, one entry per round.
+        batches: All rounds as they were searched.
     """
 
     waypoints: Floats
@@ -61,6 +62,7 @@ class Refinement:
     round: int
     score: float
     rounds: tuple[Round, ...]
+    batches: tuple["Batch", ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +80,6 @@ class Batch:
     start: Floats
 
 
-Watch = Callable[[Sequence[Batch], Refinement], None]
-"""Is shown all rounds of a planning frame and what came of them; must not change them."""
-
-
 class NothingToDraw(ArithmeticError):
     """Every weight of the resampling underflowed, as can happen without `HyperParameters.stable_softmax`."""
 
@@ -92,9 +90,7 @@ def refine(
     previous: Floats,
     hyper: HyperParameters,
     rng: np.random.Generator,
-    *,
-    watch: Watch | None = None,
-) -> Search[Refinement]:
+) -> SearchSteps[Refinement]:
     """Search one planning frame.
 
     Args:
@@ -103,7 +99,6 @@ def refine(
         previous: (3,) pose half a second ago in the local frame.
         hyper: Settings.
         rng: Source of every random number.
-        watch: Is shown the rounds at the end; no result depends on it.
 
     Yields:
         Requests to the diffusion model (`generation.search.proposals`).
@@ -128,10 +123,8 @@ def refine(
             waypoints = yield Mutation(waypoints[drawn], level, previous, rng)
     number, chosen, score = _best(batches, hyper, rng)
     best = batches[number]
-    found = Refinement(best.waypoints[chosen], best.evaluated.motion, chosen, number, score, tuple(rounds))
-    if watch is not None:
-        watch(batches, found)
-    return found
+    motion = best.evaluated.motion
+    return Refinement(best.waypoints[chosen], motion, chosen, number, score, tuple(rounds), tuple(batches))
 
 
 def resample(scores: Floats, hyper: HyperParameters, rng: np.random.Generator) -> NDArray[np.int64]:

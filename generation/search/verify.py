@@ -1,4 +1,4 @@
-"""Whether an adversarial scene is kept: challenging, drivable, and solvable by the recorded ego.
+"""Whether an adversarial scene is kept: challenging, drivable, and passable for the recorded ego.
 
 Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
 """
@@ -198,19 +198,6 @@ def _off_road(scene: Scene, start: int, boxes: Floats, hyper: HyperParameters) -
             first = start + int(np.argmax(off))
             return Finding(Discard.LEAVES_ROAD, first, quantity=what, value=float(off.mean()), limit=most)
     return None
-
-
-def is_drivable_motion(boxes: Floats, limits: DriverLimits) -> bool:
-    """Whether a 12 Hz track stays inside what the driver can do, see `broken_limit`.
-
-    Args:
-        boxes: (F, 5) boxes.
-        limits: Limits.
-
-    Returns:
-        The verdict; tracks of fewer than three frames pass.
-    """
-    return broken_limit(boxes, limits) is None
 
 
 def broken_limit(boxes: Floats, limits: DriverLimits) -> tuple[str, float, float] | None:

@@ -1,9 +1,10 @@
 """What adversaries do, and where: from scene sheets."""
 
-from benchmark.records.scenes import Sheets
+from benchmark.records.scenes import Sheets, SplitSheet
+from benchmark.records.statistics import ManoeuvreRow
 from benchmark.report.cells import PERCENT, UNDEFINED, Shown
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.split_facts import Manoeuvre, SplitFacts, facts_by_data_set
+from leaderboard.tables.statistics import origin_of, splits_by_data_set
 
 PAPER_NOTE = (
     "The paper names cut-ins, sudden lane changes, tailgating, blocking and blind-spot intrusions, and junctions, "
@@ -19,19 +20,16 @@ def manoeuvre_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
 
     Returns:
         Tables by name of the data set.
-
-    Raises:
-        InputError: If a sheet is damaged.
     """
     found = {
         name: tuple(_table(name, split) for split in splits if split.statistics.labelled)
-        for name, splits in facts_by_data_set(sheets).items()
+        for name, splits in splits_by_data_set(sheets).items()
     }
     return {name: tables for name, tables in found.items() if tables}
 
 
-def _table(data_name: str, split: SplitFacts) -> Table:
-    statistics, origin = split.statistics, split.origin
+def _table(data_name: str, split: SplitSheet) -> Table:
+    statistics, origin = split.statistics, origin_of(split)
     places = tuple(statistics.places)
     adversaries = statistics.labelled
     rows: list[tuple[str | Shown, ...]] = [
@@ -45,8 +43,8 @@ def _table(data_name: str, split: SplitFacts) -> Table:
         UNDEFINED,
     )
     return table_of(
-        f"manoeuvres-{split.sheet.split}",
-        f"{data_name}, split {split.sheet.split}: what adversaries do, and where",
+        f"manoeuvres-{split.split}",
+        f"{data_name}, split {split.split}: what adversaries do, and where",
         ("manoeuvre", "primary", "%", "at any time", *places, "median gap, m"),
         [*rows, ("all", *in_all)],
         notes=(
@@ -63,8 +61,8 @@ def _table(data_name: str, split: SplitFacts) -> Table:
     )
 
 
-def _cells(split: SplitFacts, row: Manoeuvre, places: tuple[str, ...]) -> tuple[Shown, ...]:
-    origin, adversaries = split.origin, split.statistics.labelled
+def _cells(split: SplitSheet, row: ManoeuvreRow, places: tuple[str, ...]) -> tuple[Shown, ...]:
+    origin, adversaries = origin_of(split), split.statistics.labelled
     return (
         origin.count(row.primary, "adversaries", adversaries).shown(),
         origin.cell(row.primary / adversaries, PERCENT, adversaries, "adversaries", scale=100.0).shown(1),

@@ -3,14 +3,13 @@
 from typing import Final
 
 from benchmark.published import RUNTIME_MACHINE, RUNTIME_S, RUNTIME_SOURCE
-from benchmark.records.scenes import Sheets
+from benchmark.records.scenes import Sheets, SplitSheet
+from benchmark.records.statistics import RENDERING, Runtime
 from benchmark.report.cells import PERCENT, Shown
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.published import published_seconds
-from leaderboard.tables.split_facts import Runtime, SplitFacts, facts_by_data_set
+from leaderboard.tables.statistics import origin_of, splits_by_data_set
 
-RENDERING: Final = "rendering"
-"""The one stage that is timed by scene; the others are by attempt."""
 ALL: Final = "all"
 
 
@@ -22,22 +21,19 @@ def runtime_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
 
     Returns:
         Tables by name of the data set.
-
-    Raises:
-        InputError: If a sheet is damaged.
     """
     found = {
         name: tuple(_table(name, split, split.runtime) for split in splits if split.runtime is not None)
-        for name, splits in facts_by_data_set(sheets).items()
+        for name, splits in splits_by_data_set(sheets).items()
     }
     return {name: tables for name, tables in found.items() if tables}
 
 
-def _table(data_name: str, split: SplitFacts, runtime: Runtime) -> Table:
+def _table(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
     stages = [*RUNTIME_S, *sorted(set(runtime.total_s) - set(RUNTIME_S))]
     return table_of(
-        f"runtime-{split.sheet.split}",
-        f"{data_name}, split {split.sheet.split}: processor seconds of generation",
+        f"runtime-{split.split}",
+        f"{data_name}, split {split.split}: processor seconds of generation",
         ("stage", "total, s", "each, s", "% of total", "paper, s"),
         [_row(split, runtime, stage) for stage in (*stages, ALL)],
         notes=(
@@ -51,8 +47,8 @@ def _table(data_name: str, split: SplitFacts, runtime: Runtime) -> Table:
     )
 
 
-def _row(split: SplitFacts, runtime: Runtime, stage: str) -> tuple[str | Shown, ...]:
-    origin, every = split.origin, sum(runtime.total_s.values())
+def _row(split: SplitSheet, runtime: Runtime, stage: str) -> tuple[str | Shown, ...]:
+    origin, every = origin_of(split), sum(runtime.total_s.values())
     total = every if stage == ALL else runtime.total_s.get(stage, 0.0)
     count, of = (runtime.scenes, "scenes") if stage == RENDERING else (runtime.attempts, "attempts")
     return (
@@ -69,5 +65,4 @@ def _each(runtime: Runtime, stage: str) -> float | None:
     if stage == ALL:
         each = [_each(runtime, name) for name in runtime.total_s]
         return sum(seconds or 0.0 for seconds in each) if runtime.attempts or runtime.scenes else None
-    count = runtime.scenes if stage == RENDERING else runtime.attempts
-    return runtime.total_s.get(stage, 0.0) / count if count else None
+    return runtime.each_s(stage)

@@ -4,13 +4,35 @@ from collections import Counter
 from collections.abc import Sequence
 
 from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
-from benchmark.records.scenes import AttemptFacts, Sheets
-from benchmark.report.cells import PERCENT, UNDEFINED, Shown
+from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
+from benchmark.records.statistics import Quantiles
+from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.published import published_rows
-from leaderboard.tables.split_facts import QUANTILES, SplitFacts, facts_by_data_set
+from leaderboard.tables.rows import split_place
 
 KEPT = "kept"
+QUANTILES = tuple(Quantiles.model_fields)
+
+
+def splits_by_data_set(sheets: Sheets) -> dict[str, list[SplitSheet]]:
+    """Splits of each data set, the paper's three first.
+
+    Args:
+        sheets: All of them.
+
+    Returns:
+        By the data set's name, in the order of the names.
+    """
+    found: dict[str, list[SplitSheet]] = {}
+    for sheet in sorted(sheets.splits.values(), key=lambda sheet: (sheet.data.name, split_place(sheet.split))):
+        found.setdefault(sheet.data.name, []).append(sheet)
+    return found
+
+
+def origin_of(sheet: SplitSheet) -> Origin:
+    """Where the numbers of a split come from: the data set's fingerprint stands for a record."""
+    return Origin(record=named_record(sheet.data.fingerprint[:12], sheet.data.name, sheet.split))
 
 
 def statistics_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
@@ -21,18 +43,15 @@ def statistics_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
 
     Returns:
         Tables by name of the data set.
-
-    Raises:
-        InputError: If a sheet is damaged.
     """
     found = {}
-    for name, splits in facts_by_data_set(sheets).items():
+    for name, splits in splits_by_data_set(sheets).items():
         tables = [_counts(name, splits), _closeness(name, splits), *(_search(name, split) for split in splits)]
         found[name] = tuple(table for table in tables if table is not None)
     return found
 
 
-def _counts(data_name: str, splits: Sequence[SplitFacts]) -> Table:
+def _counts(data_name: str, splits: Sequence[SplitSheet]) -> Table:
     rows: list[tuple[str | Shown, ...]] = []
     for name in ADV_NUSC:
         ours = [_rows(split, name.replace("_", " "), getattr(split.statistics.counts, name)) for split in splits]
@@ -44,7 +63,7 @@ def _counts(data_name: str, splits: Sequence[SplitFacts]) -> Table:
     return table_of(
         "data-set",
         f"{data_name}: the data set in numbers",
-        ("rows of", *(split.sheet.split for split in splits), "Adv-nuSc (paper)"),
+        ("rows of", *(split.split for split in splits), "Adv-nuSc (paper)"),
         rows,
         notes=("Rows of the tables of each split. Adv-nuSc: made from the nuScenes validation split.",),
         groups=(("", 1), ("here", len(splits)), ("paper", 1)),
@@ -52,11 +71,11 @@ def _counts(data_name: str, splits: Sequence[SplitFacts]) -> Table:
     )
 
 
-def _rows(split: SplitFacts, of: str, count: int) -> Shown:
-    return Shown(f"{count:,}", split.origin.count(count, of))
+def _rows(split: SplitSheet, of: str, count: int) -> Shown:
+    return Shown(f"{count:,}", origin_of(split).count(count, of))
 
 
-def _closeness(data_name: str, splits: Sequence[SplitFacts]) -> Table | None:
+def _closeness(data_name: str, splits: Sequence[SplitSheet]) -> Table | None:
     rows: list[tuple[str | Shown, ...]] = []
     for split in splits:
         found = split.statistics
@@ -67,9 +86,9 @@ def _closeness(data_name: str, splits: Sequence[SplitFacts]) -> Table | None:
         for label, unit, count, quantiles, digits in measured:
             if quantiles is None:
                 continue
-            levels = [split.origin.cell(getattr(quantiles, name), unit, count, "adversaries") for name in QUANTILES]
-            adversaries = split.origin.count(count, "adversaries", found.labelled).shown()
-            rows.append((split.sheet.split, label, adversaries, *(level.shown(digits) for level in levels)))
+            levels = [origin_of(split).cell(getattr(quantiles, name), unit, count, "adversaries") for name in QUANTILES]
+            adversaries = origin_of(split).count(count, "adversaries", found.labelled).shown()
+            rows.append((split.split, label, adversaries, *(level.shown(digits) for level in levels)))
     if not rows:
         return None
     return table_of(
@@ -83,8 +102,8 @@ def _closeness(data_name: str, splits: Sequence[SplitFacts]) -> Table | None:
     )
 
 
-def _search(data_name: str, split: SplitFacts) -> Table | None:
-    attempts = split.sheet.attempts
+def _search(data_name: str, split: SplitSheet) -> Table | None:
+    attempts = split.attempts
     if not attempts:
         return None
     outcomes = Counter(_outcome(attempt) for attempt in attempts)
@@ -92,8 +111,8 @@ def _search(data_name: str, split: SplitFacts) -> Table | None:
     rows: list[tuple[str | Shown, ...]] = [(outcome, *_tried(split, attempts, outcome)) for outcome in order]
     rows.append(("all", *_tried(split, attempts, None)))
     return table_of(
-        f"search-{split.sheet.split}",
-        f"{data_name}, split {split.sheet.split}: what the search tried, and why it discarded it",
+        f"search-{split.split}",
+        f"{data_name}, split {split.split}: what the search tried, and why it discarded it",
         ("outcome", "vehicles", "%", "recorded scenes"),
         rows,
         notes=("The paper names the reasons for which it discards scenes and counts none.",),
@@ -105,12 +124,12 @@ def _outcome(attempt: AttemptFacts) -> str:
     return attempt.discarded or KEPT
 
 
-def _tried(split: SplitFacts, attempts: Sequence[AttemptFacts], outcome: str | None) -> tuple[Shown, ...]:
+def _tried(split: SplitSheet, attempts: Sequence[AttemptFacts], outcome: str | None) -> tuple[Shown, ...]:
     chosen = [attempt for attempt in attempts if outcome in (None, _outcome(attempt))]
     every, share = len(attempts), len(chosen) / len(attempts)
     scenes = {attempt.source for attempt in chosen}
     return (
-        split.origin.count(len(chosen), "vehicles", every).shown(),
-        split.origin.cell(share, PERCENT, every, "vehicles", scale=100.0).shown(1),
-        split.origin.count(len(scenes), "recorded scenes", len({attempt.source for attempt in attempts})).shown(),
+        origin_of(split).count(len(chosen), "vehicles", every).shown(),
+        origin_of(split).cell(share, PERCENT, every, "vehicles", scale=100.0).shown(1),
+        origin_of(split).count(len(scenes), "recorded scenes", len({attempt.source for attempt in attempts})).shown(),
     )

@@ -6,6 +6,7 @@ from typing import Any
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
 from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
 from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
+from benchmark.records.statistics import Runtime, SplitStatistics
 
 STATISTICS: dict[str, Any] = {
     "split": "adv",
@@ -56,12 +57,12 @@ def split_sheet(
         data=DataFacts(name=data, version="v", fingerprint=f"{split:f<64}"),
         split=split,
         scenes=("s0", "s1"),
-        statistics=NO_ADVERSARY if statistics is None else statistics,
+        statistics=SplitStatistics.model_validate(NO_ADVERSARY if statistics is None else statistics),
         attempts=tuple(
             AttemptFacts(source=source, agent=str(place), scene=None, discarded=why, manoeuvre=None)
             for place, (source, why) in enumerate(attempts)
         ),
-        runtime=runtime,
+        runtime=None if runtime is None else Runtime.model_validate(runtime),
     )
 
 

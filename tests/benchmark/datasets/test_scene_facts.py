@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from benchmark.datasets.roots import open_data
-from benchmark.datasets.scene_facts import labels_in, scene_facts_of
+from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.errors import InputError
+from benchmark.records.attempts import stored_labels
 from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.hand_made import scene_on_straight_road
@@ -49,7 +50,7 @@ def test_what_the_data_set_says_goes_before_its_names() -> None:
 def test_the_first_of_several_adversaries_counts() -> None:
     report = {"challenge": 1.0, "adversaries": [labelled("tailgating"), labelled("blocking")]}
     assert scene_facts_of("s", {"report": report}).manoeuvre == "tailgating"
-    assert [found["manoeuvre"] for found in labels_in(report)] == ["tailgating", "blocking"]
+    assert [found["manoeuvre"] for found in stored_labels(report)] == ["tailgating", "blocking"]
 
 
 @pytest.mark.parametrize(

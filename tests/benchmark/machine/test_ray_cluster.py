@@ -17,8 +17,9 @@ from benchmark.errors import InputError
 from benchmark.machine import ray_cluster
 from benchmark.machine.ray_cluster import Item, RayCluster, Result
 from benchmark.machine.workers import Executor, LocalProcesses
-from generation.build.split import BuildSettings, build_split
-from generation.search.attempts import PackagedPrior
+from generation.build.settings import BuildSettings
+from generation.build.split import build_split
+from generation.search.definition import PackagedPrior
 from generation.search.hyperparameters import HyperParameters
 from generation.sources.town import town_scene
 from tests.benchmark.machine import units_of_work

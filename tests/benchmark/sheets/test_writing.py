@@ -15,6 +15,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import only_writer, write_json, write_json_lines
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import Sheets, StoredSheet, find_sheets, read_sheet, scene_folder
+from benchmark.records.statistics import Runtime
 from benchmark.sheets import making, split_sheets
 from benchmark.sheets.writing import SheetSettings, plan_of, write_sheets
 from generation.build.profile import kept_runtime
@@ -26,6 +27,18 @@ from tests.generation.nuscenes_writer.written_roots import write_root as write_s
 
 TWO = ("scene-9901", "scene-9902")
 HERE = SheetSettings(workers=1)
+OLD_ATTEMPT = {
+    **{"scene": "scene-0001", "agent": "a", "seed": 0, "kept": True, "discard": None, "launch_frame": 6},
+    **{"challenge": 0.5, "closest_approach": {"gap_m": 0.4, "time_s": 1.5, "side": "left"}},
+    **{"least_time_to_collision_s": None, "plans": []},
+}
+"""A row of the first version that wrote any."""
+LABELS = {
+    "manoeuvre": "cut-in-left",
+    "occurred": [{"kind": "cut-in-left", "first_s": 0.5, "duration_s": 1.0, "least_gap_m": 0.4}],
+    "closest_approach": {"gap_m": 0.4, "frame": 18, "time_s": 1.5, "side": "left"},
+    **{"time_to_collision": None, "encroachment": None, "place": "bend"},
+}
 
 
 def written(root: Path, out: Path, settings: SheetSettings = HERE, split: str = "adv") -> Sheets:
@@ -44,11 +57,10 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenes = [with_adversary(short_scene(TWO[0], seconds=1.5)), short_scene(TWO[1], seconds=1.5)]
     write_split(folder, scenes, split="adv", frames="all")
     attempts = [
-        {"scene": "scene-0001", "agent": "a", "discard": None, "dropped": None, "written": TWO[0], "labels": {
-            "manoeuvre": "cut-in-left"}},
-        {"scene": "scene-0001", "agent": "b", "discard": "hits-another", "dropped": None, "written": None},
-        {"scene": "scene-0001", "agent": "c", "discard": None, "dropped": "beyond-the-number-kept", "extra": 1},
-    ]  # fmt: skip
+        {**OLD_ATTEMPT, "labels": LABELS, "written": TWO[0]},
+        {**OLD_ATTEMPT, "agent": "b", "kept": False, "discard": "hits-another", "written": None},
+        {**OLD_ATTEMPT, "agent": "c", "dropped": "beyond-the-number-kept", "extra": 1},
+    ]
     write_json_lines(folder / "attempts.jsonl", attempts)
     return folder
 
@@ -79,8 +91,8 @@ def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: Sheets) -> None
 def test_a_split_says_what_the_search_tried(sheets: Sheets) -> None:
     split = sheets.splits["small", "adv"]
     assert split.scenes == TWO
-    assert split.statistics["counts"]["scenes"] == 2
-    assert "root" not in split.statistics
+    assert split.statistics.counts.scenes == 2
+    assert "root" not in split.model_dump()["statistics"]
     assert [(each.agent, each.scene, each.discarded, each.manoeuvre) for each in split.attempts] == [
         ("a", TWO[0], None, "cut-in-left"),
         ("b", None, "hits-another", None),
@@ -239,7 +251,7 @@ def test_variants_are_scenes_of_one_split(tmp_path: Path) -> None:
     found = find_sheets(tmp_path / "out")
     assert [scene for _, _, scene in found.scenes] == ["v0/scene-9901", "v1/scene-9901"]
     assert sheet_of(found, "v1/scene-9901", "val").sheet.source == "scene-9901"
-    assert found.splits["small", "val"].statistics["counts"]["scenes"] == 2
+    assert found.splits["small", "val"].statistics.counts.scenes == 2
 
 
 def test_numbers_that_are_none_are_named(copied: Path, tmp_path: Path) -> None:
@@ -253,7 +265,9 @@ def test_numbers_that_are_none_are_named(copied: Path, tmp_path: Path) -> None:
 def test_labels_are_shown_as_they_are_but_for_numbers_that_are_none(copied: Path, tmp_path: Path) -> None:
     path = copied / "v1.0-trainval/challenger.json"
     made = json.loads(path.read_text())
-    made["scenes"][TWO[0]]["report"] = [{"labels": {"manoeuvre": "<b>", "gap": float("inf")}}, {"labels": 3}]
+    made["scenes"][TWO[0]]["report"] = {
+        "adversaries": [{"labels": {"manoeuvre": "<b>", "gap": float("inf")}}, {"labels": 3}]
+    }
     path.write_text(json.dumps(made))
     data = NuScenesData.open(copied, name="small")
     job = making.Job(tmp_path, DataFacts(name="small", version="v", fingerprint="f"), "adv", "none", 320)
@@ -284,8 +298,8 @@ def test_seconds_are_those_of_attempts_and_of_written_scenes(copied: Path, tmp_p
     assert runtime is not None
     assert (runtime.attempts, runtime.scenes) == (1, len(timed)) == (1, 2)
     data = NuScenesData.open(copied, name="small")
-    write_sheets(data, "adv", tmp_path / "out", replace(HERE, limit=1, pictures="none"), runtime=runtime.as_json())
-    assert find_sheets(tmp_path / "out").splits["small", "adv"].runtime == runtime.as_json()
+    write_sheets(data, "adv", tmp_path / "out", replace(HERE, limit=1, pictures="none"), runtime=runtime)
+    assert find_sheets(tmp_path / "out").splits["small", "adv"].runtime == Runtime(**runtime.model_dump())
     assert kept_runtime(tmp_path / "nowhere") is None
 
 

@@ -14,8 +14,8 @@ from benchmark.geometry import boxes_overlap
 from benchmark.machine.workers import LocalProcesses
 from generation.build.split import NothingSurvivedError, build_split
 from generation.search.adversary import ego_already_collides
-from generation.search.attempts import Search
-from generation.search.chains import Chain, Dropped, harvest
+from generation.search.chains import Chain, Dropped, search_chains
+from generation.search.definition import Search
 from generation.search.hyperparameters import HyperParameters
 from generation.search.verify import Discard, Finding, verify
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source
@@ -63,7 +63,7 @@ def test_each_scene_has_two_adversaries_that_touch_nothing(source: DataSet, buil
 def test_the_first_adversary_still_passes_beside_the_second(source: DataSet, built: Path) -> None:
     limits = MotionModel.si().limits
     assert limits is not None
-    found = harvest(search_in(source, built), source, source.scene_names("val"), LocalProcesses(1), adversaries=2)
+    found = search_chains(search_in(source, built), source, source.scene_names("val"), LocalProcesses(1), adversaries=2)
     assert found.chains
     for chain in found.chains:
         scene = chain.adversarial(source.scene(chain.scene_name))

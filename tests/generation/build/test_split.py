@@ -14,7 +14,8 @@ from benchmark.machine.workspace import is_finished
 from benchmark.protocols.exact import Exact
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
-from generation.build.split import BuildSettings, NothingSurvivedError, build_split
+from generation.build.settings import BuildSettings
+from generation.build.split import NothingSurvivedError, build_split
 from generation.search.candidates import NotTried
 from generation.search.recorded_ego import log_replay_contacts
 from tests.generation.labels.recorded_roads import CHEAP, HYPER, contents, recorded, write_source

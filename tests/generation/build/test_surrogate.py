@@ -15,7 +15,8 @@ from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.records.run import scene_failures
 from benchmark.scene import Camera, Scene
-from generation.build.split import BuildSettings, NothingSurvivedError, build_split
+from generation.build.settings import BuildSettings
+from generation.build.split import NothingSurvivedError, build_split
 from generation.build.surrogate import PlannerUnderTest
 from generation.render.contract import Images
 from generation.render.schematic import SchematicRenderer

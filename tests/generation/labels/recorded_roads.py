@@ -5,7 +5,7 @@ from pathlib import Path
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.scene import Scene
-from generation.build.split import BuildSettings
+from generation.build.settings import BuildSettings
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.search.hyperparameters import HyperParameters
 from tests.generation.search.driving_prior import DrivingPrior

@@ -25,7 +25,8 @@ def test_statistics_read_what_labels_write(tmp_path: Path, layout: str) -> None:
     read = statistics(tmp_path, split="adv")
     assert (read.counts.scenes, read.labelled, read.adversaries_per_scene) == (2, 2, {1: 2})
     assert {row.manoeuvre: row.primary for row in read.manoeuvres if row.primary} == {
-        labels.manoeuvre.value: [other.manoeuvre for other in found].count(labels.manoeuvre) for labels in found
+        labels.manoeuvre: [other.manoeuvre for other in found].count(labels.manoeuvre) for labels in found
     }
-    assert read.gap_m["least"] == pytest.approx(min(labels.closest.gap_m for labels in found))
-    assert set(read.places) == {labels.place.value for labels in found}
+    assert read.gap_m is not None
+    assert read.gap_m.least == pytest.approx(min(labels.closest_approach.gap_m for labels in found))
+    assert set(read.places) == {labels.place for labels in found}

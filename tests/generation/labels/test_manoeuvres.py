@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, FRAME_HZ
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global
+from benchmark.records.attempts import Labels
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import EgoTrack, Scene
 from generation.labels.encounters import encounter
-from generation.labels.labelling import Labels, describe
+from generation.labels.labelling import describe
 from generation.labels.manoeuvres import Manoeuvre, encroachment, settled
 from generation.labels.path_frame import PathFrame
 from tests.hand_made import Car, scene_on_straight_road
@@ -140,7 +141,7 @@ def tracks(scene: Scene) -> tuple[Floats, Floats]:
 
 
 def kinds(labels: Labels) -> list[Manoeuvre]:
-    return [item.kind for item in labels.occurred]
+    return [Manoeuvre(item.kind) for item in labels.occurred]
 
 
 @pytest.mark.parametrize("bend", CURVATURES)
@@ -148,8 +149,8 @@ def kinds(labels: Labels) -> list[Manoeuvre]:
 def test_each_kind_is_named_on_straight_roads_and_in_bends(name: str, bend: str) -> None:
     case = CASES[name]
     labels = describe(scene_of(case, CURVATURES[bend]), 0, 0)
-    assert labels.manoeuvre is case.kind, kinds(labels)
-    assert labels.occurred[0].kind is labels.manoeuvre
+    assert labels.manoeuvre == case.kind, kinds(labels)
+    assert labels.occurred[0].kind == labels.manoeuvre
     assert len(set(kinds(labels))) == len(labels.occurred)
 
 
@@ -162,7 +163,7 @@ def test_a_cut_in_begins_when_the_body_reaches_into_the_ego_s_way() -> None:
     cut_in, later = labels.occurred[0], labels.occurred[1]
     # The near side of a 1.9 m wide car reaches the 1.73 m wide strip at 1.815 m (4.0 s), a corner sooner.
     assert 3.6 <= cut_in.first_s <= 4.0
-    assert later.kind is Manoeuvre.LEADING and later.first_s == pytest.approx(cut_in.first_s, abs=0.1)
+    assert later.kind == Manoeuvre.LEADING and later.first_s == pytest.approx(cut_in.first_s, abs=0.1)
     assert cut_in.least_gap_m == pytest.approx(10.0 - 0.5 * (4.6 + 4.084), abs=0.25)
     assert labels.encroachment is not None and not labels.encroachment.ego_first
     assert labels.encroachment.seconds == pytest.approx((10.0 - 4.342) / EGO_M_S, abs=0.1)
@@ -175,7 +176,7 @@ def test_what_happened_far_away_first_is_not_the_primary_kind() -> None:
         lambda t: -2.5 * _eased(t, 1, 2.5),
         seconds=12.0,
     )), 0, 0)  # fmt: skip
-    assert labels.manoeuvre is Manoeuvre.SQUEEZING_RIGHT
+    assert labels.manoeuvre == Manoeuvre.SQUEEZING_RIGHT
     assert kinds(labels)[0] is Manoeuvre.SQUEEZING_RIGHT
 
 
@@ -188,12 +189,12 @@ def test_the_duration_of_a_steady_state_is_the_whole_scene() -> None:
 def test_frames_before_the_launch_do_not_count() -> None:
     scene = scene_of(CASES["cuts in from the left"])
     late = describe(scene, 0, 84)
-    assert late.manoeuvre is Manoeuvre.LEADING and late.occurred[0].first_s == pytest.approx(7.0)
+    assert late.manoeuvre == Manoeuvre.LEADING and late.occurred[0].first_s == pytest.approx(7.0)
 
 
 def test_a_vehicle_that_was_always_ahead_does_not_cut_in() -> None:
     wobbling = replace(CASES["leads"], offset=lambda t: 0.6 * np.sin(2 * t))
-    assert describe(scene_of(wobbling), 0, 0).manoeuvre is Manoeuvre.LEADING
+    assert describe(scene_of(wobbling), 0, 0).manoeuvre == Manoeuvre.LEADING
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -207,7 +208,7 @@ def test_moving_and_turning_the_world_changes_nothing(name: str, angle: float, x
     assert kinds(after) == kinds(before)
     first = [item.first_s for item in before.occurred]
     assert [item.first_s for item in after.occurred] == pytest.approx(first, abs=0.1)
-    assert after.closest.gap_m == pytest.approx(before.closest.gap_m, abs=1e-6)
+    assert after.closest_approach.gap_m == pytest.approx(before.closest_approach.gap_m, abs=1e-6)
 
 
 @pytest.mark.parametrize("bend", CURVATURES)
@@ -224,7 +225,7 @@ def test_mirroring_swaps_left_and_right(name: str, bend: str) -> None:
     before, after = describe(scene, 0, 0), describe(placed(scene, ego, other), 0, 0)
     assert sorted(kinds(after)) == sorted(mirrored(kind) for kind in kinds(before))
     assert after.manoeuvre == mirrored(before.manoeuvre)
-    assert after.closest.side == swap.get(before.closest.side, before.closest.side)
+    assert after.closest_approach.side == swap.get(before.closest_approach.side, before.closest_approach.side)
 
 
 @pytest.mark.parametrize("frame", [0, 1, 50, 118, 119])
@@ -251,7 +252,7 @@ def test_a_condition_is_settled_by_majority() -> None:
 def test_a_standing_ego_is_challenged_by_nothing_beside_or_behind_it() -> None:
     for name in ("drives alongside", "tailgates", "stays in the blind spot"):
         still = replace(CASES[name], ego=_held(0.0), station=_held(CASES[name].station(np.zeros(1))[0]))
-        assert describe(scene_of(still), 0, 0).manoeuvre is Manoeuvre.PASSING_WIDE, name
+        assert describe(scene_of(still), 0, 0).manoeuvre == Manoeuvre.PASSING_WIDE, name
 
 
 def test_absent_frames_do_not_count() -> None:
@@ -259,15 +260,15 @@ def test_absent_frames_do_not_count() -> None:
     valid = scene.agents.valid.copy()
     valid[0, 40:] = False
     labels = describe(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
-    assert Manoeuvre.CUT_IN_LEFT not in kinds(labels) and labels.closest.frame < 40
+    assert Manoeuvre.CUT_IN_LEFT not in kinds(labels) and labels.closest_approach.frame < 40
     # Two frames decide nothing.
     valid[0] = np.isin(np.arange(valid.shape[1]), [70, 71])
     labels = describe(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
-    assert kinds(labels) == [Manoeuvre.DISTANT] and labels.closest.frame in (70, 71)
+    assert kinds(labels) == [Manoeuvre.DISTANT] and labels.closest_approach.frame in (70, 71)
     # Appearing inside the ego's way is not entering it.
     valid[0] = np.arange(valid.shape[1]) >= 70
     labels = describe(replace(scene, agents=replace(scene.agents, valid=valid)), 0, 0)
-    assert labels.manoeuvre is Manoeuvre.LEADING and labels.closest.frame >= 70
+    assert labels.manoeuvre == Manoeuvre.LEADING and labels.closest_approach.frame >= 70
 
 
 @pytest.mark.parametrize("start", [116, 118, 119])
@@ -275,7 +276,7 @@ def test_absent_frames_do_not_count() -> None:
 def test_the_last_frames_alone_are_described_too(name: str, start: int) -> None:
     scene = scene_of(replace(CASES[name], seconds=10.0))
     labels = describe(scene, 0, start)
-    assert labels.occurred and labels.closest.frame >= start
+    assert labels.occurred and labels.closest_approach.frame >= start
     assert all(np.isfinite([item.first_s, item.duration_s, item.least_gap_m]).all() for item in labels.occurred)
 
 
@@ -371,7 +372,7 @@ def test_whatever_the_tracks_there_are_labels_in_json(
     wild = placed(scene, ego, other)
     labels = describe(replace(wild, agents=replace(wild.agents, valid=valid)), 0, start)
     assert json.loads(json.dumps(labels.as_json(), allow_nan=False)) == labels.as_json()
-    assert valid[0, labels.closest.frame] and labels.closest.frame >= start
+    assert valid[0, labels.closest_approach.frame] and labels.closest_approach.frame >= start
 
 
 def test_after_the_recording_the_ego_goes_on_as_fast_as_at_its_end() -> None:

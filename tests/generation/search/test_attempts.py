@@ -12,10 +12,11 @@ from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
 from generation.build.profile import runtime_table
-from generation.search.attempts import Earlier, PackagedPrior, Search, Unit, attempts, kept_attempt, surveyed
-from generation.search.candidates import choose
+from generation.search.attempts import attempts, eligibility, kept_attempt
+from generation.search.definition import Earlier, PackagedPrior, Search, Unit
 from tests.generation.labels.recorded_roads import HYPER, recorded
 from tests.generation.search.driving_prior import DrivingPrior
+from tests.generation.search.one_vehicle import choose
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -49,7 +50,7 @@ def never(unit: Unit) -> Scene:
 def test_results_come_in_the_order_of_the_units_and_are_kept(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
     found = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))
-    assert [stored.agent_id for stored in found] == [unit.agent_id for unit in units]
+    assert [stored.report.agent for stored in found] == [unit.agent_id for unit in units]
     assert attempts(search, units, never, Forbidden()) == found
     assert [kept_attempt(search, unit) for unit in units] == found
 
@@ -110,18 +111,18 @@ def test_times_lie_beside_and_never_in_results(tmp_path: Path) -> None:
     assert "seconds" not in "".join(json.loads(search.path(units[0]).read_text())["report"])
 
 
-def test_a_survey_is_made_once(tmp_path: Path) -> None:
+def test_vehicles_are_chosen_once(tmp_path: Path) -> None:
     search = search_in(tmp_path)
 
     def unread() -> Scene:
-        raise AssertionError("the survey is there")
+        raise AssertionError("the choice is there")
 
-    found = surveyed(search, SCENE.name, (), lambda: SCENE, keep=False)
-    assert not search.survey_path(SCENE.name, ()).exists()
-    assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
-    assert surveyed(search, SCENE.name, (), unread, keep=True) == found
-    search.survey_path(SCENE.name, ()).write_text('{"objects": 1}')
-    assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+    found = eligibility(search, SCENE.name, (), lambda: SCENE, keep=False)
+    assert not search.eligibility_path(SCENE.name, ()).exists()
+    assert eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+    assert eligibility(search, SCENE.name, (), unread, keep=True) == found
+    search.eligibility_path(SCENE.name, ()).write_text('{"objects": 1}')
+    assert eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
 
 
 @pytest.mark.parametrize(
@@ -143,22 +144,22 @@ def test_an_attempt_that_is_not_as_it_was_written_is_made_again(tmp_path: Path, 
     assert attempts(search, units, lambda unit: SCENE, Forbidden()) == made
 
 
-def test_a_survey_that_is_not_as_it_was_written_is_made_again(tmp_path: Path) -> None:
+def test_a_choice_that_is_not_as_it_was_written_is_made_again(tmp_path: Path) -> None:
     search = search_in(tmp_path)
-    found = surveyed(search, SCENE.name, (), lambda: SCENE, keep=True)
-    path = search.survey_path(SCENE.name, ())
+    found = eligibility(search, SCENE.name, (), lambda: SCENE, keep=True)
+    path = search.eligibility_path(SCENE.name, ())
     whole = json.loads(path.read_text())
     twice = whole["vehicles"] * 2
     for name, value in (("vehicles", []), ("vehicles", twice), ("objects", -4), ("objects", float("nan"))):
         path.write_text(json.dumps({**whole, name: value}))
-        assert surveyed(search, SCENE.name, (), lambda: SCENE, keep=True) == found
+        assert eligibility(search, SCENE.name, (), lambda: SCENE, keep=True) == found
         assert json.loads(path.read_text()) == whole
 
 
 def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
     search, units = search_in(tmp_path), units_of(SCENE)
     stored = attempts(search, units, lambda unit: SCENE, LocalProcesses(1))[0]
-    assert stored.adversarial(SCENE).adversaries == (stored.agent_id,)
+    assert stored.adversarial(SCENE).adversaries == (stored.report.agent,)
     for other in (recorded("scene-9902"), replace(SCENE, agents=recorded("scene-9903", ()).agents)):
         with pytest.raises(InputError, match="does not fit"):
             stored.adversarial(other)

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -7,16 +6,15 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.scene import Scene
 from generation.search.candidates import (
     NotTried,
-    choose,
     draw,
     drives_forward,
     initial_state,
-    is_eligible,
     launch_frame,
     unfit,
 )
-from generation.search.eligibility import Survey, read_survey, survey
+from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
+from tests.generation.search.one_vehicle import choose
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters()
@@ -96,12 +94,12 @@ def test_reversing_and_sliding_cars_are_not_launched() -> None:
     for turn in (np.pi, 0.8):
         turned = replace(scene, agents=replace(scene.agents, yaw=scene.agents.yaw + turn))
         assert not drives_forward(turned, 0, 30)
-        assert not is_eligible(turned, 0, HYPER)
+        assert unfit(turned, 0, HYPER) is not None
 
 
 def test_an_earlier_adversary_is_not_chosen_again() -> None:
     scene = scene_of(NEAR)
-    assert not is_eligible(replace(scene, adversaries=(scene.agents.ids[0],)), 0, HYPER)
+    assert unfit(replace(scene, adversaries=(scene.agents.ids[0],)), 0, HYPER) is NotTried.ALREADY_ADVERSARY
 
 
 def test_initial_state_is_the_recorded_motion() -> None:
@@ -161,28 +159,18 @@ def test_every_reason_has_its_scene() -> None:
     assert unfit(standing, 0, HYPER) is NotTried.EGO_STANDS
 
 
-def test_a_survey_accounts_for_every_object() -> None:
+def test_every_object_is_accounted_for() -> None:
     cars = [Car(30.0 + 5.0 * row, y, 8.0) for row in range(8) for y in (194.75, 201.75)]
     scene = scene_of(*cars, Car(62.0, 208.0, 1.0, category="human.pedestrian.adult"))
     for seed in range(3):
-        seen = survey(scene, HYPER, seed)
+        seen = eligibility_of(scene, HYPER, seed)
         assert tuple(vehicle.agent for vehicle in seen.chosen) == choose(scene, HYPER, seed)
         counts = seen.not_tried()
         assert len(seen.chosen) + sum(counts.values()) == seen.objects == len(scene.agents)
         assert counts[NotTried.NOT_FOUR_WHEELED] == 1
-        eligible = sum(is_eligible(scene, agent, HYPER) for agent in range(len(scene.agents)))
+        eligible = sum(unfit(scene, agent, HYPER) is None for agent in range(len(scene.agents)))
         assert counts[NotTried.NOT_DRAWN] == eligible - 10 > 0
         assert seen.row(())["tried"] == 10
-
-
-def test_a_survey_reads_back_or_is_made_again() -> None:
-    scene = scene_of(NEAR)
-    value = survey(scene, HYPER, 0).model_dump(mode="json")
-    assert read_survey(value, scene.name) == Survey.model_validate(value)
-    assert read_survey(value, "scene-0000") is None
-    damage: list[Any] = [None, [], {}, {**value, "objects": "many"}, {**value, "vehicles": [{}]}]
-    for damaged in damage:
-        assert read_survey(damaged, scene.name) is None
 
 
 def test_nobody_can_be_drawn_from_an_empty_hat() -> None:

@@ -6,12 +6,12 @@ import pytest
 from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.scene import Scene
-from generation.build.ranking import challenge_score, ranked
 from generation.labels.labelling import Side, closest_approach, side_of, times_to_collision
 from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
+from generation.search.ranking import challenge_score, ranked
 from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, contacts, is_drivable_motion, verify
+from generation.search.verify import Discard, broken_limit, contacts, verify
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters()
@@ -149,7 +149,7 @@ def test_side_closest_approach_and_time_to_collision() -> None:
         assert side_of(ego, np.array([*place, 4.0, 2.0, 0.0])) is side
     slower = with_track(x=80.0, y=198.25, speed=5.0)
     closest = closest_approach(slower, 0, START)
-    assert closest.side is Side.FRONT
+    assert closest.side == Side.FRONT
     assert closest.frame == len(slower.timestamps_us) - 1
     gap = 80.0 - 51.39 - 0.5 * (4.6 + 4.084) - 3.0 * closest.time_s
     assert closest.gap_m == pytest.approx(gap, abs=1e-4)
@@ -181,4 +181,4 @@ def test_ranking_keeps_the_best_of_each_scene_whatever_the_order() -> None:
 
 
 def test_short_tracks_pass_the_motion_check() -> None:
-    assert is_drivable_motion(np.zeros((2, 5)), DriverLimits())
+    assert broken_limit(np.zeros((2, 5)), DriverLimits()) is None

@@ -12,8 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmark.datasets.statistics import ManoeuvreRow, Statistics
-from benchmark.datasets.table_rows import TableCounts
 from benchmark.machine.storage import content_key, content_seed, file_sha256, token, write_json
 from benchmark.machine.workspace import Workspace
 from benchmark.planning import PlanFrame
@@ -30,6 +28,7 @@ from benchmark.records.scenes import (
     scene_folder,
     split_folder,
 )
+from benchmark.records.statistics import ManoeuvreRow, Quantiles, SplitStatistics, TableCounts
 from benchmark.runs.run_directory import run_directory
 from tests.leaderboard.site.made_runs import MadePlanner, run, truth_of
 from tests.leaderboard.site.made_scenes import (
@@ -199,7 +198,7 @@ def _write_sheets(
         data=data,
         split=split,
         scenes=tuple(scene.name for scene in found),
-        statistics={name: value for name, value in statistics.as_json().items() if name != "root"},
+        statistics=statistics,
         attempts=_attempts(found) if split == "adv" else (),
     )
     write_json(split_folder(root, data.name, split) / SPLIT_FILE, about.model_dump(mode="json", by_alias=True))
@@ -248,13 +247,12 @@ def _attempts(scenes: Sequence[MadeScene]) -> tuple[AttemptFacts, ...]:
     return tuple(found)
 
 
-def _statistics(split: str, scenes: Sequence[MadeScene]) -> Statistics:
+def _statistics(split: str, scenes: Sequence[MadeScene]) -> SplitStatistics:
     labels: list[dict[str, Any]] = [found for found in map(labels_of, scenes) if found is not None]
     samples = sum(len(scene.keyframes) for scene in scenes)
     kinds = Counter(found["manoeuvre"] for found in labels)
     places = Counter(found["place"] for found in labels)
-    return Statistics(
-        root="",
+    return SplitStatistics(
         split=split,
         counts=TableCounts(
             instances=AGENTS * len(scenes),
@@ -268,16 +266,16 @@ def _statistics(split: str, scenes: Sequence[MadeScene]) -> Statistics:
         labelled=len(labels),
         manoeuvres=tuple(
             ManoeuvreRow(
-                kind,
-                count,
-                count,
-                dict(sorted(Counter(found["place"] for found in labels if found["manoeuvre"] == kind).items())),
-                0.4,
+                manoeuvre=kind,
+                primary=count,
+                occurred=count,
+                places=dict(sorted(Counter(found["place"] for found in labels if found["manoeuvre"] == kind).items())),
+                median_gap_m=0.4,
             )
             for kind, count in sorted(kinds.items(), key=lambda item: (-item[1], item[0]))
         ),
         places=dict(sorted(places.items())),
-        gap_m=dict.fromkeys(_QUANTILES, 0.4) if labels else {},
-        time_to_collision_s=dict.fromkeys(_QUANTILES, 0.9) if labels else {},
+        gap_m=Quantiles(**dict.fromkeys(_QUANTILES, 0.4)) if labels else None,
+        time_to_collision_s=Quantiles(**dict.fromkeys(_QUANTILES, 0.9)) if labels else None,
         within_5_s=len(labels),
     )

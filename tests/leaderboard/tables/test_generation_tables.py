@@ -9,7 +9,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
 from benchmark.records.ablation import AblationReport, find_ablations
-from benchmark.records.scenes import NO_SHEETS
+from benchmark.records.scenes import NO_SHEETS, SPLIT_FILE, find_sheets, split_folder
 from benchmark.report.cells import UNDEFINED
 from benchmark.report.table import Table
 from leaderboard.build import leaderboard_files, stale_files, write_leaderboard
@@ -132,10 +132,24 @@ def test_nothing_timed_is_undefined_and_not_zero() -> None:
         (NO_ADVERSARY, {**RUNTIME, "total_s": {"physics": float("nan")}}, "runtime.total_s.physics"),
     ],
 )
-def test_a_damaged_sheet_is_a_sentence(statistics: dict[str, Any], runtime: dict[str, Any] | None, where: str) -> None:
-    broken = sheets_of(split_sheet("adv", statistics=statistics, runtime=runtime))
-    with pytest.raises(InputError, match=f"split 'adv' of 'd' lacks a proper {where}.*delete or move"):
-        generation_tables(broken, [])
+def test_a_damaged_sheet_is_a_sentence(
+    statistics: dict[str, Any], runtime: dict[str, Any] | None, where: str, tmp_path: Path
+) -> None:
+    path = split_folder(tmp_path, "d", "adv") / SPLIT_FILE
+    sound = split_sheet("adv").model_dump(mode="json", by_alias=True)
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps({**sound, "statistics": statistics, "runtime": runtime}))
+    with pytest.raises(InputError, match=rf"split\.json is damaged at {where}.*sheets again or delete"):
+        find_sheets(tmp_path)
+
+
+def test_numbers_of_a_split_are_stored_as_they_were(tmp_path: Path) -> None:
+    """The form of ``split.json`` that all versions have written: nothing counted is an empty object."""
+    for split, statistics, runtime in (("adv", STATISTICS, RUNTIME), ("val", NO_ADVERSARY, None)):
+        stored = split_sheet(split, statistics=statistics, runtime=runtime).model_dump(mode="json", by_alias=True)
+        assert stored["statistics"] == statistics and stored["runtime"] == runtime
+        write_json(split_folder(tmp_path, "d", split) / SPLIT_FILE, stored)
+    assert find_sheets(tmp_path).splits["d", "val"].statistics.gap_m is None
 
 
 def test_the_ablation_with_its_intervals_and_the_papers_values() -> None:
@@ -190,6 +204,16 @@ def test_studies_are_found_below_a_folder_and_a_damaged_one_is_named(tmp_path: P
 def test_a_study_is_known_by_its_content(tmp_path: Path) -> None:
     again = AblationReport.model_validate(json.loads(json.dumps(study().model_dump(mode="json", by_alias=True))))
     assert again.content_id == study().content_id != study(seed=1).content_id
+
+
+def test_studies_of_before_quote_the_paper_and_keep_their_identity(tmp_path: Path) -> None:
+    said = study().model_dump(mode="json", by_alias=True)
+    assert "paper_rate" not in said["rows"][0]
+    said["rows"] = [{**row, "paper_rate": 0.5} for row in said["rows"]]
+    write_json(tmp_path / "ablation.json", said)
+    (old,) = find_ablations(tmp_path)
+    assert old.model_dump(mode="json", by_alias=True) == said and old.content_id != study().content_id
+    assert row_of(named(ablation_tables([old]), "ablation-p"), "Challenger")["paper"] == "6.17"
 
 
 def test_the_leaderboard_has_them_in_every_form_with_and_without_runs(tmp_path: Path) -> None:

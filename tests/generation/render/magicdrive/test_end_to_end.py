@@ -16,7 +16,8 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import transform_matrix
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Annotations, EgoTrack, Scene, SweepPoses
-from generation.build.split import BuildSettings, build_split
+from generation.build.settings import BuildSettings
+from generation.build.split import build_split
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.magicdrive.boxes import clip_boxes
 from generation.render.magicdrive.conditions import MODEL_CAMERAS

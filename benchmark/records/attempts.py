@@ -1,0 +1,196 @@
+"""What the search for adversaries tried, as it is stored: ``attempts.jsonl`` and reports in ``challenger.json``."""
+
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import read_json_lines
+
+ATTEMPTS_FILE: Final = "attempts.jsonl"
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields that are known, as JSON values; what an older version did not write stays away."""
+        return self.model_dump(mode="json", exclude_unset=True)
+
+
+class Approach(_Stored):
+    """How close two bodies came.
+
+    Attributes:
+        gap_m: Distance between the bodies.
+        time_s: When, seconds since the scene's first frame.
+        side: Side of the ego (`generation.labels.labelling.Side`).
+    """
+
+    gap_m: float
+    time_s: float
+    side: str
+
+
+class ClosestApproach(Approach):
+    """The moment at which two bodies are closest; ``frame`` is its index."""
+
+    frame: int
+
+
+class Occurrence(_Stored):
+    """One kind of manoeuvre in a scene.
+
+    Attributes:
+        kind: Which (`generation.labels.manoeuvres.Manoeuvre`).
+        first_s: When it began the first time, seconds since the scene's first frame.
+        duration_s: How long it lasted, all times together.
+        least_gap_m: Smallest gap between the bodies meanwhile.
+    """
+
+    kind: str
+    first_s: float
+    duration_s: float
+    least_gap_m: float
+
+
+class Encroachment(_Stored):
+    """Closest succession of the two bodies on one and the same piece of the ego's path (post-encroachment time).
+
+    Attributes:
+        seconds: Time between them; 0 if both were there at once, as abreast in a bend.
+        ego_first: Whether the ego was there first.
+        time_s: When the other vehicle was there, seconds since the scene's first frame.
+    """
+
+    seconds: float
+    ego_first: bool
+    time_s: float
+
+
+class TimeToCollision(_Stored):
+    """The smallest time to collision of a scene, and when it was that small first, seconds since the first frame."""
+
+    seconds: float
+    time_s: float
+
+
+class Labels(_Stored):
+    """What one adversary does to the ego and where; ``docs/manoeuvres.md`` defines every word.
+
+    Attributes:
+        manoeuvre: The primary kind.
+        occurred: Every kind that occurred, the primary one first.
+        closest_approach: Closest approach.
+        time_to_collision: ``None`` if it was never within 5 s.
+        encroachment: Closest succession on the same piece of the ego's path, ``None`` if there was none.
+        place: Where the closest approach happened (`generation.labels.places.Place`).
+    """
+
+    manoeuvre: str
+    occurred: tuple[Occurrence, ...]
+    closest_approach: ClosestApproach
+    time_to_collision: TimeToCollision | None
+    encroachment: Encroachment | None
+    place: str
+
+
+class PlanningFrame(_Stored):
+    """Trace of one planning frame.
+
+    Attributes:
+        frame: Frame index.
+        round: Round of the executed candidate.
+        score: Its final score over all rounds, ``None`` if no candidate was finite.
+        best_scores: Best final score of each round, normalised within the round.
+        collision_free: Candidates without contact in each round.
+    """
+
+    frame: int
+    round: int
+    score: float | None
+    best_scores: tuple[float | None, ...]
+    collision_free: tuple[int, ...]
+
+
+class Attempt(_Stored):
+    """One vehicle of one recorded scene that was tried as an adversary.
+
+    Attributes:
+        scene: Recorded scene.
+        agent: Instance identifier.
+        seed: User's seed.
+        kept: Whether the scene survived verification.
+        discard: Why not (`generation.search.verify.Discard`).
+        because: What shows it (`generation.search.verify.Finding`).
+        launch_frame: Frame of the launch, ``None`` if there was none.
+        tries: Searches that were made; everything else is about the last one.
+        challenge: Ranking score, see `generation.search.ranking.challenge_score`; 0 where discarded.
+        closest_approach: Closest approach, where the track is complete.
+        least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
+        labels: What the adversary does, if kept.
+        plans: Trace.
+        earlier: Adversaries that the scene had already.
+        dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
+        written: Name of the scene that it became.
+    """
+
+    scene: str
+    agent: str
+    seed: int
+    kept: bool
+    discard: str | None
+    because: dict[str, Any] | None = None
+    launch_frame: int | None
+    tries: int = 1
+    challenge: float
+    closest_approach: Approach | None
+    least_time_to_collision_s: float | None
+    labels: Labels | None = None
+    plans: tuple[PlanningFrame, ...] = ()
+    earlier: tuple[str, ...] = ()
+    dropped: str | None = None
+    written: str | None = None
+
+
+def read_attempts(path: Path) -> tuple[Attempt, ...]:
+    """Read what a build tried.
+
+    Args:
+        path: An ``attempts.jsonl``, of this version or an older one.
+
+    Returns:
+        The attempts in their order.
+
+    Raises:
+        InputError: If the file cannot be read, or a line is none of an attempt.
+    """
+    found = []
+    for number, row in enumerate(read_json_lines(path), start=1):
+        try:
+            found.append(Attempt.model_validate(row))
+        except ValidationError as error:
+            where = ".".join(map(str, error.errors()[0]["loc"]))
+            raise InputError(
+                f"{path} line {number} lacks a proper {where or 'object'}; generate the split again"
+            ) from error
+    return tuple(found)
+
+
+def stored_labels(report: Any) -> list[Any]:
+    """What ``challenger.json`` says of the manoeuvres of a scene's adversaries.
+
+    Args:
+        report: Report on a scene: on its adversary, or on each of several below ``adversaries``; any JSON value of a
+            stranger's data set.
+
+    Returns:
+        The labels of each adversary that has any, not checked (`Labels`).
+    """
+    if not isinstance(report, dict):
+        return []
+    several = report.get("adversaries")
+    reports = several if isinstance(several, list) else [report]
+    labels = (each.get("labels") for each in reports if isinstance(each, dict))
+    return [found for found in labels if found is not None]

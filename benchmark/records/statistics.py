@@ -1,0 +1,118 @@
+"""Splits in numbers, as ``split.json`` stores them: rows of tables, what adversaries do, seconds of generation."""
+
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, field_serializer, field_validator
+
+from benchmark.published import ADV_NUSC
+
+RENDERING: Final = "rendering"
+"""The one stage of generation that is timed by scene; the others are by attempt."""
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class TableCounts(_Stored):
+    """Numbers of table rows that belong to some scenes: the paper's table "Overview of the Adv-nuSc Dataset".
+
+    Attributes:
+        instances: Rows of ``instance`` with an annotation in the scenes.
+        ego_poses: Rows of ``ego_pose`` that sensor data of the scenes name.
+        scenes: Rows of ``scene``.
+        samples: Rows of ``sample``.
+        sample_data: Rows of ``sample_data``.
+        annotations: Rows of ``sample_annotation``.
+    """
+
+    instances: int
+    ego_poses: int
+    scenes: int
+    samples: int
+    sample_data: int
+    annotations: int
+
+
+class Quantiles(_Stored):
+    """Of a distribution that has values."""
+
+    least: float
+    tenth: float
+    median: float
+    ninetieth: float
+    most: float
+
+
+class ManoeuvreRow(_Stored):
+    """One kind of manoeuvre in a data set.
+
+    Attributes:
+        manoeuvre: The kind.
+        primary: Adversaries whose primary kind it is.
+        occurred: Adversaries that did it at some time.
+        places: Of the primary ones, how many happened where.
+        median_gap_m: Median smallest gap of the primary ones, ``None`` if there are none.
+    """
+
+    manoeuvre: str
+    primary: int
+    occurred: int
+    places: dict[str, int]
+    median_gap_m: float | None
+
+
+class SplitStatistics(_Stored):
+    """A split, or a whole data set, in numbers.
+
+    Attributes:
+        split: Split that was counted, ``None`` for the whole data set.
+        counts: Table rows.
+        adversaries_per_scene: Number of scenes by number of adversaries; empty for recordings.
+        labelled: Adversaries with labels.
+        manoeuvres: Rows by falling number; empty without labels.
+        places: Adversaries by place of the closest approach.
+        gap_m: Smallest gap between the bodies; ``None``, stored as an empty object, without labels.
+        time_to_collision_s: Of those that came within 5 s of a collision.
+        within_5_s: How many those are.
+        published_adv_nusc: What the paper prints for its own data set; quoted, not counted.
+    """
+
+    split: str | None = None
+    counts: TableCounts
+    adversaries_per_scene: dict[int, int]
+    labelled: int
+    manoeuvres: tuple[ManoeuvreRow, ...]
+    places: dict[str, int]
+    gap_m: Quantiles | None
+    time_to_collision_s: Quantiles | None
+    within_5_s: int
+    published_adv_nusc: dict[str, int] = Field(default_factory=lambda: dict(ADV_NUSC))
+
+    @field_validator("gap_m", "time_to_collision_s", mode="before")
+    @classmethod
+    def _of_nothing(cls, quantiles: Any) -> Any:
+        return quantiles or None
+
+    @field_serializer("gap_m", "time_to_collision_s")
+    def _as_nothing(self, quantiles: Quantiles | None) -> dict[str, float]:
+        return {} if quantiles is None else quantiles.model_dump()
+
+
+class Runtime(_Stored):
+    """Processor seconds of a build.
+
+    Attributes:
+        attempts: Attempts that are timed.
+        scenes: Rendered scenes that are timed.
+        total_s: Seconds in all, by stage.
+    """
+
+    attempts: int
+    scenes: int
+    total_s: dict[str, float]
+
+    def each_s(self, stage: str) -> float | None:
+        """Seconds of one attempt, or of one rendered scene; ``None`` where nothing was timed."""
+        count = self.scenes if stage == RENDERING else self.attempts
+        return self.total_s.get(stage, 0.0) / count if count else None

@@ -1,0 +1,152 @@
+"""What decides an attempt: the recordings, the settings, the diffusion model and the vehicle; its content keys."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
+from benchmark.machine.storage import content_key
+from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
+from generation.search.adversary import ALGORITHM_VERSION
+from generation.search.hyperparameters import HyperParameters
+from generation.search.proposals import Prior
+from generation.search.rounds import SHOWN_CANDIDATES
+
+PriorFactory = Callable[[], Prior]
+"""Gives the same prior in any process. Must be picklable."""
+TRACE_VERSION: Final = "1"
+"""Changes when the rounds of the same search would be written in another way."""
+
+
+@dataclass(frozen=True, slots=True)
+class PackagedPrior:
+    """The diffusion model, loaded once in each process.
+
+    Attributes:
+        weights: Its weights, ``None`` for those in the package.
+        device: Where the network runs.
+        sampler: How the network is asked.
+    """
+
+    weights: Path | None = None
+    device: str = "cpu"
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+
+    def __call__(self) -> Prior:
+        """The model."""
+        return _loaded(self.weights, self.device, self.sampler)
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
+    return TrajectoryPrior.load(weights, sampler, device=device)
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """An adversary that a scene has already.
+
+    Attributes:
+        key: Content key of the attempt that made it.
+        agent: Index of the vehicle.
+        agent_id: Its instance identifier.
+        start: Frame of its launch.
+    """
+
+    key: str
+    agent: int
+    agent_id: str
+    start: int
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One vehicle of one scene.
+
+    Attributes:
+        scene_name: Name in the source.
+        agent: Index of the vehicle.
+        agent_id: Its instance identifier.
+        earlier: Adversaries that the scene has already, in the order in which they were planned.
+    """
+
+    scene_name: str
+    agent: int
+    agent_id: str
+    earlier: tuple[Earlier, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Everything that decides what an attempt gives.
+
+    Attributes:
+        fingerprint: Of the data set.
+        hyper: Settings of the search.
+        seed: User's seed.
+        prior: Makes the diffusion model.
+        prior_fingerprint: Of the diffusion model.
+        state: Where finished work is kept.
+    """
+
+    fingerprint: str
+    hyper: HyperParameters
+    seed: int
+    prior: PriorFactory
+    prior_fingerprint: str
+    state: Path
+
+    def key(self, unit: Unit) -> str:
+        """Content key of one attempt."""
+        parts = (self.fingerprint, unit.scene_name, unit.agent_id, self.seed, self.hyper.fingerprint)
+        chain = [[link.key for link in unit.earlier]] if unit.earlier else []
+        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain)
+
+    def path(self, unit: Unit) -> Path:
+        """File of one finished attempt."""
+        return self.state / "attempts" / f"{self.key(unit)}.json"
+
+    def rounds_path(self, unit: Unit) -> Path:
+        """File of the rounds of one kept attempt."""
+        return self.state / "rounds" / f"{self.key(unit)}.json"
+
+    def timing_path(self, unit: Unit) -> Path:
+        """File that says how long an attempt took; no result depends on it."""
+        return self.state / "timing" / "attempts" / f"{self.key(unit)}.timing.json"
+
+    def eligibility_path(self, scene_name: str, earlier: tuple[Earlier, ...]) -> Path:
+        """File of one finished choice of vehicles."""
+        chain = [link.key for link in earlier]
+        parts = ("survey", ALGORITHM_VERSION, self.fingerprint, scene_name, self.seed, self.hyper.fingerprint, chain)
+        return self.state / "surveys" / f"{content_key(*parts)}.json"
+
+    def as_json(self) -> dict[str, Any]:
+        """Everything that decided the attempts of a build, for ``search.json``."""
+        return {
+            "algorithm": ALGORITHM_VERSION,
+            "source": self.fingerprint,
+            "seed": self.seed,
+            "prior": self.prior_fingerprint,
+            "sampler": asdict(self.prior.sampler) if isinstance(self.prior, PackagedPrior) else None,
+            "hyper": asdict(self.hyper),
+            "hyper_fingerprint": self.hyper.fingerprint,
+        }
+
+    def rounds_facts(self, unit: Unit) -> dict[str, Any]:
+        """What the rounds of an attempt say of the search."""
+        return {
+            "trace": TRACE_VERSION,
+            "algorithm": ALGORITHM_VERSION,
+            "source": self.fingerprint,
+            "seed": self.seed,
+            "hyper": self.hyper.fingerprint,
+            "prior": self.prior_fingerprint,
+            "candidates": self.hyper.candidates,
+            "shown": min(SHOWN_CANDIDATES, self.hyper.candidates),
+            "step_s": FRAMES_PER_KEYFRAME / FRAME_HZ,
+            "executed_s": self.hyper.horizon / FRAME_HZ,
+            "scored_s": self.hyper.scored_frames[-1] / FRAME_HZ,
+            "attempt": self.key(unit),
+        }

@@ -1,0 +1,21 @@
+"""One vehicle of one scene, where many are searched side by side."""
+
+from typing import Any
+
+from benchmark.scene import Scene
+from generation.search.adversary import Searched, attempts_together
+from generation.search.eligibility import eligibility_of
+from generation.search.hyperparameters import HyperParameters
+from generation.search.proposals import Prior
+
+
+def attempt(
+    scene: Scene, agent_index: int, seed: int, hyper: HyperParameters, prior: Prior, **settings: Any
+) -> Searched:
+    """What came of one vehicle."""
+    return attempts_together([(scene, agent_index)], seed, hyper, prior, **settings)[0]
+
+
+def choose(scene: Scene, hyper: HyperParameters, seed: int) -> tuple[int, ...]:
+    """Vehicles to try."""
+    return tuple(vehicle.agent for vehicle in eligibility_of(scene, hyper, seed).chosen)
