@@ -100,7 +100,7 @@ def generate_command(
     executor: ExecutorOption = ExecutorName.LOCAL,
     address: AddressOption = None,
     keep_rounds: Annotated[
-        bool, typer.Option("--keep-rounds", help="Keep what sheets --rounds shows, about half a megabyte a scene.")
+        bool, typer.Option("--keep-rounds", help="Keep what sheets --rounds shows, less than a megabyte a scene.")
     ] = False,
     profile: Annotated[bool, typer.Option(help="Say where the time went, beside the paper's table.")] = False,
     json_output: JsonOption = False,
