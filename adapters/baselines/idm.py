@@ -1,16 +1,13 @@
 """``idm``: follows its lane and keeps distance by the intelligent-driver model.
 
-Privileged: sees the map and all boxes, but not the future. The model is that of Treiber, Hennecke and Helbing (2000),
-equations 1-3, with two of its authors' own corrections: a car that is faster than it wants to be brakes comfortably
-(Treiber and Kesting, "Traffic Flow Dynamics", 2013, improved model), and a gap that is small but does not close is no
-emergency (Kesting, Treiber and Helbing 2010, enhanced model, with leaders that keep their speed). Without
-them it brakes so hard behind a close leader that the car behind hits it. Traffic lights and right of way are not seen.
+Privileged: sees the map and all boxes, but not the future. Traffic lights and right of way are not seen. The law is
+that of `benchmark.dynamics.idm`.
 
 What it expects of the others (`adapters.baselines.obstacles`) it gives as forecasts, one mode each, so that its
 collisions can be diagnosed. They include those behind, which it expects to drive on and does not plan for.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
 
@@ -21,6 +18,7 @@ from benchmark.constants import (
     PLAN_STEP_S,
     PLAN_STEPS,
 )
+from benchmark.dynamics.idm import DriverSettings, idm_acceleration
 from benchmark.dynamics.lane_path import Path, lane_path, straight_path
 from benchmark.geometry import Floats, to_local, wrap_angle
 from benchmark.planning import Forecasts, Observation, Plan, PlanFrame, SceneInfo
@@ -33,39 +31,6 @@ _HORIZON_S = PLAN_STEP_S * PLAN_STEPS
 _STEP_SECONDS = PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
 _MILLIMETRES = 3
 """Decimals of forecasts: a record holds thirty of them a sample, and more digits say nothing."""
-_EXPONENT = 4
-"""How acceleration falls off towards the wanted speed."""
-
-
-@dataclass(frozen=True, slots=True)
-class DriverSettings:
-    """What kind of driver.
-
-    Attributes:
-        speed_limit: Wanted speed on a free road unless the car is faster already, m/s.
-        time_gap_s: Wanted time gap to the leader.
-        standstill_gap_m: Wanted gap at standstill.
-        acceleration: Largest acceleration, m/s^2.
-        comfortable_braking: m/s^2.
-        hardest_braking: m/s^2.
-        coolness: Trust in the leader, 0 (the original model) to 1.
-        lateral_acceleration: In bends, m/s^2.
-        foresight_s: For how long others of the same direction are expected to keep moving sideways.
-        side_margin_m: Room beside the car that counts as its corridor.
-        sight_m: Others further away are not looked at.
-    """
-
-    speed_limit: float = 13.9
-    time_gap_s: float = 1.0
-    standstill_gap_m: float = 2.0
-    acceleration: float = 1.0
-    comfortable_braking: float = 1.5
-    hardest_braking: float = 7.0
-    coolness: float = 0.99
-    lateral_acceleration: float = 2.5
-    foresight_s: float = 1.5
-    side_margin_m: float = 0.3
-    sight_m: float = 70.0
 
 
 class IntelligentDriver:
@@ -127,7 +92,7 @@ def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings
         path: The path.
         speed: Now, m/s.
         obstacles: Others along it.
-        driver: See `DriverSettings`.
+        driver: Its wishes and limits.
 
     Returns:
         (6,) distance travelled at the plan's steps, metres.
@@ -138,7 +103,7 @@ def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings
     for step in range(PLAN_STEPS * _SUBSTEPS):
         free_speed = _speed_for_bends(path, allowed, travelled, driver)
         gap, leader_speed = _leader(obstacles, step, travelled)
-        acceleration = _acceleration(speed, free_speed, gap, leader_speed, driver)
+        acceleration = idm_acceleration(speed, free_speed, gap, leader_speed, driver)
         faster = max(speed + acceleration * _DT, 0.0)
         travelled += 0.5 * (speed + faster) * _DT
         speed = faster
@@ -162,29 +127,6 @@ def _leader(obstacles: Obstacles, step: int, travelled: float) -> tuple[float, f
     gaps = np.where(rear + obstacles.front[:, step] > 2 * bumper, rear, np.inf) - bumper
     nearest = int(gaps.argmin())
     return float(gaps[nearest]), float(obstacles.speed[nearest, step])
-
-
-def _acceleration(speed: float, free_speed: float, gap: float, leader_speed: float, driver: DriverSettings) -> float:
-    """The intelligent-driver model with the corrections that the module names; braking is limited by the tyres."""
-    ratio = speed / max(free_speed, 0.1)
-    if ratio <= 1.0:
-        free = driver.acceleration * (1.0 - ratio**_EXPONENT)
-    else:
-        sharpness = driver.acceleration * _EXPONENT / driver.comfortable_braking
-        free = -driver.comfortable_braking * (1.0 - ratio**-sharpness)
-    if not np.isfinite(gap):
-        return free
-    gap = max(gap, 0.1)
-    closing = speed - leader_speed
-    braking_distance = speed * closing / (2 * np.sqrt(driver.acceleration * driver.comfortable_braking))
-    wanted_gap = driver.standstill_gap_m + max(speed * driver.time_gap_s + braking_distance, 0.0)
-    following = free - driver.acceleration * (wanted_gap / gap) ** 2
-    # What would do if the leader went on as it does now: a driver who trusts it lets the gap grow gently.
-    trusting = -(max(closing, 0.0) ** 2) / (2 * gap)
-    if following < trusting:
-        beyond = trusting + driver.comfortable_braking * np.tanh((following - trusting) / driver.comfortable_braking)
-        following = (1.0 - driver.coolness) * following + driver.coolness * beyond
-    return max(float(following), -driver.hardest_braking)
 
 
 def _others_now(scene: Scene, observation: Observation, sight_m: float) -> tuple[Floats, Floats]:

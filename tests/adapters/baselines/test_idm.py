@@ -8,7 +8,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.baselines.idm import DriverSettings, IntelligentDriver
+from adapters.baselines.idm import IntelligentDriver
+from benchmark.dynamics.idm import DriverSettings
 from benchmark.dynamics.lane_path import Path, lane_path, nearest_lane
 from benchmark.geometry import Floats, boxes_overlap
 from benchmark.planning import Command, Plan, SceneInfo
