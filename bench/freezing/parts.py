@@ -193,6 +193,7 @@ def leaderboard(tree: Tree, kind: Kind) -> None:
         tree.copy_of_start(f"out2/{folder}", f"shown/{folder}")
     tree.print("leaderboard", "leaderboard", "--out", "shown", "--json")
     tree.files("leaderboard and site", "shown/leaderboard")
+    _without_place_of_the_palette(tree)
     if kind.whole:
         _without_quotes(tree)
     tree.remove("films")
@@ -202,6 +203,13 @@ def leaderboard(tree: Tree, kind: Kind) -> None:
     if kind.whole:
         tree.print("film", "film", "--to", "films", *shown, *short, "--format", "webp", "--north-up", "--json")
     tree.files("film", "films")
+
+
+def _without_place_of_the_palette(tree: Tree) -> None:
+    """A comment of the site's style says in which module the same colours are; modules may move."""
+    for path in (tree.work / "shown/leaderboard").rglob("player_style.js"):
+        text = re.sub(r"[\w/]+/palette\.py", "palette.py", path.read_text())
+        tree.note("leaderboard and site", path.relative_to(tree.work).as_posix(), text)
 
 
 def _without_quotes(tree: Tree) -> None:
