@@ -20,6 +20,8 @@ WEBP_QUALITY: Final = 80
 NEAR_PLANE_M: Final = 0.1
 FARTHEST_IN_TIME_S: Final = 0.06
 """A frame between samples has a picture if each camera has an image so near in time; images are 0.083 s apart."""
+_PARALLEL_PX: Final = 1e-9
+"""A segment that moves less along an axis lies beside it; dividing by less could overflow."""
 _LEAST_EDGE_PX: Final = 0.1
 
 
@@ -228,7 +230,7 @@ def cut_at_borders(segment: Floats, width: int, height: int) -> Floats | None:
     start, along = segment[0], segment[1] - segment[0]
     first, last = 0.0, 1.0
     for axis, limit in ((0, width), (1, height)):
-        if along[axis] == 0:
+        if abs(along[axis]) < _PARALLEL_PX:
             if not 0 <= start[axis] <= limit:
                 return None
             continue

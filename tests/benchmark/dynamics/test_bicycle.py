@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from benchmark.dynamics.bicycle import DriverLimits, MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
@@ -127,6 +127,9 @@ def test_the_fast_side_agrees_with_the_slow_one(
     )
     fast = simulate(candidates, state, length, steps=steps, model=model)
     path = reference_path(candidates, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
+    around = np.hypot(*(path.position[2:] - path.position[:-2]).transpose(1, 0, 2))
+    # Where a path turns on the spot, its direction is a matter of the last bit.
+    assume(model.smooth or around.min() > 1e-6)
     for index, candidate in enumerate(candidates):
         expected = slow_path(candidate, model)
         np.testing.assert_allclose(path.position[..., index], expected.pose[:, :2], atol=1e-9)
