@@ -78,11 +78,11 @@ class TrainingFrame:
         return replace(self, **moved)
 
 
-class Lesson(Protocol):
+class Objective(Protocol):
     """How one kind of network learns.
 
     Attributes:
-        network: Its parameters are what is trained; the lesson itself has none.
+        network: Its parameters are what is trained; the objective itself has none.
         clip_frames: How many consecutive key frames of a scene it learns from at once.
     """
 
@@ -110,16 +110,16 @@ class Lesson(Protocol):
 
 
 @runtime_checkable
-class LessonOfClips(Lesson, Protocol):
-    """A lesson that learns from several clips at once faster than from one after the other."""
+class BatchObjective(Objective, Protocol):
+    """An objective that learns from several clips at once faster than from one after the other."""
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
         """Losses of several clips.
 
         Args:
-            clips: As for `Lesson.losses`, of any lengths.
+            clips: As for `Objective.losses`, of any lengths.
 
         Returns:
-            As `Lesson.losses`, means over the clips.
+            As `Objective.losses`, means over the clips.
         """
         ...

@@ -76,7 +76,7 @@ class ImageEncoder(nn.Module):
         return self.heat(features), self.boxes(features), F.pixel_shuffle(self.ground(features), 2)
 
 
-class ImageEncoderLesson:
+class ImageEncoderObjective:
     """How the image encoder learns.
 
     Attributes:

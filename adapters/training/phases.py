@@ -1,10 +1,10 @@
-"""Parts of a training that follow one another, each with its own lesson and recipe."""
+"""Parts of a training that follow one another, each with its own objective and recipe."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-from adapters.training.frames import Lesson
+from adapters.training.frames import Objective
 from adapters.training.trainer import Recipe
 
 
@@ -14,12 +14,12 @@ class Phase:
 
     Attributes:
         name: In the names of files and in the log.
-        lesson: Makes the lesson of a network; may set its first values and what of it learns.
+        objective: Makes the objective of a network; may set its first values and what of it learns.
         recipe: How long and how fast.
     """
 
     name: str
-    lesson: Callable[[Any], Lesson]
+    objective: Callable[[Any], Objective]
     recipe: Recipe
 
     def changed(self, share: float, seed: int, learning_rate: float | None) -> Self:

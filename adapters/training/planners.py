@@ -16,7 +16,7 @@ from adapters.models import Model, miniature, resolve
 from adapters.training.card import card_of
 from adapters.training.frame_store import FrameStore, build_frames, frames_key
 from adapters.training.frames import TrainingFrame
-from adapters.training.image_encoder import ImageEncoder, ImageEncoderLesson
+from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.training.phases import Phase
 from adapters.training.plan_figures import Images, figures, plan_figures
 from adapters.training.run_files import tensors_key
@@ -153,9 +153,9 @@ def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
 def _train_encoder(training: PlannerTraining, store: FrameStore, learned: Sequence[int]) -> dict[str, Any]:
     torch.manual_seed(content_seed("network", ENCODER_NAME, training.seed))
     network = ImageEncoder()
-    phase = Phase("all", lambda _: ImageEncoderLesson(network), _ENCODER_RECIPE)
+    phase = Phase("all", lambda _: ImageEncoderObjective(network), _ENCODER_RECIPE)
     phase = _scaled((phase,), training)[0]
-    weights = fit(phase.lesson(network), store, learned, phase.recipe, training.out, device=training.device)
+    weights = fit(phase.objective(network), store, learned, phase.recipe, training.out, device=training.device)
     kept = {
         name.replace(ENCODER_PYRAMID, PYRAMID): value
         for name, value in weights.items()
@@ -186,10 +186,10 @@ def _train_miniature(
     weights: Mapping[str, Tensor] = {name: value for taken in given.values() for name, value in taken.items()}
     parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
     for phase, part in zip(phases, parts, strict=True):
-        lesson = phase.lesson(network)
+        objective = phase.objective(network)
         _take(network, weights)
         weights = fit(
-            lesson,
+            objective,
             store,
             learned,
             phase.recipe,

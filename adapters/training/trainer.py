@@ -1,4 +1,4 @@
-"""The loop that trains a network by its lesson: seeded, logged, and resumed by the same command."""
+"""The loop that trains a network by its objective: seeded, logged, and resumed by the same command."""
 
 import math
 import time
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from adapters.training.frame_store import FrameStore
-from adapters.training.frames import Lesson, LessonOfClips, TrainingFrame
+from adapters.training.frames import BatchObjective, Objective, TrainingFrame
 from adapters.training.run_files import TrainingRun, read_run, tensors_key, write_run
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
@@ -43,7 +43,7 @@ class Recipe:
         gradient_norm: Longer gradients are shortened to this.
         average: Share of the averaged weights kept per step; they follow faster in the beginning.
         check_every: Steps between two checks on held-out scenes.
-        seed: Of weights, order and whatever the lesson draws.
+        seed: Of weights, order and whatever the objective draws.
     """
 
     steps: int
@@ -64,7 +64,7 @@ class Recipe:
 
 
 def fit(
-    lesson: Lesson,
+    objective: Objective,
     store: FrameStore,
     frames: Sequence[int],
     recipe: Recipe,
@@ -80,7 +80,7 @@ def fit(
     same weights as an undisturbed one.
 
     Args:
-        lesson: The network, with the weights to start from, and its losses.
+        objective: The network, with the weights to start from, and its losses.
         store: Training frames.
         frames: Numbers of those to learn from; each is the last of a clip.
         recipe: How.
@@ -100,7 +100,7 @@ def fit(
         raise InputError("there are no frames to train on; give a split with more scenes")
     single_threaded()
     place = device_of(device)
-    network = lesson.network.to(place)
+    network = objective.network.to(place)
     as_channels_last(network)
     unfinished, log_path = out.with_suffix(".progress.safetensors"), out.with_suffix(".log.jsonl")
     identity = content_key(asdict(recipe), store.identity, list(frames), tensors_key(network.state_dict()))
@@ -113,7 +113,7 @@ def fit(
     kept_s = time.monotonic()
     sums: dict[str, float] = {}
     for step in progress(range(run.step, recipe.steps), total=recipe.steps - run.step, label=f"training {out.stem}"):
-        for name, value in _take_step(run, lesson, store, frames, recipe).items():
+        for name, value in _take_step(run, objective, store, frames, recipe).items():
             sums[name] = sums.get(name, 0.0) + value
         run.step = step + 1
         last = run.step == recipe.steps
@@ -205,7 +205,7 @@ def learning_rate(recipe: Recipe, step: int) -> float:
 
 
 def _take_step(
-    run: TrainingRun, lesson: Lesson, store: FrameStore, frames: Sequence[int], recipe: Recipe
+    run: TrainingRun, objective: Objective, store: FrameStore, frames: Sequence[int], recipe: Recipe
 ) -> dict[str, float]:
     torch.manual_seed(content_seed("training step", recipe.seed, run.step))
     for group in run.optimiser.param_groups:
@@ -213,10 +213,10 @@ def _take_step(
     run.optimiser.zero_grad(set_to_none=True)
     seen: dict[str, float] = {}
     first = run.step * recipe.clips
-    drawn = [clip_of(store, frames, recipe, lesson.clip_frames, first + each) for each in range(recipe.clips)]
+    drawn = [clip_of(store, frames, recipe, objective.clip_frames, first + each) for each in range(recipe.clips)]
     device = next(iter(run.network.parameters())).device
     clips = [[frame.on(device) for frame in clip] for clip in drawn]
-    for losses, share in _losses(lesson, clips):
+    for losses, share in _losses(objective, clips):
         total = torch.stack([loss.float() for loss in losses.values()]).sum()
         if not bool(torch.isfinite(total)):
             raise InputError(
@@ -240,10 +240,12 @@ def _take_step(
     return seen
 
 
-def _losses(lesson: Lesson, clips: Sequence[Sequence[TrainingFrame]]) -> Iterator[tuple[dict[str, Tensor], float]]:
-    """Losses and their shares of a step: of all clips at once where the lesson can do that, else one by one."""
-    if isinstance(lesson, LessonOfClips):
-        yield lesson.losses_of(clips), 1.0
+def _losses(
+    objective: Objective, clips: Sequence[Sequence[TrainingFrame]]
+) -> Iterator[tuple[dict[str, Tensor], float]]:
+    """Losses and their shares of a step: of all clips at once where the objective can do that, else one by one."""
+    if isinstance(objective, BatchObjective):
+        yield objective.losses_of(clips), 1.0
         return
     for clip in clips:
-        yield lesson.losses(clip), 1 / len(clips)
+        yield objective.losses(clip), 1 / len(clips)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from adapters.models import Model, resolve
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import Passage
-from adapters.networks.sparse.model import DiffusionDrive, SparseNetwork, moment_of
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion
+from adapters.networks.sparse.model import DiffusionDrive, SparseNetwork, pose_of
 from adapters.verification.parity_set import set_folders
 from adapters.verification.sparse_order import Order, follow
 from adapters.verification.sparse_quantities import Quantity, Rule, frame_quantities, map_quantities
@@ -80,7 +80,7 @@ def _compare_frame(comparison: Comparison, network: SparseNetwork, golden: Spars
     with traced(network, golden.calls[frame]) as trace:
         predictions = network.predict(replace(inputs, images=inputs.images.to(device)), noise)
     order = Order.of(network, predictions, stored)
-    fresh = before is not None and Passage.between(before.moment, moment_of(inputs), device).fresh
+    fresh = before is not None and KeyframeMotion.between(before.pose, pose_of(inputs), device).fresh
     follow(network, predictions, before if fresh else None, order, stored)
     ours = map_quantities(trace.maps["img_backbone"], trace.maps["img_neck"])
     ours |= frame_quantities(network, predictions, order, inputs.command, None if before is None else fresh)

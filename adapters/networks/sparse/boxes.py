@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
 from adapters.networks.sparse.branches import class_branch, correction_branch, encoder
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 
 BOX_CODE = 11
 BOX_QUALITIES = 2
@@ -19,20 +19,20 @@ FACE = 0.45
 """Points near the faces are this share of an extent away from the centre."""
 
 
-def carry_boxes(boxes: Tensor, passage: Passage, seconds: float) -> Tensor:
+def carry_boxes(boxes: Tensor, motion: KeyframeMotion, seconds: float) -> Tensor:
     """Boxes of a remembered frame, seen from the present one.
 
     Args:
         boxes: (..., 11).
-        passage: From that frame to the present one.
+        motion: From that frame to the present one.
         seconds: For how long they move on with their velocities.
 
     Returns:
         (..., 11).
     """
-    centre = passage.move(boxes[..., 0:3] + boxes[..., 8:11] * seconds)
-    heading = passage.turn(boxes[..., 6:8].flip(-1)).flip(-1)
-    return torch.cat([centre, boxes[..., 3:6], heading, passage.turn(boxes[..., 8:11])], -1)
+    centre = motion.move(boxes[..., 0:3] + boxes[..., 8:11] * seconds)
+    heading = motion.turn(boxes[..., 6:8].flip(-1)).flip(-1)
+    return torch.cat([centre, boxes[..., 3:6], heading, motion.turn(boxes[..., 8:11])], -1)
 
 
 def heading_of(boxes: Tensor) -> Tensor:

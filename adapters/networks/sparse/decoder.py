@@ -12,7 +12,7 @@ from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import BOX_CODE, BoxEncoder, BoxRefinement, BoxSampling, carry_boxes
 from adapters.networks.sparse.branches import FeedForward, ResidualAttention, decoupled_attention
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S, Passage
+from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S, KeyframeMotion
 from adapters.networks.sparse.lines import LineEncoder, LineRefinement, LineSampling, carry_lines
 
 PAST: Final = "attention to the past"
@@ -133,7 +133,7 @@ class SparseDecoder(nn.Module, ABC):
         self.remembered, self.operations = remembered, operations
 
     @abstractmethod
-    def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
+    def carry(self, anchors: Tensor, motion: KeyframeMotion) -> Tensor:
         """Places of a remembered frame, seen from the present one."""
 
     @abstractmethod
@@ -143,14 +143,14 @@ class SparseDecoder(nn.Module, ABC):
         """Attention to `key`, features and embeddings, or without it, as on the first frame, to each other."""
 
     def forward(
-        self, cameras: CameraFeatures, past: Remembered | None, passage: Passage | None
+        self, cameras: CameraFeatures, past: Remembered | None, motion: KeyframeMotion | None
     ) -> tuple[Decoded, Remembered]:
         """Decode one key frame.
 
         Args:
             cameras: What they saw.
             past: What is remembered.
-            passage: From the remembered frame to this one; absent where nothing is remembered.
+            motion: From the remembered frame to this one; absent where nothing is remembered.
 
         Returns:
             The instances, and what to remember of them.
@@ -158,9 +158,9 @@ class SparseDecoder(nn.Module, ABC):
         anchors: Tensor = self.instance_bank.anchor
         features: Tensor = self.instance_bank.instance_feature
         embeddings: Tensor = self.anchor_encoder(anchors)
-        interval_s = passage.interval_s if passage else USUAL_INTERVAL_S
-        carried = replace(past, anchors=self.carry(past.anchors, passage)) if past and passage else None
-        fresh = carried if passage and passage.fresh else None
+        interval_s = motion.interval_s if motion else USUAL_INTERVAL_S
+        carried = replace(past, anchors=self.carry(past.anchors, motion)) if past and motion else None
+        fresh = carried if motion and motion.fresh else None
         key = (carried.features, self.anchor_encoder(carried.anchors)) if carried else None
         stages: list[Stage] = []
         for operation, layer in zip(self.operations, self.layers, strict=True):
@@ -226,9 +226,9 @@ class BoxDecoder(SparseDecoder):
         self.fc_before = nn.Linear(channels, 2 * channels, bias=False)
         self.fc_after = nn.Linear(2 * channels, channels, bias=False)
 
-    def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
+    def carry(self, anchors: Tensor, motion: KeyframeMotion) -> Tensor:
         """(..., 11) boxes, moved on with their velocities."""
-        return carry_boxes(anchors, passage, passage.seconds)
+        return carry_boxes(anchors, motion, motion.seconds)
 
     def attend(
         self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None
@@ -255,9 +255,9 @@ class LineDecoder(SparseDecoder):
         }
         self.layers = nn.ModuleList([make[operation]() for operation in self.operations])
 
-    def carry(self, anchors: Tensor, passage: Passage) -> Tensor:
+    def carry(self, anchors: Tensor, motion: KeyframeMotion) -> Tensor:
         """(..., 2 P) lines."""
-        return carry_lines(anchors, passage)
+        return carry_lines(anchors, motion)
 
     def attend(
         self, layer: nn.Module, features: Tensor, embeddings: Tensor, key: tuple[Tensor, Tensor] | None

@@ -149,7 +149,7 @@ class DiffusionPlanner(Planner):
         Returns:
             Forecasts and plans.
         """
-        queue = self.instance_queue(scene.past, scene.passage, scene.agents, scene.ids, scene.front)
+        queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
         ego = found.tokens[-1:]
         context = PlanContext(

@@ -13,7 +13,7 @@ LONGEST_INTERVAL_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class KeyframePose:
     """When and where.
 
     Attributes:
@@ -28,7 +28,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Passage:
+class KeyframeMotion:
     """From a remembered frame to the present one.
 
     Attributes:
@@ -40,8 +40,8 @@ class Passage:
     now_T_then: Tensor
 
     @classmethod
-    def between(cls, then: Moment, now: Moment, device: torch.device) -> "Passage":
-        """What lies between two moments; the matrix is put on the device."""
+    def between(cls, then: KeyframePose, now: KeyframePose, device: torch.device) -> "KeyframeMotion":
+        """What lies between two poses; the matrix is put on the device."""
         # World coordinates are large, so the product is in double precision.
         matrix = torch.linalg.inv(now.global_T_lidar) @ then.global_T_lidar
         return cls(float(np.float32(now.timestamp_s - then.timestamp_s)), matrix.float().to(device))

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
 from adapters.networks.sparse.branches import class_branch, correction_branch, encoder
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 
 GROUND_Z_M = -1.84023
 """In the lidar frame."""
@@ -17,9 +17,9 @@ HEIGHTS_M = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Above the ground, at which images are sampled over points on it."""
 
 
-def carry_lines(lines: Tensor, passage: Passage) -> Tensor:
+def carry_lines(lines: Tensor, motion: KeyframeMotion) -> Tensor:
     """(..., 2 P) lines of a remembered frame, seen from the present one."""
-    return passage.move(lines.reshape(*lines.shape[:-1], -1, 2)).flatten(-2)
+    return motion.move(lines.reshape(*lines.shape[:-1], -1, 2)).flatten(-2)
 
 
 def at_heights(ground: Tensor) -> Tensor:

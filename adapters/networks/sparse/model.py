@@ -11,7 +11,7 @@ from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.config import STAGES, SparseConfig
 from adapters.networks.sparse.decoder import BoxDecoder, LineDecoder, Remembered
 from adapters.networks.sparse.diffusion import DiffusionPlanner
-from adapters.networks.sparse.keyframe_pose import Moment, Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
 from adapters.networks.sparse.motion_planner import Scene
 from adapters.networks.sparse.queue import QueueMemory
 from adapters.networks.sparse.regression import RegressionPlanner
@@ -48,24 +48,24 @@ class Memory:
     """What a frame leaves for the next one.
 
     Attributes:
-        moment: When and where that was.
+        pose: When and where that was.
         agents: The most certain ones.
         lines: The most certain ones.
         tracks: Numbers of these agents.
         queue: What the planner remembers.
     """
 
-    moment: Moment
+    pose: KeyframePose
     agents: Remembered
     lines: Remembered
     tracks: Tracks
     queue: QueueMemory
 
 
-def moment_of(inputs: SparseInputs) -> Moment:
+def pose_of(inputs: SparseInputs) -> KeyframePose:
     """When and where a key frame was taken."""
     pose = inputs.global_T_lidar.detach().to("cpu", torch.float64, copy=True)
-    return Moment(inputs.timestamp_s, pose, inputs.scene_token)
+    return KeyframePose(inputs.timestamp_s, pose, inputs.scene_token)
 
 
 class DepthBranch(nn.Module):
@@ -86,14 +86,20 @@ class SparseHead(nn.Module):
         self.motion_plan_head = planner
 
     def forward(
-        self, cameras: CameraFeatures, front: Tensor, moment: Moment, command: int, noise: Tensor, past: Memory | None
+        self,
+        cameras: CameraFeatures,
+        front: Tensor,
+        pose: KeyframePose,
+        command: int,
+        noise: Tensor,
+        past: Memory | None,
     ) -> tuple[SparsePredictions, Memory]:
         """Predict one key frame.
 
         Args:
             cameras: What they saw.
             front: (1, C, h, w) coarsest feature map of the front camera.
-            moment: When and where.
+            pose: When and where.
             command: 0 right, 1 left, 2 straight.
             noise: (modes, steps, 2) for the diffusion planner.
             past: What the frame before left.
@@ -101,11 +107,11 @@ class SparseHead(nn.Module):
         Returns:
             Everything that was computed, and what to leave for the next frame.
         """
-        passage = Passage.between(past.moment, moment, front.device) if past else None
-        agents, kept_agents = self.det_head(cameras, past.agents if past else None, passage)
-        lines, kept_lines = self.map_head(cameras, past.lines if past else None, passage)
+        motion = KeyframeMotion.between(past.pose, pose, front.device) if past else None
+        agents, kept_agents = self.det_head(cameras, past.agents if past else None, motion)
+        lines, kept_lines = self.map_head(cameras, past.lines if past else None, motion)
         ids, tracks = number_instances(
-            past.tracks if past else None, bool(passage and passage.fresh), kept_agents.rows, len(agents.anchors)
+            past.tracks if past else None, bool(motion and motion.fresh), kept_agents.rows, len(agents.anchors)
         )
         scene = Scene(
             agents=agents,
@@ -116,10 +122,10 @@ class SparseHead(nn.Module):
             command=command,
             box_encoder=self.det_head.anchor_encoder,
             past=past.queue if past else None,
-            passage=passage,
+            motion=motion,
         )
         planned = self.motion_plan_head(scene, noise)
-        memory = Memory(moment, kept_agents, kept_lines, tracks, planned.memory)
+        memory = Memory(pose, kept_agents, kept_lines, tracks, planned.memory)
         return SparsePredictions(agents, lines, ids, planned), memory
 
 
@@ -178,7 +184,7 @@ class SparseNetwork(nn.Module):
         if tuple(images.shape) != wanted:
             raise ValueError(f"images of shape {tuple(images.shape)}, not {wanted}")
         past = self.memory
-        if past and not config.memory_crosses_scenes and past.moment.scene_token != inputs.scene_token:
+        if past and not config.memory_crosses_scenes and past.pose.scene_token != inputs.scene_token:
             past = None
         maps = self.img_neck(self.img_backbone(images))
         projections = inputs.projections.to(images.device, torch.float32)
@@ -186,7 +192,7 @@ class SparseNetwork(nn.Module):
         drawn = self.frame_noise(inputs) if noise is None else noise
         predictions: SparsePredictions
         predictions, self.memory = self.head(
-            cameras, maps[-1][:1], moment_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
+            cameras, maps[-1][:1], pose_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
         )
         return predictions
 

@@ -19,7 +19,7 @@ from adapters.networks.sparse.branches import (
 )
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import Decoded, most_certain
-from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.queue import STATUS, InstanceQueue, Queue, QueueMemory
 
 LAYERS_OF_A_BLOCK = 7
@@ -38,7 +38,7 @@ class Scene:
         command: 0 right, 1 left, 2 straight.
         box_encoder: Embeds boxes.
         past: What the planner left in the frame before.
-        passage: From that frame to this one.
+        motion: From that frame to this one.
     """
 
     agents: Decoded
@@ -49,7 +49,7 @@ class Scene:
     command: int
     box_encoder: nn.Module
     past: QueueMemory | None
-    passage: Passage | None
+    motion: KeyframeMotion | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from adapters.networks.sparse.boxes import BOX_CODE, carry_boxes
 from adapters.networks.sparse.config import STRIDE, SparseConfig
 from adapters.networks.sparse.decoder import Decoded
-from adapters.networks.sparse.keyframe_pose import Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.lines import GROUND_Z_M
 
 EGO_SIZE_M = (4.08, 1.73, 1.56)
@@ -102,13 +102,13 @@ class InstanceQueue(nn.Module):
         )
 
     def forward(
-        self, past: QueueMemory | None, passage: Passage | None, agents: Decoded, ids: Tensor, front: Tensor
+        self, past: QueueMemory | None, motion: KeyframeMotion | None, agents: Decoded, ids: Tensor, front: Tensor
     ) -> Queue:
         """Add a frame.
 
         Args:
             past: What the frame before left.
-            passage: From that frame to this one.
+            motion: From that frame to this one.
             agents: Of this frame.
             ids: (N,) numbers of the agents.
             front: (1, C, h, w) coarsest feature map of the front camera.
@@ -119,25 +119,25 @@ class InstanceQueue(nn.Module):
         feature = self.ego_feature_encoder(front).flatten(1)[None]
         box = self.ego_anchor.float()[None]
         features, boxes = agents.features[None], agents.anchors[None]
-        if past is None or passage is None:
+        if past is None or motion is None:
             return Queue(features, boxes, torch.ones_like(ids), feature, box, 1)
         box = box.clone()
-        if self.speed_from_poses and passage.fresh:
-            box[..., VELOCITY] = passage.ego_velocity
-        elif passage.fresh:
+        if self.speed_from_poses and motion.fresh:
+            box[..., VELOCITY] = motion.ego_velocity
+        elif motion.fresh:
             box[..., VELOCITY_Y] = past.status[FORWARD_SPEED]
         else:
             box[..., VELOCITY_Y] = 0.0
         # Boxes that are no longer anybody's are carried along as well; nothing looks at them.
-        old_features, old_boxes, periods = self._followed(past, carry_boxes(past.boxes, passage, 0.0), ids)
+        old_features, old_boxes, periods = self._followed(past, carry_boxes(past.boxes, motion, 0.0), ids)
         oldest = max(0, len(old_features) + 1 - self.frames)
         return Queue(
             torch.cat([old_features, features])[oldest:],
             torch.cat([old_boxes, boxes])[oldest:],
             (periods + 1).clamp(max=self.frames),
             torch.cat([past.ego_features, feature])[oldest:],
-            torch.cat([carry_boxes(past.ego_boxes, passage, 0.0), box])[oldest:],
-            min((past.ego_period if passage.fresh else 0) + 1, self.frames),
+            torch.cat([carry_boxes(past.ego_boxes, motion, 0.0), box])[oldest:],
+            min((past.ego_period if motion.fresh else 0) + 1, self.frames),
         )
 
     def _followed(self, past: QueueMemory, boxes: Tensor, ids: Tensor) -> tuple[Tensor, Tensor, Tensor]:

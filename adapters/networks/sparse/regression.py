@@ -22,7 +22,7 @@ class RegressionPlanner(Planner):
         Returns:
             Forecasts and plans.
         """
-        queue = self.instance_queue(scene.past, scene.passage, scene.agents, scene.ids, scene.front)
+        queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
         ego = found.tokens[-1:]
         queries = self.plan_queries(ego)

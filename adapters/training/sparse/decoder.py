@@ -10,7 +10,7 @@ from adapters.networks.sparse.boxes import BoxSampling
 from adapters.networks.sparse.decoder import DECAY, PAST, PRESENT, REFINE, SAMPLE, BoxDecoder, SparseDecoder
 from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S
 from adapters.networks.sparse.lines import LineSampling
-from adapters.training.sparse.views import Passages, Views, rows_of
+from adapters.training.sparse.views import KeyframeMotions, Views, rows_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Learned:
         return self.stages[-1].logits.amax(-1).sigmoid()
 
     @classmethod
-    def decoded(cls, decoder: SparseDecoder, views: Views, past: Kept | None, passages: Passages | None) -> Self:
+    def decoded(cls, decoder: SparseDecoder, views: Views, past: Kept | None, motions: KeyframeMotions | None) -> Self:
         """Decode B key frames.
 
         Gradients stop between stages, at the places of instances: each stage learns how to correct what it is given.
@@ -81,7 +81,7 @@ class Learned:
             decoder: Of boxes or of lines.
             views: What the cameras saw.
             past: What is remembered.
-            passages: Since then.
+            motions: Since then.
 
         Returns:
             The instances.
@@ -92,9 +92,9 @@ class Learned:
         embeddings: Tensor = decoder.anchor_encoder(anchors)
         count = anchors.shape[1]
         carried, key = None, None
-        if past and passages:
-            moved = passages.carry_boxes(past.anchors, True) if isinstance(decoder, BoxDecoder) else None
-            carried = passages.carry_lines(past.anchors) if moved is None else moved
+        if past and motions:
+            moved = motions.carry_boxes(past.anchors, True) if isinstance(decoder, BoxDecoder) else None
+            carried = motions.carry_lines(past.anchors) if moved is None else moved
             key = past.features, decoder.anchor_encoder(carried)
         stages: list[LearnedStage] = []
         for operation, layer in zip(decoder.operations, decoder.layers, strict=True):
@@ -105,7 +105,7 @@ class Learned:
             elif operation == SAMPLE:
                 features = _sampled(layer, features, anchors, embeddings, views)
             elif operation == REFINE:
-                stages.append(_refined(layer, features, anchors, embeddings, passages))
+                stages.append(_refined(layer, features, anchors, embeddings, motions))
                 anchors = stages[-1].anchors.detach()
                 if len(stages) == 1 and past and carried is not None:
                     best = stages[0].logits.detach().amax(-1)
@@ -128,10 +128,10 @@ def _sampled(layer: object, features: Tensor, anchors: Tensor, embeddings: Tenso
 
 
 def _refined(
-    layer: torch.nn.Module, features: Tensor, anchors: Tensor, embeddings: Tensor, passages: Passages | None
+    layer: torch.nn.Module, features: Tensor, anchors: Tensor, embeddings: Tensor, motions: KeyframeMotions | None
 ) -> LearnedStage:
     batch, count = features.shape[:2]
-    interval_s = passages.seconds.expand(-1, count, -1).flatten(0, 1) if passages else USUAL_INTERVAL_S
+    interval_s = motions.seconds.expand(-1, count, -1).flatten(0, 1) if motions else USUAL_INTERVAL_S
     refined = layer(features.flatten(0, 1), anchors.flatten(0, 1), embeddings.flatten(0, 1), interval_s)
     places, logits, qualities = (None if each is None else each.unflatten(0, (batch, count)) for each in refined)
     assert places is not None and logits is not None

@@ -13,7 +13,7 @@ from adapters.networks.sparse.motion_planner import LAYERS_OF_A_BLOCK, Planner
 from adapters.networks.sparse.noise_schedule import TIMESTEPS, metres, noised, normalised, previous_sample
 from adapters.networks.sparse.queue import FORWARD_SPEED, SURE, VELOCITY, VELOCITY_Y
 from adapters.training.sparse.decoder import Kept, Learned
-from adapters.training.sparse.views import Passages, Views, rows_of
+from adapters.training.sparse.views import KeyframeMotions, Views, rows_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Interacted:
 
 
 def queued(
-    planner: Planner, agents: Learned, front: Tensor, past: QueueLeft | None, passages: Passages | None
+    planner: Planner, agents: Learned, front: Tensor, past: QueueLeft | None, motions: KeyframeMotions | None
 ) -> LearnedQueue:
     """Add key frames to what is remembered.
 
@@ -87,7 +87,7 @@ def queued(
         agents: Of these frames.
         front: (B, C, h, w) coarsest feature maps of the front cameras.
         past: What the frames before left.
-        passages: Since then.
+        motions: Since then.
 
     Returns:
         The queue, with these frames as the last.
@@ -96,16 +96,16 @@ def queued(
     encoded = planner.instance_queue.ego_feature_encoder(front).flatten(1)[:, None]
     ego_box = planner.instance_queue.ego_anchor.expand(batch, 1, -1)
     features = torch.cat([agents.features, encoded], 1)[None]
-    if past is None or passages is None:
+    if past is None or motions is None:
         boxes = torch.cat([agents.anchors.detach(), ego_box], 1)[None]
         return LearnedQueue(features, boxes, torch.ones(boxes.shape[1:3], dtype=torch.int64, device=front.device))
     ego_box = ego_box.clone()
     if planner.instance_queue.speed_from_poses:
-        ego_box[..., VELOCITY] = passages.ego_velocity
+        ego_box[..., VELOCITY] = motions.ego_velocity
     else:
         ego_box[..., VELOCITY_Y] = past.status[:, FORWARD_SPEED, None]
     boxes = torch.cat([agents.anchors.detach(), ego_box], 1)[None]
-    old = _followed(past, agents, passages)
+    old = _followed(past, agents, motions)
     oldest = max(0, len(old.features) + 1 - planner.instance_queue.frames)
     return LearnedQueue(
         torch.cat([old.features, features])[oldest:],
@@ -114,7 +114,7 @@ def queued(
     )
 
 
-def _followed(past: QueueLeft, agents: Learned, passages: Passages) -> LearnedQueue:
+def _followed(past: QueueLeft, agents: Learned, motions: KeyframeMotions) -> LearnedQueue:
     """The past in the order of the present agents: the first of them are those that were remembered."""
     batch, count = agents.features.shape[:2]
     remembered = past.kept.rows
@@ -124,7 +124,7 @@ def _followed(past: QueueLeft, agents: Learned, passages: Passages) -> LearnedQu
     rows = torch.cat([rows, rows.new_full((batch, 1), past.confidence.shape[1])], 1)
     nobody = ~known[..., None]
     features = [rows_of(each, rows).masked_fill(nobody, 0) for each in past.queue.features]
-    boxes = [passages.carry_boxes(rows_of(each, rows), moving=False) for each in past.queue.boxes]
+    boxes = [motions.carry_boxes(rows_of(each, rows), moving=False) for each in past.queue.boxes]
     return LearnedQueue(
         torch.stack(features),
         torch.stack([each.masked_fill(nobody, 0) for each in boxes]),

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from adapters.camera_inputs import RGB_MEAN_STD, Normalisation
 from adapters.networks.sparse.decoder import Decoded, Stage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
-from adapters.networks.sparse.keyframe_pose import Moment
+from adapters.networks.sparse.keyframe_pose import KeyframePose
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.training.frames import TrainingFrame
 from adapters.training.phases import Phase
@@ -25,7 +25,7 @@ from adapters.training.sparse.losses import (
 )
 from adapters.training.sparse.motion_planner import Cleaned, Interacted, denoised, interacted, queued
 from adapters.training.sparse.targets import Targets
-from adapters.training.sparse.views import Passages, Views
+from adapters.training.sparse.views import KeyframeMotions, Views
 from adapters.training.trainer import Recipe
 from benchmark.machine.storage import content_seed
 
@@ -56,8 +56,8 @@ class Seen:
     cleaned: tuple[Cleaned, ...]
 
 
-class SparseLesson:
-    """All tasks at once, frame after frame, as in the second stage of the published training; see `Lesson`.
+class SparseObjective:
+    """All tasks at once, frame after frame, as in the second stage of the published training; see `Objective`.
 
     Memory goes from frame to frame, and gradients stop there.
 
@@ -81,7 +81,7 @@ class SparseLesson:
             network.get_submodule(name).requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """See `Lesson.losses`."""
+        """See `Objective.losses`."""
         return self.losses_of([clip])
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
@@ -152,7 +152,7 @@ class SparseLesson:
         images = torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device)
         maps = network.img_neck(network.img_backbone(normalised_images(images, self._normalisation)))
         found: list[Seen] = []
-        before: list[Moment] = []
+        before: list[KeyframePose] = []
         for start in range(0, len(frames), batch):
             present = frames[start : start + batch]
             rows = slice(start * config.cameras, (start + batch) * config.cameras)
@@ -160,18 +160,18 @@ class SparseLesson:
             views = Views.of(
                 [level[rows] for level in maps], projections, config.image_height_px, config.image_width_px
             )
-            moments = [Moment(frame.timestamp_s, frame.global_T_lidar, frame.scene) for frame in present]
-            passages = Passages.between(before, moments, device) if before else None
+            poses = [KeyframePose(frame.timestamp_s, frame.global_T_lidar, frame.scene) for frame in present]
+            motions = KeyframeMotions.between(before, poses, device) if before else None
             past = found[-1] if found else None
-            agents = Learned.decoded(head.det_head, views, past.agents.kept if past else None, passages)
-            lines = Learned.decoded(head.map_head, views, past.lines.kept if past else None, passages)
+            agents = Learned.decoded(head.det_head, views, past.agents.kept if past else None, motions)
+            lines = Learned.decoded(head.map_head, views, past.lines.kept if past else None, motions)
             left = past.planned.left if past else None
             front = maps[-1][rows].unflatten(0, (batch, config.cameras))[:, 0]
-            queue = queued(head.motion_plan_head, agents, front, left, passages)
+            queue = queued(head.motion_plan_head, agents, front, left, motions)
             planned = interacted(head.motion_plan_head, head.det_head.anchor_encoder, agents, lines, queue)
             commands = targets.commands[start : start + batch]
             found.append(Seen(agents, lines, planned, self._cleaned(views, planned, commands, present)))
-            before = moments
+            before = poses
         return found
 
     def _cleaned(
@@ -229,7 +229,7 @@ def _flattened(agents: Sequence[Learned]) -> LearnedStage:
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of SparseDrive-mini."""
-    return (Phase("all", SparseLesson, _RECIPE),)
+    return (Phase("all", SparseObjective, _RECIPE),)
 
 
 def diffusion_phases() -> tuple[Phase, ...]:
@@ -238,4 +238,4 @@ def diffusion_phases() -> tuple[Phase, ...]:
     It starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
     """
     recipe = replace(_RECIPE, steps=1000, clips=3)
-    return (Phase("planner", partial(SparseLesson, perception=False), recipe),)
+    return (Phase("planner", partial(SparseObjective, perception=False), recipe),)

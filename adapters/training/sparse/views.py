@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.sparse.aggregation import NEAREST_DEPTH_M, CameraSampling, deformable_aggregation
-from adapters.networks.sparse.keyframe_pose import Moment, Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +85,8 @@ class Views:
 
 
 @dataclass(frozen=True, slots=True)
-class Passages:
-    """From the key frames before to the present ones; see `adapters.networks.sparse.keyframe_pose.Passage`.
+class KeyframeMotions:
+    """From the key frames before to the present ones; see `adapters.networks.sparse.keyframe_pose.KeyframeMotion`.
 
     Attributes:
         seconds: (B, 1, 1).
@@ -97,9 +97,9 @@ class Passages:
     now_T_then: Tensor
 
     @classmethod
-    def between(cls, then: Sequence[Moment], now: Sequence[Moment], device: torch.device) -> Self:
-        """What lies between pairs of moments."""
-        found = [Passage.between(*pair, device) for pair in zip(then, now, strict=True)]
+    def between(cls, then: Sequence[KeyframePose], now: Sequence[KeyframePose], device: torch.device) -> Self:
+        """What lies between pairs of poses."""
+        found = [KeyframeMotion.between(*pair, device) for pair in zip(then, now, strict=True)]
         seconds = torch.tensor([each.interval_s for each in found], device=device)
         return cls(seconds[:, None, None], torch.stack([each.now_T_then for each in found])[:, None])
 

@@ -61,8 +61,8 @@ class _Past:
     can_bus: Tensor
 
 
-class UniADLesson:
-    """A lesson as `adapters.training.frames.Lesson` describes; drawn numbers are of PyTorch's generator.
+class UniADObjective:
+    """An objective as `adapters.training.frames.Objective` describes; drawn numbers are of PyTorch's generator.
 
     Attributes:
         network: What learns. It stays as in inference: no dropout, normalisation as stored.
@@ -259,6 +259,6 @@ def phases() -> tuple[Phase, ...]:
     alone = Recipe(steps=6000, learning_rate=8e-4, encoder_rate=0.3, warmup=100, average=0.995)
     clips = Recipe(steps=5000, learning_rate=6e-4, encoder_rate=0.3, warmup=50, average=0.998)
     return (
-        Phase("frames", partial(UniADLesson, clip_frames=1, unaware=0.2), alone),
-        Phase("clips", partial(UniADLesson, clip_frames=3, learned_frames=2, unaware=0.15), clips),
+        Phase("frames", partial(UniADObjective, clip_frames=1, unaware=0.2), alone),
+        Phase("clips", partial(UniADObjective, clip_frames=3, learned_frames=2, unaware=0.15), clips),
     )

@@ -88,8 +88,8 @@ class Disguise:
         return cls(2 * math.pi * turn, speed >= WITHOUT_SPEED, past >= WITHOUT_PAST)
 
 
-class VADLesson:
-    """`adapters.training.frames.Lesson` for VAD; all but the last stages of the image network stay as they are.
+class VADObjective:
+    """`adapters.training.frames.Objective` for VAD; all but the last stages of the image network stay as they are.
 
     Args:
         network: Any sizes.
@@ -103,7 +103,7 @@ class VADLesson:
             network.img_backbone.get_submodule(name).requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """See `adapters.training.frames.Lesson`; the mean over the learned frames."""
+        """See `adapters.training.frames.Objective`; the mean over the learned frames."""
         disguise = Disguise.drawn()
         first_learned = max(len(clip) - LEARNED_FRAMES, 0)
         previous: tuple[Tensor, Tensor] | None = None
@@ -276,4 +276,4 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of VAD-mini."""
-    return (Phase("all", VADLesson, Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)),)
+    return (Phase("all", VADObjective, Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)),)

@@ -9,7 +9,7 @@ from torch import nn
 
 from adapters.training.frame_store import FrameStore, build_frames
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
-from adapters.training.image_encoder import ImageEncoder, ImageEncoderLesson, _mirrored, centre_loss
+from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective, _mirrored, centre_loss
 from adapters.training.image_targets import CELL_PX, FARTHEST_M, GROUND_KINDS, GROUND_PX, ImageTargets, image_targets
 from benchmark.geometry import Floats
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
@@ -119,18 +119,18 @@ def test_a_found_centre_costs_nothing_and_an_invented_one_much() -> None:
 def test_losses_of_one_frame_fall(frame: TrainingFrame) -> None:
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        lesson = ImageEncoderLesson(ImageEncoder())
+        objective = ImageEncoderObjective(ImageEncoder())
         # Images of one colour, as the frame has, say nothing of where things are.
         noise = torch.randint(0, 256, frame.images.shape, dtype=torch.uint8)
-        optimiser = torch.optim.AdamW(lesson.network.parameters(), 1e-3)
+        optimiser = torch.optim.AdamW(objective.network.parameters(), 1e-3)
         totals = []
         for _ in range(16):
-            total = torch.stack(list(lesson.losses([replace(frame, images=noise)]).values())).sum()
+            total = torch.stack(list(objective.losses([replace(frame, images=noise)]).values())).sum()
             optimiser.zero_grad()
             total.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             totals.append(float(total.detach()))
     assert np.mean(totals[-3:]) < 0.6 * np.mean(totals[:2])
     # Its statistics were learned; as part of a planner they stay.
-    statistics = [module for module in lesson.network.img_backbone.modules() if isinstance(module, nn.BatchNorm2d)]
+    statistics = [module for module in objective.network.img_backbone.modules() if isinstance(module, nn.BatchNorm2d)]
     assert all(bool((module.running_mean != 0).any()) for module in statistics if module.running_mean is not None)

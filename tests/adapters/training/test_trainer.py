@@ -34,7 +34,7 @@ class Glance(nn.Module):
         return plan
 
 
-class GlanceLesson:
+class GlanceObjective:
     """Learns to plan, with noise; counts its clips and stops at one of them."""
 
     def __init__(self, stop_at: int | None = None, spoil_at: int | None = None) -> None:
@@ -53,7 +53,7 @@ class GlanceLesson:
         return {"plan": spoiled * plan_loss(plan, frame.ego_future, frame.ego_future_valid)}
 
 
-class TogetherLesson(GlanceLesson):
+class TogetherObjective(GlanceObjective):
     """The same, of all clips of a step at once."""
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
@@ -67,17 +67,17 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> FrameStore:
     return build_frames(root, "val", tmp_path_factory.mktemp("frames"))
 
 
-def trained(store: FrameStore, out: Path, lesson: GlanceLesson | None = None, **changes: int | float) -> str:
+def trained(store: FrameStore, out: Path, objective: GlanceObjective | None = None, **changes: int | float) -> str:
     recipe = Recipe(steps=STEPS, **{"learning_rate": 1e-2, "clips": 2, "warmup": 10, **changes})  # type: ignore[arg-type]
-    if lesson is None:
-        lesson = fresh()
-    return tensors_key(fit(lesson, store, range(len(store)), recipe, out, keep_every_s=0.0))
+    if objective is None:
+        objective = fresh()
+    return tensors_key(fit(objective, store, range(len(store)), recipe, out, keep_every_s=0.0))
 
 
-def fresh(stop_at: int | None = None, spoil_at: int | None = None) -> GlanceLesson:
+def fresh(stop_at: int | None = None, spoil_at: int | None = None) -> GlanceObjective:
     with torch.random.fork_rng():
         torch.manual_seed(3)
-        return GlanceLesson(stop_at, spoil_at)
+        return GlanceObjective(stop_at, spoil_at)
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(store: FrameStore, tmp_path: Path) -> None:
@@ -93,19 +93,19 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_weights(store: FrameStore, 
     out = tmp_path / "killed.safetensors"
     with pytest.raises(KeyboardInterrupt):
         trained(store, out, fresh(stop_at))
-    lesson = fresh()
-    assert trained(store, out, lesson) == undisturbed
+    objective = fresh()
+    assert trained(store, out, objective) == undisturbed
     # Steps that were kept are not taken again.
     kept = stop_at // (2 * LOG_EVERY) * LOG_EVERY
-    assert len(lesson.seen) == 2 * (STEPS - kept)
+    assert len(objective.seen) == 2 * (STEPS - kept)
     assert (tmp_path / "killed.log.jsonl").read_bytes() == (tmp_path / "whole.log.jsonl").read_bytes()
 
 
 def test_a_finished_run_takes_no_further_step(store: FrameStore, tmp_path: Path) -> None:
     out = tmp_path / "done.safetensors"
     once = trained(store, out)
-    lesson = fresh()
-    assert trained(store, out, lesson) == once and not lesson.seen
+    objective = fresh()
+    assert trained(store, out, objective) == once and not objective.seen
 
 
 def test_losses_fall_and_are_logged(store: FrameStore, tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_losses_fall_and_are_logged(store: FrameStore, tmp_path: Path) -> None:
 def test_clips_together_teach_what_clips_one_by_one_teach(store: FrameStore, tmp_path: Path) -> None:
     with torch.random.fork_rng():
         torch.manual_seed(3)
-        together = TogetherLesson()
+        together = TogetherObjective()
     assert trained(store, tmp_path / "together.safetensors", together) == trained(store, tmp_path / "one.safetensors")
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.decoder import Remembered
-from adapters.networks.sparse.keyframe_pose import Passage
-from adapters.networks.sparse.model import DiffusionDrive, Memory, SparseDrive, SparseInputs, SparseNetwork, moment_of
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion
+from adapters.networks.sparse.model import DiffusionDrive, Memory, SparseDrive, SparseInputs, SparseNetwork, pose_of
 from adapters.verification.sparse_order import Order
 from adapters.verification.sparse_quantities import frame_quantities, map_quantities
 from adapters.verification.sparse_trace import traced
@@ -139,7 +139,7 @@ def write_set(name: str, folder: Path, swapped: bool = False) -> Path:
         if swapped and number == 0:
             network.memory = _with_two_swapped(network.memory)
         order = Order.of(network, predictions, GoldenArrays(folder, {}))
-        fresh = Passage.between(before.moment, moment_of(given), torch.device("cpu")).fresh if before else None
+        fresh = KeyframeMotion.between(before.pose, pose_of(given), torch.device("cpu")).fresh if before else None
         found = map_quantities(trace.maps["img_backbone"], trace.maps["img_neck"])
         found |= frame_quantities(network, predictions, order, given.command, fresh)
         arrays = {key: quantity.values for key, quantity in found.items()}

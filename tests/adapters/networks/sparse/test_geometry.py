@@ -11,7 +11,7 @@ from torch import Tensor
 
 from adapters.networks.sparse.boxes import BoxPoints, carry_boxes, decode_boxes, heading_of
 from adapters.networks.sparse.branches import FeedForward, ResidualAttention, decoupled_attention, sine_of_points
-from adapters.networks.sparse.keyframe_pose import Moment, Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
 from adapters.networks.sparse.lines import LinePoints, at_heights, carry_lines
 
 NUMBERS = st.floats(-50, 50)
@@ -25,9 +25,9 @@ def pose(x: float, y: float, yaw_rad: float) -> Tensor:
     return matrix
 
 
-def passage(first: Tensor, second: Tensor, seconds: float = 0.5) -> Passage:
-    moments = Moment(1.5e9, first, "a"), Moment(1.5e9 + seconds, second, "a")
-    return Passage.between(*moments, torch.device("cpu"))
+def motion(first: Tensor, second: Tensor, seconds: float = 0.5) -> KeyframeMotion:
+    poses = KeyframePose(1.5e9, first, "a"), KeyframePose(1.5e9 + seconds, second, "a")
+    return KeyframeMotion.between(*poses, torch.device("cpu"))
 
 
 def box(x: float, y: float, heading: float, speed: float = 0.0) -> Tensor:
@@ -42,15 +42,15 @@ def box(x: float, y: float, heading: float, speed: float = 0.0) -> Tensor:
 def test_boxes_go_there_and_back(x: float, y: float, turn: float, seconds: float, heading: float) -> None:
     here, there = pose(1200, 700, 0.3), pose(1200 + x, 700 + y, 0.3 + turn)
     car = box(y, x, heading, speed=5)
-    away = carry_boxes(car, passage(here, there, seconds), seconds)
-    back = carry_boxes(away, passage(there, here, -seconds), -seconds)
+    away = carry_boxes(car, motion(here, there, seconds), seconds)
+    back = carry_boxes(away, motion(there, here, -seconds), -seconds)
     torch.testing.assert_close(back, car, rtol=0, atol=2e-4)
     assert float((away[:, 8:10].norm() - 5).abs()) < 1e-4, "speeds do not depend on who looks"
     assert torch.equal(away[:, 3:6], car[:, 3:6])
 
 
 def test_an_ego_that_drives_on_sees_a_standing_car_come_nearer_and_a_moving_one_stay() -> None:
-    on = passage(pose(0, 0, 0), pose(0, 5, 0), 0.5)
+    on = motion(pose(0, 0, 0), pose(0, 5, 0), 0.5)
     standing = carry_boxes(box(1, 20, math.pi / 2), on, on.seconds)
     moving = carry_boxes(box(1, 20, math.pi / 2, speed=10), on, on.seconds)
     assert standing[0, :2].tolist() == pytest.approx([1, 15])
@@ -63,7 +63,7 @@ def test_an_ego_that_drives_on_sees_a_standing_car_come_nearer_and_a_moving_one_
 def test_lines_move_point_by_point(x: float, y: float, turn: float) -> None:
     here, there = pose(1200, 700, 0.3), pose(1200 + x, 700 + y, 0.3 + turn)
     points = torch.tensor([[3.0, 4.0], [-7.0, 20.0]])
-    carried = carry_lines(points.flatten()[None], passage(here, there)).view(2, 2).numpy()
+    carried = carry_lines(points.flatten()[None], motion(here, there)).view(2, 2).numpy()
     world = np.linalg.inv(there.numpy()) @ here.numpy()
     expected = points.numpy() @ world[:2, :2].T + world[:2, 3]
     np.testing.assert_allclose(carried, expected, atol=1e-4)
@@ -74,7 +74,7 @@ def test_lines_move_point_by_point(x: float, y: float, turn: float) -> None:
     [(0.5, True, 0.5), (2.0, True, 2.0), (2.1, False, 0.5), (0.0, True, 0.5), (-1.0, True, -1.0), (-3.0, False, 0.5)],
 )
 def test_time_decides_what_is_fresh(seconds: float, fresh: bool, interval: float) -> None:
-    found = passage(pose(0, 0, 0), pose(0, 0, 0), seconds)
+    found = motion(pose(0, 0, 0), pose(0, 0, 0), seconds)
     assert found.fresh is fresh
     assert found.interval_s == pytest.approx(interval, abs=1e-6)
 

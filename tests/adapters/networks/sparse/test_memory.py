@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from adapters.networks.sparse.decoder import BoxDecoder, Decoded, Remembered, Stage, most_certain
-from adapters.networks.sparse.keyframe_pose import Moment, Passage
+from adapters.networks.sparse.keyframe_pose import KeyframeMotion, KeyframePose
 from adapters.networks.sparse.queue import InstanceQueue, Queue, QueueMemory
 from adapters.networks.sparse.tracks import number_instances
 from tests.adapters.networks.sparse.miniature import MINIATURE
@@ -22,9 +22,9 @@ def decoded(scores: list[float], places: float = 0.0) -> Decoded:
     return Decoded((Stage(anchors, logits, None),), features, features)
 
 
-def stay(seconds: float) -> Passage:
+def stay(seconds: float) -> KeyframeMotion:
     pose = torch.eye(4, dtype=torch.float64)
-    return Passage.between(Moment(0.0, pose, ""), Moment(seconds, pose, ""), torch.device("cpu"))
+    return KeyframeMotion.between(KeyframePose(0.0, pose, ""), KeyframePose(seconds, pose, ""), torch.device("cpu"))
 
 
 def test_of_equals_the_first_is_the_most_certain() -> None:

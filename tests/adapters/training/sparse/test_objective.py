@@ -1,4 +1,4 @@
-"""Lessons of the sparse miniatures: the same numbers as the network itself, losses, anchors, and that they teach."""
+"""Objectives of the sparse miniatures: the same numbers as the network itself, losses, anchors, and that they teach."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -21,7 +21,7 @@ from adapters.networks.sparse.planner import SparsePlanner
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
 from adapters.training.sparse.losses import FORECAST, block_matches, forecast_losses, plan_losses
-from adapters.training.sparse.objective import SparseLesson, network_inputs
+from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained, untrained_diffusion
 from adapters.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
 from benchmark.datasets.nuscenes import NuScenesData
@@ -97,17 +97,17 @@ def values(losses: Mapping[str, Tensor]) -> dict[str, float]:
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_several_clips_at_once_are_what_the_network_says_of_each(name: str) -> None:
     built = filled(name)
-    lesson = SparseLesson(built)
+    objective = SparseObjective(built)
     clips = [[frame(index, scene) for index in range(3)] for scene in ("one", "other")]
     clips = [[replace(each, command=number) for each in clip] for number, clip in enumerate(clips)]
     frames = [each for together in zip(*clips, strict=True) for each in together]
     targets = Targets.of(frames, MINIATURE.points_per_line, CPU)
     with torch.inference_mode():
-        learned = lesson.seen(frames, 2, targets)
+        learned = objective.seen(frames, 2, targets)
         for number, clip in enumerate(clips):
             built.reset()
             for step, each in enumerate(clip):
-                own = built.predict(network_inputs(each), lesson.noise_of(each))
+                own = built.predict(network_inputs(each), objective.noise_of(each))
                 seen = learned[step]
                 for expected, found in zip(own.agents.stages, seen.agents.stages, strict=True):
                     assert torch.allclose(expected.logits, found.logits[number], atol=1e-3)
@@ -124,7 +124,7 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str) -> N
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_a_few_clips_are_learned_by_heart(name: str) -> None:
     built = network(name)
-    lesson = SparseLesson(built)
+    objective = SparseObjective(built)
     clips = [[frame(0, "straight")], [frame(0, "turn", turn=0.2)]]
     clips[1] = [replace(each, command=0) for each in clips[1]]
     optimiser = torch.optim.AdamW([p for p in built.parameters() if p.requires_grad], lr=6e-3)
@@ -132,7 +132,7 @@ def test_a_few_clips_are_learned_by_heart(name: str) -> None:
     for step in range(STEPS):
         for group in optimiser.param_groups:
             group["lr"] = 6e-3 * (1 - step / STEPS)
-        found = lesson.losses_of(clips)
+        found = objective.losses_of(clips)
         losses.append(values(found))
         optimiser.zero_grad(set_to_none=True)
         torch.stack(list(found.values())).sum().backward()  # type: ignore[no-untyped-call]
@@ -148,40 +148,40 @@ def test_a_few_clips_are_learned_by_heart(name: str) -> None:
 
 
 def test_losses_do_not_depend_on_what_was_seen_before() -> None:
-    lesson = SparseLesson(network("diffusiondrive"))
+    objective = SparseObjective(network("diffusiondrive"))
     clip = [frame(index) for index in range(2)]
-    first = lesson.losses(clip)
-    lesson.losses([frame(index, "another") for index in range(3)])
-    again = lesson.losses(clip)
+    first = objective.losses(clip)
+    objective.losses([frame(index, "another") for index in range(3)])
+    again = objective.losses(clip)
     assert values(first) == values(again)
 
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_what_is_not_annotated_teaches_nothing(name: str) -> None:
-    lesson = SparseLesson(network(name))
+    objective = SparseObjective(network(name))
     empty = [
         replace(frame(index, boxes=0, lines=0), ego_future_valid=torch.zeros(6, dtype=torch.bool)) for index in range(2)
     ]
-    losses = lesson.losses(empty)
+    losses = objective.losses(empty)
     assert all(torch.isfinite(value) for value in losses.values())
     nothing = {"box", "box around", "box quality", "line", "line direction", "forecast", "forecast class"}
     nothing |= {"plan", "plan chosen", "plan class"}
     assert all(values(losses)[key] == 0 for key in nothing)
     torch.stack(list(losses.values())).sum().backward()  # type: ignore[no-untyped-call]
-    gradients = [p.grad for p in lesson.network.parameters() if p.grad is not None]
+    gradients = [p.grad for p in objective.network.parameters() if p.grad is not None]
     assert all(bool(gradient.isfinite().all()) for gradient in gradients)
     unfinished = [frame(index) for index in range(2)]
     wild = replace(unfinished[1], ego_future=unfinished[1].ego_future + 99, ego_future_valid=torch.arange(6) < 0)
     calm = replace(unfinished[1], ego_future_valid=torch.arange(6) < 0)
-    first, second = (values(lesson.losses([unfinished[0], last])) for last in (wild, calm))
+    first, second = (values(objective.losses([unfinished[0], last])) for last in (wild, calm))
     assert first == second
 
 
 def test_clips_of_several_lengths_count_by_their_frames() -> None:
-    lesson = SparseLesson(network("sparsedrive"))
+    objective = SparseObjective(network("sparsedrive"))
     short, long = [frame(0, "short")], [frame(index, "long") for index in range(3)]
-    together = values(lesson.losses_of([short, long]))
-    first, second = values(lesson.losses(short)), values(lesson.losses(long))
+    together = values(objective.losses_of([short, long]))
+    first, second = values(objective.losses(short)), values(objective.losses(long))
     for key, value in together.items():
         assert value == pytest.approx(0.25 * first[key] + 0.75 * second[key], rel=1e-4)
 
@@ -303,9 +303,9 @@ def test_untrained_networks_start_at_the_anchors() -> None:
 
 @pytest.mark.parametrize("perception", [True, False])
 def test_what_learns(perception: bool) -> None:
-    lesson = SparseLesson(network("diffusiondrive"), perception=perception)
-    torch.stack(list(lesson.losses([frame(0), frame(1)]).values())).sum().backward()  # type: ignore[no-untyped-call]
-    learned = {name for name, parameter in lesson.network.named_parameters() if parameter.grad is not None}
+    objective = SparseObjective(network("diffusiondrive"), perception=perception)
+    torch.stack(list(objective.losses([frame(0), frame(1)]).values())).sum().backward()  # type: ignore[no-untyped-call]
+    learned = {name for name, parameter in objective.network.named_parameters() if parameter.grad is not None}
     assert {PLANS, FORECASTS, "img_backbone.conv1.weight", "img_backbone.layer2.0.conv1.weight"}.isdisjoint(learned)
     parts = ["img_backbone.layer4", "img_neck", "head.det_head", "head.map_head", "head.motion_plan_head"]
     taught = [part for part in parts if any(name.startswith(part) for name in learned)]
@@ -321,7 +321,7 @@ def test_diffusiondrive_starts_where_sparsedrive_ended() -> None:
     assert {key.split(".")[2] for key in missing} == {"diff_layers", "plan_pos_encoder", "time_mlp"}
 
 
-def test_the_planner_gives_the_network_what_the_lesson_gives(tmp_path: Path) -> None:
+def test_the_planner_gives_the_network_what_the_objective_gives(tmp_path: Path) -> None:
     root = tmp_path / "root"
     write_root(root, [short_scene("scene-9901", seconds=4.5)])
     store = build_frames(root, "val", tmp_path / "frames")

@@ -24,7 +24,7 @@ from adapters.networks.uniad.tracking import headings
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
 from adapters.training.uniad.losses import detection_losses, mask_loss, matched_agents
-from adapters.training.uniad.objective import FROZEN, UniADLesson
+from adapters.training.uniad.objective import FROZEN, UniADObjective
 from adapters.training.uniad.start import untrained
 from adapters.training.uniad.targets import (
     LINE_HALF_WIDTH_M,
@@ -38,7 +38,7 @@ from adapters.training.uniad.targets import (
     query_places,
 )
 from benchmark.datasets.nuscenes import NuScenesData
-from tests.adapters.training.uniad.lessons import LEARNER, a_frame, many_frames, without_annotations
+from tests.adapters.training.uniad.objectives import LEARNER, a_frame, many_frames, without_annotations
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 UNUSED = (
@@ -173,11 +173,11 @@ def test_untrained_queries_look_where_agents_are() -> None:
     )
 
 
-def test_lesson_sees_what_inference_sees() -> None:
+def test_objective_sees_what_inference_sees() -> None:
     """The first frame of a clip, with the world as it is: the same detections as the network's own."""
     network, frame = learner(), a_frame()
-    lesson = UniADLesson(network, "perception", 1)
-    found = lesson.clip_losses([frame], 0.0, True)
+    objective = UniADObjective(network, "perception", 1)
+    found = objective.clip_losses([frame], 0.0, True)
     network.reset()
     predictions = network.predict(network_inputs(frame))
     agents = Agents.of(frame, LEARNER)
@@ -205,17 +205,17 @@ def test_a_miniature_starts_every_scene_alike() -> None:
 
 
 def test_frames_that_only_leave_a_past_have_no_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
-    lesson = UniADLesson(learner(), clip_frames=3, learned_frames=2)
+    objective = UniADObjective(learner(), clip_frames=3, learned_frames=2)
     graded: list[bool] = []
-    frame = lesson._frame
+    frame = objective._frame
 
     def noted(*given: Any, **named: Any) -> Any:
         graded.append(torch.is_grad_enabled())
         return frame(*given, **named)
 
-    monkeypatch.setattr(lesson, "_frame", noted)
-    total(lesson.losses(clip(3))).backward()  # type: ignore[no-untyped-call]
-    lesson.losses(clip(2))
+    monkeypatch.setattr(objective, "_frame", noted)
+    total(objective.losses(clip(3))).backward()  # type: ignore[no-untyped-call]
+    objective.losses(clip(2))
     assert graded == [False, True, True, True, True]
 
 
@@ -236,40 +236,40 @@ def test_tracks_keep_their_agents_and_lose_those_that_go() -> None:
 
 def test_every_parameter_that_is_read_learns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("adapters.training.uniad.objective.OCCUPANCY_SHARE", 1.0)
-    lesson = UniADLesson(learner(), clip_frames=3)
+    objective = UniADObjective(learner(), clip_frames=3)
     for aware in (True, False):
-        total(lesson.clip_losses(clip(3), 0.0, aware)).backward()  # type: ignore[no-untyped-call]
+        total(objective.clip_losses(clip(3), 0.0, aware)).backward()  # type: ignore[no-untyped-call]
     silent = [
         name
-        for name, parameter in lesson.network.named_parameters()
+        for name, parameter in objective.network.named_parameters()
         if parameter.grad is None and not name.startswith(FROZEN) and parameter.requires_grad
     ]
     assert all(any(unused in name for unused in UNUSED) for name in silent), silent
     assert all(
-        parameter.grad is None for name, parameter in lesson.network.named_parameters() if name.startswith(FROZEN)
+        parameter.grad is None for name, parameter in objective.network.named_parameters() if name.startswith(FROZEN)
     )
 
 
 def test_a_network_that_is_not_told_its_speed_cannot_know_it() -> None:
-    lesson = UniADLesson(learner(), clip_frames=1)
+    objective = UniADObjective(learner(), clip_frames=1)
     fast, slow = a_frame(), replace(a_frame(), can_bus=torch.zeros(18, dtype=torch.float64))
     for aware in (True, False):
         losses = []
         for frame in (fast, slow):
             torch.manual_seed(0)
-            losses.append(float(total(lesson.clip_losses([frame], 0.3, aware)).detach()))
+            losses.append(float(total(objective.clip_losses([frame], 0.3, aware)).detach()))
         assert (losses[0] == losses[1]) is not aware
 
 
 def test_frames_without_annotations_only_teach_that_nothing_is_there() -> None:
-    lesson = UniADLesson(learner())
-    losses = lesson.losses([without_annotations(frame) for frame in clip()])
+    objective = UniADObjective(learner())
+    losses = objective.losses([without_annotations(frame) for frame in clip()])
     assert all(bool(torch.isfinite(loss)) for loss in losses.values())
     assert all(float(losses[name].detach()) == 0 for name in ("plan", "forecast", "occupancy", "map mask"))
     total(losses).backward()  # type: ignore[no-untyped-call]
     assert all(
         bool(torch.isfinite(parameter.grad).all())
-        for parameter in lesson.network.parameters()
+        for parameter in objective.network.parameters()
         if parameter.grad is not None
     )
 
@@ -282,23 +282,23 @@ def test_masks_are_right_when_values_are() -> None:
 
 
 def test_clips_are_learned_by_heart() -> None:
-    lesson = UniADLesson(learner())
+    objective = UniADObjective(learner())
     clips = [clip(1, "a"), clip(1, "b")]
-    learned = [parameter for parameter in lesson.network.parameters() if parameter.requires_grad]
+    learned = [parameter for parameter in objective.network.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(learned, 4e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS)
     torch.manual_seed(0)
     history = []
     for _ in range(STEPS):
         optimiser.zero_grad()
-        losses = [lesson.clip_losses(each, 0.0, True) for each in clips]
+        losses = [objective.clip_losses(each, 0.0, True) for each in clips]
         (torch.stack([total(each) for each in losses]).sum() / 2).backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(learned, 5.0)
         optimiser.step()
         schedule.step()
         history.append(sum(float((total(each) - each["occupancy"]).detach()) for each in losses))
     assert history[-1] < history[0] / 5
-    network = lesson.network
+    network = objective.network
     for each in clips:
         network.reset()
         with torch.inference_mode():

@@ -31,7 +31,7 @@ from adapters.training.vad.objective import (
     WITHOUT_PAST,
     WITHOUT_SPEED,
     Disguise,
-    VADLesson,
+    VADObjective,
     frame_losses,
     inputs_of,
     predictions_of,
@@ -278,11 +278,11 @@ def test_untrained_queries_are_where_things_are() -> None:
 
 
 def test_losses_depend_on_the_seed_alone_and_every_weight_has_one() -> None:
-    lesson = VADLesson(small_network())
+    objective = VADObjective(small_network())
     found = []
     for seed in (1, 1, 2):
         torch.manual_seed(seed)
-        found.append(lesson.losses(clip()))
+        found.append(objective.losses(clip()))
     assert set(found[0]) == set(WEIGHTS)
     sums = [float(total(losses).detach()) for losses in found]
     assert sums[0] == sums[1] != sums[2]
@@ -290,9 +290,9 @@ def test_losses_depend_on_the_seed_alone_and_every_weight_has_one() -> None:
 
 def test_what_is_learned_reaches_every_weight_but_those_that_stay() -> None:
     network = small_network()
-    lesson = VADLesson(network)
+    objective = VADObjective(network)
     torch.manual_seed(0)
-    total(lesson.losses(clip())).backward()  # type: ignore[no-untyped-call]
+    total(objective.losses(clip())).backward()  # type: ignore[no-untyped-call]
     without = {name for name, weight in network.named_parameters() if weight.grad is None}
     kept = {name for name in without if name.startswith(tuple(f"img_backbone.{part}." for part in ENCODER_KEPT))}
     assert kept and without - kept == {"pts_bbox_head.code_weights", "pts_bbox_head.map_code_weights"}
@@ -300,8 +300,8 @@ def test_what_is_learned_reaches_every_weight_but_those_that_stay() -> None:
 
 
 def test_nothing_annotated_is_no_reason_to_fail() -> None:
-    lesson = VADLesson(small_network())
-    losses = lesson.losses([empty(a_frame())])
+    objective = VADObjective(small_network())
+    losses = objective.losses([empty(a_frame())])
     assert torch.isfinite(total(losses)) and losses["plan"] == 0 and losses["box"] == 0
     total(losses).backward()  # type: ignore[no-untyped-call]
 
@@ -320,17 +320,17 @@ def test_two_clips_are_learned_by_heart() -> None:
     network = VAD(config)
     spread = torch.stack([torch.linspace(0.35, 0.65, 12), torch.linspace(0.5, 0.75, 12)], -1)
     set_first_values(network, spread, spread[::2][:5], torch.zeros(3, 6, 2))
-    lesson = VADLesson(network)
+    objective = VADObjective(network)
     clips = [[a_frame(0)], [a_frame(0, "b", steps_per_s=2.0, aside=0.8)]]
     optimiser = torch.optim.AdamW([each for each in network.parameters() if each.requires_grad], lr=FAST)
-    first = [float(total(lesson.losses(each)).detach()) for each in clips]
+    first = [float(total(objective.losses(each)).detach()) for each in clips]
     for step in range(STEPS):
         optimiser.param_groups[0]["lr"] = FAST * (1 - step / STEPS)
         optimiser.zero_grad()
-        total(lesson.losses(clips[step % 2])).backward()  # type: ignore[no-untyped-call]
+        total(objective.losses(clips[step % 2])).backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
         optimiser.step()
-    last = [float(total(lesson.losses(each)).detach()) for each in clips]
+    last = [float(total(objective.losses(each)).detach()) for each in clips]
     assert max(last) < min(first) / 5
     for (frame,) in clips:
         network.reset()
