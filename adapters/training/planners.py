@@ -19,7 +19,6 @@ from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.training.phases import Phase
 from adapters.training.plan_figures import Images, figures, plan_figures
-from adapters.training.run_files import tensors_key
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
 from benchmark import __version__
 from benchmark.datasets.roots import DataSet, open_data
@@ -34,6 +33,7 @@ from benchmark.machine.storage import (
 )
 from benchmark.machine.workspace import cache_root
 from benchmark.weights.tensors import read_tensors
+from benchmark.weights.training_run import tensors_key
 
 ENCODER_NAME: Final = "image-encoder"
 """What ``--model`` calls the network that all miniatures start from."""

@@ -13,16 +13,18 @@ from torch import Tensor, nn
 
 from adapters.training.frame_store import FrameStore
 from adapters.training.frames import BatchObjective, Objective, TrainingFrame
-from adapters.training.run_files import TrainingRun, read_run, tensors_key, write_run
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
 from benchmark.machine.workers import progress, single_threaded
+from benchmark.weights.training_run import TrainingRun, read_run, tensors_key, write_run
 
 LOG_EVERY: Final = 50
 """Steps whose mean losses are one row of the log; a run is only ever interrupted between two such rows."""
 KEEP_EVERY_S: Final = 120.0
 """Time between two copies of an unfinished run on disk."""
+_ENTRY: Final = "run"
+"""Of the header of an unfinished run: what it says of itself."""
 IMAGE_ENCODER: Final = "img_backbone."
 """How the names of the image encoder's parameters begin, in all four networks."""
 Check = Callable[[dict[str, Tensor]], dict[str, float]]
@@ -106,7 +108,7 @@ def fit(
     identity = content_key(asdict(recipe), store.identity, list(frames), tensors_key(network.state_dict()))
     run = TrainingRun(network, _optimiser(network, recipe), _copied(network.state_dict()), [])
     if unfinished.exists():
-        read_run(run, unfinished, identity)
+        read_run(run, unfinished, identity, "settings, frames or initial weights", entry=_ENTRY)
     # Before the first step: a place that cannot be written to is said at once.
     write_json_lines(log_path, run.log)
     network.train()
@@ -125,7 +127,7 @@ def fit(
                 run.log[-1] |= check(run.average)
             write_json_lines(log_path, run.log)
             if time.monotonic() - kept_s > keep_every_s or last:
-                write_run(run, unfinished, identity)
+                write_run(run, unfinished, identity, entry=_ENTRY)
                 kept_s = time.monotonic()
     return {name: tensor.cpu() for name, tensor in run.average.items()}
 
@@ -205,7 +207,7 @@ def learning_rate(recipe: Recipe, step: int) -> float:
 
 
 def _take_step(
-    run: TrainingRun, objective: Objective, store: FrameStore, frames: Sequence[int], recipe: Recipe
+    run: TrainingRun[nn.Module], objective: Objective, store: FrameStore, frames: Sequence[int], recipe: Recipe
 ) -> dict[str, float]:
     torch.manual_seed(content_seed("training step", recipe.seed, run.step))
     for group in run.optimiser.param_groups:

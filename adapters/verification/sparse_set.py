@@ -219,7 +219,7 @@ def _recipe(folder: Path, salt: str, shapes: dict[str, tuple[int, ...]]) -> Weig
             f"the golden set {folder} has no kept_buffers.npz, and there is none in {folder.parent / salt}; a set "
             "without weights of its own needs the one of its salt beside it"
         )
-    recipe, kept = read_recipe(home / "manifest.json"), GoldenArrays.read(home / "kept_buffers.npz")
+    recipe, kept = read_recipe(home / "manifest.json", WeightsRecipe), GoldenArrays.read(home / "kept_buffers.npz")
     unknown = sorted(kept.names - shapes.keys())
     if unknown:
         raise InputError(f"{kept.path} holds {unknown[0]}, which keys.json does not list; fetch the set again")

@@ -15,13 +15,21 @@ NAMES = "names and shapes of tensors"
 WEIGHTS = "SHA-256 of all weights"
 
 
-def same_names_and_shapes(comparison: Comparison, network: nn.Module, shapes: dict[str, tuple[int, ...]]) -> bool:
+def same_names_and_shapes(
+    comparison: Comparison,
+    network: nn.Module,
+    shapes: dict[str, tuple[int, ...]],
+    quantity: str = NAMES,
+    said: str = "{elements:,} numbers, {order}",
+) -> bool:
     """Compare a network with the list of its official checkpoint.
 
     Args:
         comparison: Gets the number of tensors that differ.
         network: The network.
         shapes: Shapes by name.
+        quantity: What is compared.
+        said: Note where nothing differs; ``elements`` and ``order`` are filled in.
 
     Returns:
         Whether a strict load would work.
@@ -29,10 +37,10 @@ def same_names_and_shapes(comparison: Comparison, network: nn.Module, shapes: di
     own = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     names = sorted(own.keys() | shapes.keys())
     wrong = [name for name in names if own.get(name) != shapes.get(name)]
-    comparison.verdicts(NAMES, np.array([name in wrong for name in names], np.bool_))
+    comparison.verdicts(quantity, np.array([name in wrong for name in names], np.bool_))
     elements = sum(int(np.prod(shape)) for shape in shapes.values())
     order = "in the same order" if list(own) == list(shapes) else "in another order"
-    comparison.note(NAMES, f"first: {wrong[0]}" if wrong else f"{elements:,} numbers, {order}")
+    comparison.note(quantity, f"first: {wrong[0]}" if wrong else said.format(elements=elements, order=order))
     return not wrong
 
 

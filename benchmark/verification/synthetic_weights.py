@@ -19,6 +19,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
 _Value = TypeVar("_Value")
+_Recipe = TypeVar("_Recipe", bound="WeightsRecipe")
 
 
 def _expression(text: str) -> str:
@@ -80,11 +81,13 @@ class WeightsRecipe(BaseModel):
         return state
 
 
-def read_recipe(path: Path) -> WeightsRecipe:
+def read_recipe(path: Path, kind: type[_Recipe], lacks: str = "does not say how weights are made") -> _Recipe:
     """The recipe in a golden set.
 
     Args:
         path: Its ``manifest.json``.
+        kind: `WeightsRecipe`, or what tells more of a set.
+        lacks: What a manifest of another kind does not do, for the message.
 
     Returns:
         The recipe.
@@ -93,11 +96,11 @@ def read_recipe(path: Path) -> WeightsRecipe:
         InputError: If the file is absent, broken or no such manifest.
     """
     try:
-        return WeightsRecipe.model_validate(read_json(path))
+        return kind.model_validate(read_json(path))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} does not say how weights are made: {place}: {first['msg']}") from error
+        raise InputError(f"{path} {lacks}: {place}: {first['msg']}") from error
 
 
 def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:

@@ -8,6 +8,7 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, golden_directory
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
 from generation.diffusion.denoiser import HISTORY_CHANNELS, TrajectoryDenoiser
@@ -39,13 +40,13 @@ def verify_denoiser(golden: Path | None = None) -> list[Check]:
     """
     names = ("parity.npz", "keys.json", "manifest.json", "schedule.npz")
     folder = golden_directory(golden or BUILT_IN / "denoiser", "denoiser", *names)
-    recipe, shapes = read_recipe(folder / "manifest.json"), read_shapes(folder / "keys.json")
+    recipe, shapes = read_recipe(folder / "manifest.json", WeightsRecipe), read_shapes(folder / "keys.json")
     schedule, stored = GoldenArrays.read(folder / "schedule.npz"), GoldenArrays.read(folder / "parity.npz")
     comparison = Comparison()
     network = TrajectoryDenoiser().eval()
-    if not _same_names_and_shapes(comparison, network, shapes):
+    if not same_names_and_shapes(comparison, network, shapes, said="{elements:,} parameters"):
         return comparison.checks()
-    _fill(network, recipe, shapes, folder)
+    fill(comparison, network, recipe, shapes, None, folder / "manifest.json")
     _compare_schedule(comparison, schedule)
     parity = Parity(stored, network)
     with torch.inference_mode():
@@ -57,31 +58,6 @@ def verify_denoiser(golden: Path | None = None) -> list[Check]:
     if left_out:
         comparison.note(NOISE, f"not compared: {', '.join(left_out)}")
     return comparison.checks()
-
-
-def _same_names_and_shapes(
-    comparison: Comparison, network: TrajectoryDenoiser, shapes: dict[str, tuple[int, ...]]
-) -> bool:
-    """Whether a strict load of the published checkpoint would work."""
-    own = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
-    names = sorted(own.keys() | shapes.keys())
-    wrong = [name for name in names if own.get(name) != shapes.get(name)]
-    quantity = "names and shapes of tensors"
-    comparison.verdicts(quantity, np.array([name in wrong for name in names], np.bool_))
-    comparison.note(quantity, f"first: {wrong[0]}" if wrong else f"{sum(map(np.prod, shapes.values())):,} parameters")
-    return not wrong
-
-
-def _fill(network: TrajectoryDenoiser, recipe: WeightsRecipe, shapes: dict[str, tuple[int, ...]], folder: Path) -> None:
-    try:
-        state = recipe.state(shapes)
-        tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in state.items()}
-        network.load_state_dict(tensors, strict=True)
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise InputError(
-            f"the weights that {folder / 'manifest.json'} describes do not fit the network "
-            f"({str(error).splitlines()[-1].strip()}); make the set again"
-        ) from error
 
 
 def _compare_schedule(comparison: Comparison, stored: GoldenArrays) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 from benchmark.verification.golden import GoldenArrays, golden_directory
-from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes
+from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes
 from generation.render.magicdrive.conditions import Conditions, TextStates
 from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.model import LatentSize
@@ -157,7 +157,7 @@ class MagicDriveSet:
             raise InputError(f"the golden set {folder} has no keys_reduced.json in it or beside it; copy it there")
         published, schedules = _beside(folder, "keys.json"), _beside(folder, "timesteps_30.json")
         inner = folder / "taps.npz"
-        manifest = _read_manifest(folder / "manifest.json")
+        manifest = read_recipe(folder / "manifest.json", _Manifest, "does not describe a golden set of MagicDriveDiT")
         return cls(
             folder,
             manifest,
@@ -222,15 +222,6 @@ def _whole(stored: GoldenArrays, name: str, *shape: int | None) -> Tensor:
 def _beside(folder: Path, name: str) -> Path | None:
     """A file in a folder or the one above it."""
     return next((place / name for place in (folder, folder.parent) if (place / name).is_file()), None)
-
-
-def _read_manifest(path: Path) -> _Manifest:
-    try:
-        return _Manifest.model_validate(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} does not describe a golden set of MagicDriveDiT: {place}: {first['msg']}") from error
 
 
 def _config(manifest: _Manifest, path: Path) -> MagicDriveConfig:

@@ -1,6 +1,6 @@
 """`challenger-bench verify physics`: the reference's motion model against golden trajectories."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
@@ -88,12 +88,8 @@ def _simulate(waypoints: Floats, groups: list[_Group]) -> SimulatedMotion:
         simulate(waypoints[group.members], group.state, group.length_m, steps=STEPS, model=MotionModel.reference())
         for group in groups
     ]
-    return SimulatedMotion(
-        center=np.concatenate([part.center for part in parts])[order],
-        states=np.concatenate([part.states for part in parts])[order],
-        commands=np.concatenate([part.commands for part in parts])[order],
-        finite=np.concatenate([part.finite for part in parts])[order],
-    )
+    names = [each.name for each in fields(SimulatedMotion)]
+    return SimulatedMotion(**{name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
 
 
 def _compare_motion(comparison: Comparison, stored: GoldenArrays, motion: SimulatedMotion) -> None:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
 from benchmark.machine.workers import progress
-from benchmark.weights.tensors import read_tensors, write_tensors
+from benchmark.weights.training_run import TrainingRun, read_run, write_run
 from generation.diffusion.checkpoint import save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.schedule import ALPHA_BARS, STEPS
@@ -80,15 +80,7 @@ class TrainingConfig:
             raise InputError(f"the power of the noise levels must be positive, got {self.level_power}")
 
 
-@dataclass(slots=True)
-class _Run:
-    """State of a training run after ``step`` steps."""
-
-    denoiser: TrajectoryDenoiser
-    optimiser: torch.optim.AdamW
-    average: dict[str, Tensor]
-    log: list[dict[str, Any]]
-    step: int = 0
+_Run = TrainingRun[TrajectoryDenoiser]
 
 
 def train_denoiser(config: TrainingConfig) -> Path:
@@ -98,7 +90,7 @@ def train_denoiser(config: TrainingConfig) -> Path:
     draws from a generator of its own, so an interrupted run ends with the same bytes as an undisturbed one.
 
     Args:
-        config: See `TrainingConfig`.
+        config: Recordings, weights to write, settings.
 
     Returns:
         The weights file. Beside it: ``.progress.safetensors`` while unfinished, ``.log.jsonl``.
@@ -113,9 +105,9 @@ def train_denoiser(config: TrainingConfig) -> Path:
     run = _start(config, pool)
     unfinished = config.out.with_suffix(".progress.safetensors")
     if unfinished.exists():
-        _resume(run, unfinished, identity)
+        read_run(run, unfinished, identity, "settings or tracks")
     log_path = config.out.with_suffix(".log.jsonl")
-    run.denoiser.train()
+    run.network.train()
     losses: list[float] = []
     for step in progress(range(run.step, config.steps), total=config.steps - run.step, label="training denoiser"):
         losses.append(_take_step(run, config, pool, step))
@@ -123,10 +115,10 @@ def train_denoiser(config: TrainingConfig) -> Path:
         if run.step % config.checkpoint_every == 0 or run.step == config.steps:
             run.log.append({"step": run.step, "loss": float(np.mean(losses)), **_check(run, checking, config.seed)})
             losses = []
-            _save_progress(run, unfinished, identity)
+            write_run(run, unfinished, identity)
             write_json_lines(log_path, run.log)
-    run.denoiser.load_state_dict(run.average)
-    for parameter in run.denoiser.parameters():
+    run.network.load_state_dict(run.average)
+    for parameter in run.network.parameters():
         parameter.data = parameter.data.half()
     facts = {
         "run": identity,
@@ -135,7 +127,7 @@ def train_denoiser(config: TrainingConfig) -> Path:
         "windows": {name: len(windows.previous) for name, windows in data.training.items()},
         "licences": {name: data.licences[name] for name in data.training},
     }
-    save_denoiser(config.out, run.denoiser, facts)
+    save_denoiser(config.out, run.network, facts)
     unfinished.unlink(missing_ok=True)
     return config.out
 
@@ -186,19 +178,19 @@ def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -
     torch.manual_seed(content_seed("denoiser dropout", config.seed, step) % 2**63)
     clean = pool.draw(config.batch, config.size_jitter, rng)
     timesteps = np.floor(STEPS * rng.random(config.batch) ** config.level_power)
-    loss = _loss(run.denoiser, clean, rng.standard_normal(clean.shape), timesteps)
+    loss = _loss(run.network, clean, rng.standard_normal(clean.shape), timesteps)
     rising = min((step + 1) / config.warmup, 1.0)
     rate = config.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * step / config.steps))
     for group in run.optimiser.param_groups:
         group["lr"] = rate
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
-    torch.nn.utils.clip_grad_norm_(run.denoiser.parameters(), 1.0)
+    torch.nn.utils.clip_grad_norm_(run.network.parameters(), 1.0)
     run.optimiser.step()
     # A young average would remember the random start, so it follows faster in the beginning.
     keep = min(config.ema, (step + 1) / (step + 10))
     with torch.no_grad():
-        for name, tensor in run.denoiser.state_dict().items():
+        for name, tensor in run.network.state_dict().items():
             run.average[name].lerp_(tensor, 1.0 - keep)
     return float(loss.detach())
 
@@ -210,7 +202,7 @@ def _check(run: _Run, checking: list[Floats], seed: int) -> dict[str, float | No
     """
     if not checking:
         return {"held_out_loss": None, "held_out_loss_of_rounds": None}
-    judge = TrajectoryDenoiser(run.denoiser.config).eval()
+    judge = TrajectoryDenoiser(run.network.config).eval()
     judge.load_state_dict(run.average)
     rng = np.random.default_rng(content_seed("denoiser check", seed))
     clean = np.concatenate(checking)
@@ -220,29 +212,3 @@ def _check(run: _Run, checking: list[Floats], seed: int) -> dict[str, float | No
         everywhere = float(_loss(judge, clean, noise, evenly % STEPS))
         of_rounds = float(_loss(judge, clean, noise, evenly % LEVELS_OF_ROUNDS))
     return {"held_out_loss": everywhere, "held_out_loss_of_rounds": of_rounds}
-
-
-def _save_progress(run: _Run, path: Path, identity: str) -> None:
-    tensors = {f"weights.{name}": tensor for name, tensor in run.denoiser.state_dict().items()}
-    tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
-    for index, moments in run.optimiser.state_dict()["state"].items():
-        tensors |= {f"optimiser.{index}.{name}": torch.as_tensor(tensor) for name, tensor in moments.items()}
-    write_tensors(path, tensors, {"run": identity, "step": run.step, "log": run.log})
-
-
-def _resume(run: _Run, path: Path, identity: str) -> None:
-    tensors, facts = read_tensors(path)
-    if facts.get("run") != identity:
-        raise InputError(
-            f"{path} belongs to a training run with other settings or tracks; remove it or choose another --out"
-        )
-    run.denoiser.load_state_dict({name[8:]: value for name, value in tensors.items() if name.startswith("weights.")})
-    run.average = {name[8:]: value for name, value in tensors.items() if name.startswith("average.")}
-    moments: dict[int, dict[str, Tensor]] = {}
-    for name, value in tensors.items():
-        if name.startswith("optimiser."):
-            _, index, moment = name.split(".", 2)
-            moments.setdefault(int(index), {})[moment] = value
-    state = run.optimiser.state_dict()
-    run.optimiser.load_state_dict({"state": moments, "param_groups": state["param_groups"]})
-    run.step, run.log = int(facts["step"]), list(facts["log"])

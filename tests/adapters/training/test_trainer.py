@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from adapters.training.frame_store import FrameStore, build_frames
 from adapters.training.frames import TrainingFrame
 from adapters.training.losses import plan_loss
-from adapters.training.run_files import tensors_key
 from adapters.training.trainer import LOG_EVERY, Recipe, clip_of, fit, learning_rate
 from benchmark.errors import InputError
+from benchmark.weights.training_run import tensors_key
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 STEPS = 2 * LOG_EVERY + 20

@@ -81,5 +81,5 @@ def test_both_forms_of_keys_are_read(tmp_path: Path) -> None:
 def test_a_manifest_without_a_recipe_is_one_sentence(tmp_path: Path, text: str) -> None:
     (tmp_path / "manifest.json").write_text(text)
     with pytest.raises(InputError, match="how weights are made") as caught:
-        read_recipe(tmp_path / "manifest.json")
+        read_recipe(tmp_path / "manifest.json", WeightsRecipe)
     assert "\n" not in str(caught.value)

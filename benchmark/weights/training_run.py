@@ -1,23 +1,22 @@
-"""An unfinished training run on disk."""
+"""An unfinished training run of a network, in memory and on disk."""
 
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Generic, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from benchmark.errors import InputError
-from benchmark.weights.tensors import read_tensors, write_tensors
+from benchmark.weights.tensors import FACTS, read_tensors, write_tensors
 
-_ENTRY: Final = "run"
-"""Of the header: what an unfinished run says of itself."""
+Network = TypeVar("Network", bound=nn.Module)
 
 
 @dataclass(slots=True)
-class TrainingRun:
+class TrainingRun(Generic[Network]):
     """A run after ``step`` steps.
 
     Attributes:
@@ -28,7 +27,7 @@ class TrainingRun:
         step: Steps done.
     """
 
-    network: nn.Module
+    network: Network
     optimiser: torch.optim.AdamW
     average: dict[str, Tensor]
     log: list[dict[str, Any]]
@@ -44,13 +43,14 @@ def tensors_key(tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def write_run(run: TrainingRun, path: Path, identity: str) -> None:
+def write_run(run: TrainingRun[Any], path: Path, identity: str, *, entry: str = FACTS) -> None:
     """Write a run, whole or not at all.
 
     Args:
         run: The run.
         path: A .safetensors file.
         identity: Key of what it depends on.
+        entry: Of the header: what the run says of itself.
 
     Raises:
         InputError: If it cannot be written.
@@ -59,28 +59,27 @@ def write_run(run: TrainingRun, path: Path, identity: str) -> None:
     tensors |= {f"average.{name}": tensor for name, tensor in run.average.items()}
     for index, moments in run.optimiser.state_dict()["state"].items():
         tensors |= {f"optimiser.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
-    write_tensors(path, tensors, {"run": identity, "step": run.step, "log": run.log}, entry=_ENTRY)
+    write_tensors(path, tensors, {"run": identity, "step": run.step, "log": run.log}, entry=entry)
 
 
-def read_run(run: TrainingRun, path: Path, identity: str) -> None:
+def read_run(run: TrainingRun[Any], path: Path, identity: str, differs: str, *, entry: str = FACTS) -> None:
     """Bring a run to where a file left it.
 
     Args:
         run: A fresh run.
         path: A .safetensors file.
         identity: Key of what the run depends on.
+        differs: What may be different in a file of another run, for the message.
+        entry: As in `write_run`.
 
     Raises:
-        InputError: If the file is broken, or belongs to a run with other settings, data or initial weights.
+        InputError: If the file is broken, or belongs to another run.
     """
-    tensors, facts = read_tensors(path, entry=_ENTRY, what="", instead="remove it to train from the beginning")
+    tensors, facts = read_tensors(path, entry=entry, what="", instead="remove it to train from the beginning")
     if not facts:
-        raise InputError(f"cannot read {path} ({_ENTRY!r}); remove it to train from the beginning")
+        raise InputError(f"cannot read {path} ({entry!r}); remove it to train from the beginning")
     if facts["run"] != identity:
-        raise InputError(
-            f"{path} belongs to a training run with other settings, frames or initial weights; remove it or choose "
-            "another --out"
-        )
+        raise InputError(f"{path} belongs to a training run with other {differs}; remove it or choose another --out")
     run.network.load_state_dict({name[8:]: value for name, value in tensors.items() if name.startswith("weights.")})
     with torch.no_grad():
         for name, value in run.average.items():
