@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from pydantic import ValidationError
 
 from benchmark.datasets.roots import variant_folders
 from benchmark.datasets.split_names import read_splits, scenes_of_split
@@ -21,6 +20,7 @@ from benchmark.machine.storage import read_json
 from benchmark.published import ADV_NUSC
 from benchmark.records.attempts import Labels, stored_labels
 from benchmark.records.statistics import ManoeuvreRow, Quantiles, SplitStatistics, TableCounts
+from benchmark.records.store import validated
 from benchmark.report.table import table_of
 
 _QUANTILES: Final = {"least": 0.0, "tenth": 0.1, "median": 0.5, "ninetieth": 0.9, "most": 1.0}
@@ -122,16 +122,16 @@ def _provenance(path: Path) -> dict[str, Any]:
 
 
 def _labels_of(part: _Root) -> Iterator[Labels]:
+    def labels(scene: str, stored: Any) -> Labels:
+        whose = f"{part.folder / 'challenger.json'}: the labels of {scene}"
+        return validated(
+            Labels.model_validate,
+            stored,
+            lambda where, _: f"{whose} lack a proper {where or 'content'}; generate the data set again",
+        )
+
     for name, entry in part.made.items():
-        for found in stored_labels(entry.get("report")):
-            try:
-                yield Labels.model_validate(found)
-            except ValidationError as error:
-                where = ".".join(map(str, error.errors()[0]["loc"]))
-                raise InputError(
-                    f"{part.folder / 'challenger.json'}: the labels of {name} lack a proper {where or 'content'}; "
-                    "generate the data set again"
-                ) from error
+        yield from (labels(name, found) for found in stored_labels(entry.get("report")))
 
 
 def _rows_of(labels: Sequence[Labels]) -> tuple[ManoeuvreRow, ...]:

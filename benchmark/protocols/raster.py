@@ -2,20 +2,25 @@
 
 Objects are drawn as OpenCV fills polygons: every cell that an edge passes is occupied, so boxes grow by up to half a
 cell on each side. The ego is a block of 8 x 4 cells that is never turned. Both protocols place the two with different
-roundings; each says in its own module where it puts them.
+roundings; each says in its own module where it puts them. `RasterProtocol` is what the two share.
 
 Only polygons near the cells that are asked for are drawn, one at a time into a grid of the full size: the clipping at
 the grid's border decides some cells inside it, so a smaller grid would not do. `full_rasters` draws everything, for
 comparison with stored rasters and for pictures.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
+from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.truth import SampleTruth
 
 CELLS = 200
 """Cells along each side."""
@@ -88,8 +93,8 @@ def may_reach(boxes: Floats, place_of: NDArray[np.int64], cells: Sequence[Cells]
 
     Args:
         boxes: (N, 5) boxes.
-        place_of: (N,) see `occupied`.
-        cells: See `occupied`.
+        place_of: (N,) which of P places (a sample at a step) a box belongs to.
+        cells: Groups of cells to look at, each (P, C, 2), row first.
         rows: (N,) row on which the box's centre lies, not rounded.
 
     Returns:
@@ -122,3 +127,96 @@ def full_rasters(polygons: NDArray[np.int32], place_of: NDArray[np.int64], place
     for polygon, place in zip(list(polygons), place_of.tolist()):
         cv2.fillPoly(grids[place], [polygon], (1,))
     return grids
+
+
+class RasterProtocol(ABC):
+    """What both protocols share: the ego's block against the drawn objects, and the mask of the recorded ego.
+
+    Attributes:
+        counts_incomplete: Whether samples count whose recording ends before 3 s.
+        first_row_ahead: Whether row 0 of the grid lies far ahead, not far behind.
+    """
+
+    counts_incomplete: bool
+    first_row_ahead: bool
+
+    @abstractmethod
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Which objects are drawn at which step: (M, 6) verdicts for S samples with M objects."""
+
+    @abstractmethod
+    def drawn_boxes(self, truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
+        """Where objects are drawn.
+
+        Args:
+            truths: S samples with M objects.
+            objects: (N,) which objects.
+            steps: (N,) at which steps, 0 to 5.
+
+        Returns:
+            (N, 5) boxes.
+        """
+
+    @abstractmethod
+    def drawn_polygons(self, boxes: Floats) -> NDArray[np.int32]:
+        """Corners of (N, 5) boxes on the grid: (N, 4, 2) column and row of each."""
+
+    @abstractmethod
+    def point_cells(self, waypoints_lidar: Floats) -> Floats:
+        """Row and column of the cell that ``obj_col`` asks for, for (S, 6, 2) waypoints; rounded towards zero."""
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Straight ahead at every step.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return np.full(plans_lidar.shape[:-1], np.pi / 2)
+
+    def ego_block(self, waypoints_lidar: Floats) -> Cells:
+        """The cells that the ego covers at each waypoint.
+
+        Args:
+            waypoints_lidar: (..., 2) x right, y forward, metres.
+
+        Returns:
+            (..., 32, 2) rows and columns.
+        """
+        cells = ego_cells(waypoints_lidar)
+        if self.first_row_ahead:
+            cells[..., 0] = CELLS - cells[..., 0]
+        return truncated(cells)
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        stacked = stack(truths)
+        plan, recorded = self.ego_block(plans), self.ego_block(stacked.ego_future[..., :2])
+        point = self.point_cells(plans)
+        inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
+        objects, steps = np.nonzero(self.counted_objects(stacked))
+        place_of = stacked.sample_of[objects] * PLAN_STEPS + steps
+        boxes = self.drawn_boxes(stacked, objects, steps)
+        groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, truncated(point)[..., None, :])]
+        rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
+        near = may_reach(boxes, place_of, groups, rows)
+        found = occupied(self.drawn_polygons(boxes[near]), place_of[near], groups)
+        on_plan, on_recorded, at_point = (hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found)
+        return Outcomes(
+            collision=on_plan & ~on_recorded,
+            l2=displacement(plans, stacked),
+            valid=stacked.ego_future_valid,
+            counted=stacked.ego_future_valid.all(axis=-1) | self.counts_incomplete,
+            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
+        )

@@ -18,18 +18,14 @@ An ego that leaves the grid is squashed on its border. A turning ego is not turn
 step, and the end of a scene dilutes the rates (by about 15 % at 3 s).
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import HORIZON_STEPS, PLAN_STEPS
+from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols import raster
 from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
-from benchmark.truth import SampleTruth
+from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
+from benchmark.protocols.stacked import StackedTruths
 
 VEHICLES = frozenset(
     {
@@ -46,12 +42,13 @@ VEHICLES = frozenset(
 """Categories that become one of the seven vehicle classes among the ten detection classes (`only_vehicle=True`)."""
 
 
-class UniAD:
-    """See the module's docstring."""
+class UniAD(RasterProtocol):
+    """Vehicles alone, with the values at the very steps; the module's docstring says all."""
 
     name = "uniad"
     version = 1
     counts_incomplete = True
+    first_row_ahead = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Vehicles that are annotated at the step.
@@ -65,45 +62,17 @@ class UniAD:
         recorded = truths.ego_future_valid[truths.sample_of]
         return np.asarray(truths.annotated[:, 1:] & truths.of_categories(VEHICLES)[:, None] & recorded)
 
-    def headings(self, plans_lidar: Floats) -> Floats:
-        """Straight ahead at every step.
+    def drawn_boxes(self, truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
+        """Objects where and as large as they are annotated at the step, (N, 5)."""
+        return np.asarray(truths.boxes[objects, steps + 1])
 
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
+    def drawn_polygons(self, boxes: Floats) -> NDArray[np.int32]:
+        """Corners of (N, 5) boxes on the grid, (N, 4, 2)."""
+        return polygons(boxes)
 
-        Returns:
-            (S, 6) radians.
-        """
-        return np.full(plans_lidar.shape[:-1], np.pi / 2)
-
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans.
-
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
-        """
-        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
-        stacked = stack(truths)
-        plan, recorded = _block(plans), _block(stacked.ego_future[..., :2])
-        point, inside = _point(plans)
-        objects, steps = np.nonzero(self.counted_objects(stacked))
-        place_of = stacked.sample_of[objects] * PLAN_STEPS + steps
-        boxes = stacked.boxes[objects, steps + 1]
-        groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, point)]
-        near = raster.may_reach(boxes, place_of, groups, (boxes[:, 1] + EXTENT_M) / CELL_M)
-        found = raster.occupied(polygons(boxes[near]), place_of[near], groups)
-        on_plan, on_recorded, at_point = (hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found)
-        return Outcomes(
-            collision=on_plan & ~on_recorded,
-            l2=displacement(plans, stacked),
-            valid=stacked.ego_future_valid,
-            counted=np.ones(len(truths), dtype=np.bool_),
-            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
-        )
+    def point_cells(self, waypoints_lidar: Floats) -> Floats:
+        """The cell below each waypoint, (S, 6, 2)."""
+        return np.asarray(np.trunc((waypoints_lidar[..., ::-1] + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """The value at each horizon.
@@ -141,14 +110,3 @@ def polygons(boxes: Floats) -> NDArray[np.int32]:
         corners[:, index, 0] = (along * cos - across * sin) + single[:, 0]
         corners[:, index, 1] = (along * sin + across * cos) + single[:, 1]
     return np.asarray(np.round((corners + np.float32(EXTENT_M)) / np.float32(CELL_M)), np.int32)
-
-
-def _block(waypoints: Floats) -> Cells:
-    return raster.truncated(raster.ego_cells(waypoints))
-
-
-def _point(waypoints: Floats) -> tuple[Cells, Bools]:
-    """The cell below each waypoint, (S, 6, 1, 2), and whether it is on the grid."""
-    cells = np.trunc((waypoints[..., ::-1] + (EXTENT_M - 0.5 * CELL_M)) / CELL_M)
-    inside = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
-    return raster.truncated(cells)[..., None, :], inside

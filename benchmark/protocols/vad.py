@@ -21,20 +21,17 @@ far left of what it is compared with. A turning ego is not turned. ``obj_col`` l
 the ego because of a wrong offset and means nothing.
 """
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import CATEGORIES, HORIZON_STEPS, PLAN_STEPS
+from benchmark.constants import CATEGORIES, HORIZON_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
-from benchmark.protocols import raster
 from benchmark.protocols.contract import Outcomes
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells
-from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
+from benchmark.protocols.stacked import StackedTruths
 from benchmark.protocols.uniad import VEHICLES
-from benchmark.truth import SampleTruth
 
 SIDE_M, AHEAD_M = 15.0, 30.0
 """Half the range in which an object must be now."""
@@ -67,8 +64,8 @@ COUNTED_23: Final = frozenset(
 assert set(CATEGORIES) >= DETECTED >= COUNTED_23
 
 
-class VAD:
-    """See the module's docstring.
+class VAD(RasterProtocol):
+    """What is near now and followed from there, with means over the steps; the module's docstring says all.
 
     Attributes:
         name: ``vad`` or ``vad-23``.
@@ -77,6 +74,7 @@ class VAD:
 
     version = 1
     counts_incomplete = False
+    first_row_ahead = True
 
     def __init__(self, name: str, categories: frozenset[str]) -> None:
         self.name, self.categories = name, categories
@@ -95,45 +93,22 @@ class VAD:
         followed = np.logical_and.accumulate(truths.annotated, axis=1)[:, 1:]
         return np.asarray(followed & (near & truths.of_categories(self.categories))[:, None])
 
-    def headings(self, plans_lidar: Floats) -> Floats:
-        """Straight ahead at every step.
+    def drawn_boxes(self, truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
+        """Objects as they are followed: where they are at the step, with the size they have now, (N, 5)."""
+        boxes: Floats = truths.boxes[objects, steps + 1]
+        boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
+        return boxes
 
-        Args:
-            plans_lidar: (S, 6, 2) waypoints.
+    def drawn_polygons(self, boxes: Floats) -> NDArray[np.int32]:
+        """Corners of (N, 5) boxes on the grid, (N, 4, 2)."""
+        return polygons(boxes)
 
-        Returns:
-            (S, 6) radians.
-        """
-        return np.full(plans_lidar.shape[:-1], np.pi / 2)
-
-    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
-        """Judge plans.
-
-        Args:
-            truths: S samples.
-            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-
-        Returns:
-            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
-        """
-        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
-        stacked = stack(truths)
-        plan, recorded = _block(plans), _block(stacked.ego_future[..., :2])
-        point, inside = _point(plans)
-        objects, steps = np.nonzero(self.counted_objects(stacked))
-        place_of = stacked.sample_of[objects] * PLAN_STEPS + steps
-        boxes = followed_boxes(stacked, objects, steps)
-        groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, point)]
-        near = raster.may_reach(boxes, place_of, groups, (EXTENT_M - boxes[:, 1]) / CELL_M)
-        found = raster.occupied(polygons(boxes[near]), place_of[near], groups)
-        on_plan, on_recorded, at_point = (hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found)
-        return Outcomes(
-            collision=on_plan & ~on_recorded,
-            l2=displacement(plans, stacked),
-            valid=stacked.ego_future_valid,
-            counted=stacked.ego_future_valid.all(axis=-1),
-            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
-        )
+    def point_cells(self, waypoints_lidar: Floats) -> Floats:
+        """The cell that ``obj_col`` looks at by mistake, (S, 6, 2)."""
+        # Half of the offset that would be meant: 24.875 m in place of 49.75 m.
+        offset = 0.5 * (EXTENT_M - 0.5 * CELL_M)
+        turned = np.stack([-waypoints_lidar[..., 1], waypoints_lidar[..., 0]], axis=-1)
+        return np.asarray(np.trunc((offset + turned) / CELL_M))
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
@@ -150,22 +125,6 @@ class VAD:
             "obj_col": _means(outcomes.step("obj_col")),
             "l2": np.stack([outcomes.l2[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()], axis=1),
         }
-
-
-def followed_boxes(truths: StackedTruths, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
-    """Objects as they are followed: where they are at a step, with the size they have now.
-
-    Args:
-        truths: S samples with M objects.
-        objects: (N,) which objects.
-        steps: (N,) at which steps, 0 to 5.
-
-    Returns:
-        (N, 5) boxes.
-    """
-    boxes: Floats = truths.boxes[objects, steps + 1]
-    boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
-    return boxes
 
 
 def polygons(boxes: Floats) -> NDArray[np.int32]:
@@ -186,18 +145,3 @@ def _means(verdicts: Bools) -> Floats:
     steps = HORIZON_STEPS.values()
     shares = [verdicts[:, :count].sum(axis=1).astype(np.float32) / np.float32(count) for count in steps]
     return np.asarray(np.stack(shares, axis=1), np.float64)
-
-
-def _block(waypoints: Floats) -> Cells:
-    cells = raster.ego_cells(waypoints)
-    cells[..., 0] = CELLS - cells[..., 0]
-    return raster.truncated(cells)
-
-
-def _point(waypoints: Floats) -> tuple[Cells, Bools]:
-    """The cell that ``obj_col`` looks at, (S, 6, 1, 2), and whether it is on the grid."""
-    # Half of the offset that would be meant: 24.875 m in place of 49.75 m.
-    offset = 0.5 * (EXTENT_M - 0.5 * CELL_M)
-    cells = np.trunc((offset + np.stack([-waypoints[..., 1], waypoints[..., 0]], axis=-1)) / CELL_M)
-    inside = ((cells >= 0) & (cells < CELLS)).all(axis=-1)
-    return raster.truncated(cells)[..., None, :], inside

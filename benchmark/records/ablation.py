@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json
 from benchmark.published import ABLATION
-from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
+from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow, Stored
+from benchmark.records.store import read_each, validated
 from benchmark.report.table import Table, table_of
 
 SCHEMA: Final = 1
@@ -50,11 +51,7 @@ VARIANTS: Final = (
 )
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class AblationRow(_Stored):
+class AblationRow(Stored):
     """What one variant gave.
 
     Attributes:
@@ -90,7 +87,7 @@ class AblationRow(_Stored):
         )
 
 
-class AblationReport(_Stored):
+class AblationReport(Stored):
     """``ablation.json``.
 
     Attributes:
@@ -157,12 +154,11 @@ def read_ablation(path: Path) -> AblationReport:
     schema = value.get("schema") if isinstance(value, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:
         raise InputError(f"{path} has schema {schema}, this version reads up to {SCHEMA}; upgrade challenger-bench")
-    try:
-        return AblationReport.model_validate(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path} is not an ablation record ({place}: {first['msg']}); run ablate again") from error
+    return validated(
+        AblationReport.model_validate,
+        value,
+        lambda where, why: f"{path} is not an ablation record ({where}: {why}); run ablate again",
+    )
 
 
 def find_ablations(folder: Path) -> list[AblationReport]:
@@ -177,13 +173,7 @@ def find_ablations(folder: Path) -> list[AblationReport]:
     Raises:
         InputError: If one of them is damaged.
     """
-    found = []
-    for path in sorted(folder.rglob(RECORD)):
-        try:
-            found.append(read_ablation(path))
-        except InputError as damage:
-            raise InputError(f"{damage}; or delete or move {path}") from damage
-    return found
+    return read_each(sorted(folder.rglob(RECORD)), read_ablation)
 
 
 def _cells(row: AblationRow) -> tuple[str, ...]:

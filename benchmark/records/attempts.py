@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from benchmark.errors import InputError
 from benchmark.machine.storage import read_json_lines
+from benchmark.records.store import validated
 
 ATTEMPTS_FILE: Final = "attempts.jsonl"
 
@@ -166,16 +166,15 @@ def read_attempts(path: Path) -> tuple[Attempt, ...]:
     Raises:
         InputError: If the file cannot be read, or a line is none of an attempt.
     """
-    found = []
-    for number, row in enumerate(read_json_lines(path), start=1):
-        try:
-            found.append(Attempt.model_validate(row))
-        except ValidationError as error:
-            where = ".".join(map(str, error.errors()[0]["loc"]))
-            raise InputError(
-                f"{path} line {number} lacks a proper {where or 'object'}; generate the split again"
-            ) from error
-    return tuple(found)
+
+    def attempt(number: int, row: Any) -> Attempt:
+        return validated(
+            Attempt.model_validate,
+            row,
+            lambda where, _: f"{path} line {number} lacks a proper {where or 'object'}; generate the split again",
+        )
+
+    return tuple(attempt(number, row) for number, row in enumerate(read_json_lines(path), start=1))
 
 
 def stored_labels(report: Any) -> list[Any]:

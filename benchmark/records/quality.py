@@ -8,10 +8,9 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
-from pydantic import ValidationError
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines, write_json, write_json_lines
@@ -27,7 +26,10 @@ from benchmark.records.quality_schema import (
     Sum,
     VideoRow,
 )
-from benchmark.records.run_schema import RateRow, SceneFacts
+from benchmark.records.run_schema import RateRow, SceneFacts, Stored
+from benchmark.records.store import read_each, validated
+
+_Read = TypeVar("_Read", bound=Stored)
 
 QUALITY_FILE: Final = "quality.json"
 _SUBJECTS_FILE, _VIDEOS_FILE = "subjects.jsonl", "videos.jsonl"
@@ -161,24 +163,29 @@ def load_quality(directory: Path) -> QualityRecord:
     again = "run challenger-bench quality again (finished scenes are kept)"
     if schema != QUALITY_SCHEMA:
         raise InputError(f"{path} has schema {schema!r} and this version reads {QUALITY_SCHEMA}; {again}")
+
+    damaged = f"the quality record in {directory} is damaged"
+
+    def read(model: type[_Read], value: Any) -> _Read:
+        return validated(
+            model.model_validate,
+            value,
+            lambda where, why: f"{damaged} ({model.__name__} {where}: {why}); {again}",
+        )
+
     try:
-        facts = QualityFacts.model_validate(stored)
+        facts = read(QualityFacts, stored)
         for name in (_SUBJECTS_FILE, _VIDEOS_FILE):
             if file_sha256(directory / name) != facts.files.get(name):
                 raise InputError(f"{directory / name} is not the file that {QUALITY_FILE} was written with; {again}")
         return QualityRecord(
             directory=directory,
             facts=facts,
-            subjects=tuple(map(SubjectRow.model_validate, read_json_lines(directory / _SUBJECTS_FILE))),
-            videos=tuple(map(VideoRow.model_validate, read_json_lines(directory / _VIDEOS_FILE))),
+            subjects=tuple(read(SubjectRow, row) for row in read_json_lines(directory / _SUBJECTS_FILE)),
+            videos=tuple(read(VideoRow, row) for row in read_json_lines(directory / _VIDEOS_FILE)),
         )
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        reason = f"{error.title} {place}: {first['msg']}"
-        raise InputError(f"the quality record in {directory} is damaged ({reason}); {again}") from error
     except OSError as error:
-        raise InputError(f"the quality record in {directory} is damaged ({error}); {again}") from error
+        raise InputError(f"{damaged} ({error}); {again}") from error
 
 
 def find_quality(folder: Path) -> list[QualityRecord]:
@@ -193,13 +200,8 @@ def find_quality(folder: Path) -> list[QualityRecord]:
     Raises:
         InputError: If one of them is damaged.
     """
-    found = []
-    for path in sorted(folder.rglob(QUALITY_FILE)):
-        try:
-            found.append(load_quality(path.parent))
-        except InputError as damage:
-            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
-    return found
+    places = (path.parent for path in sorted(folder.rglob(QUALITY_FILE)))
+    return read_each(places, load_quality, instead=" to do without this record")
 
 
 def _ratio(sums: Sequence[tuple[str, Sum]]) -> RateRow:

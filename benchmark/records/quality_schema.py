@@ -4,19 +4,15 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-from benchmark.records.run_schema import DataFacts, RateRow, SceneFacts
+from benchmark.records.run_schema import DataFacts, RateRow, SceneFacts, Stored
 
 QUALITY_SCHEMA: Final = 1
 """Version of the format and of the numbers: raised whenever either changes."""
 
 
-class _Row(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Sum(_Row):
+class Sum(Stored):
     """Values added up, exactly rounded once, so that the order does not matter.
 
     Attributes:
@@ -33,7 +29,7 @@ class Sum(_Row):
         return cls(total=math.fsum(values), count=len(values))
 
 
-class SubjectRow(_Row):
+class SubjectRow(Stored):
     """One vehicle in one camera of one scene: a line of ``subjects.jsonl``.
 
     Attributes:
@@ -65,7 +61,7 @@ class SubjectRow(_Row):
     imaging: Sum
 
 
-class VideoRow(_Row):
+class VideoRow(Stored):
     """One camera of one scene: a line of ``videos.jsonl``.
 
     Attributes:
@@ -87,7 +83,7 @@ class VideoRow(_Row):
     imaging: Sum
 
 
-class SceneRows(_Row):
+class SceneRows(Stored):
     """What one unit of work gives."""
 
     scene: str
@@ -95,7 +91,7 @@ class SceneRows(_Row):
     videos: list[VideoRow]
 
 
-class WeightsFacts(_Row):
+class WeightsFacts(Stored):
     """Weights that were used.
 
     Attributes:
@@ -109,7 +105,7 @@ class WeightsFacts(_Row):
     content: str
 
 
-class GroupSummary(_Row):
+class GroupSummary(Stored):
     """Numbers of a group of subjects.
 
     Attributes:
@@ -125,7 +121,7 @@ class GroupSummary(_Row):
     imaging: RateRow
 
 
-class SceneSummary(_Row):
+class SceneSummary(Stored):
     """Numbers of one scene; ``None`` where it has no subject, or none that appears twice."""
 
     consistency: float | None
@@ -133,7 +129,7 @@ class SceneSummary(_Row):
     frames_imaging: float | None
 
 
-class QualitySummary(_Row):
+class QualitySummary(Stored):
     """Numbers of a split.
 
     Attributes:
@@ -149,7 +145,7 @@ class QualitySummary(_Row):
     scenes: dict[str, SceneSummary]
 
 
-class QualityFacts(_Row):
+class QualityFacts(Stored):
     """``quality.json``.
 
     Attributes:

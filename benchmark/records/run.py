@@ -11,9 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from pydantic import ValidationError
+from typing import Any, TypeVar
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
@@ -33,9 +31,10 @@ from benchmark.records.run_schema import (
     RunFacts,
     SampleRow,
     SceneFacts,
+    Stored,
     Summary,
 )
-from benchmark.records.store import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_files, replace_files
+from benchmark.records.store import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_each, read_files, replace_files, validated
 
 __all__ = [
     "CAUSES",
@@ -60,6 +59,8 @@ __all__ = [
     "summarise",
     "write_record",
 ]
+
+_Read = TypeVar("_Read", bound=Stored)
 
 NATIVE = "native"
 """What the planner's own protocol is called where a protocol is asked for."""
@@ -297,17 +298,18 @@ def load_record(directory: Path) -> RunRecord:
     Raises:
         InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
     """
+
+    def read(model: type[_Read], file: str, stored: Any) -> _Read:
+        return validated(
+            model.model_validate,
+            stored,
+            lambda where, why: f"{directory / file} is not that of a valid run record: {where}: {why}",
+        )
+
     raw_run, raw_rows, raw_summary = read_files(directory)
-    try:
-        run = RunFacts.model_validate(raw_run)
-        rows = tuple(SampleRow.model_validate(row) for row in raw_rows)
-        summary = Summary.model_validate(raw_summary)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        file = {SampleRow.__name__: ROWS_FILE, Summary.__name__: SUMMARY_FILE}.get(error.title, RUN_FILE)
-        raise InputError(f"{directory / file} is not that of a valid run record: {place}: {first['msg']}") from error
-    return RunRecord(directory, run, rows, summary)
+    run = read(RunFacts, RUN_FILE, raw_run)
+    rows = tuple(read(SampleRow, ROWS_FILE, row) for row in raw_rows)
+    return RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
 
 
 def find_records(root: Path) -> list[RunRecord]:
@@ -326,10 +328,5 @@ def find_records(root: Path) -> list[RunRecord]:
         raise InputError(
             f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
         )
-    found = []
-    for path in sorted(root.rglob(RUN_FILE)):
-        try:
-            found.append(load_record(path.parent))
-        except InputError as damage:
-            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
-    return found
+    places = (path.parent for path in sorted(root.rglob(RUN_FILE)))
+    return read_each(places, load_record, instead=" to do without this record")

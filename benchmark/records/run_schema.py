@@ -10,11 +10,13 @@ SCHEMA = 2
 Waypoints = list[list[float]]
 
 
-class _Row(BaseModel):
+class Stored(BaseModel):
+    """What files of ours hold: nothing unknown, every number finite."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class PlannerFacts(_Row):
+class PlannerFacts(Stored):
     """Which planner ran.
 
     Attributes:
@@ -40,7 +42,7 @@ class PlannerFacts(_Row):
     miniature: bool = False
 
 
-class SceneFacts(_Row):
+class SceneFacts(Stored):
     """What the data set says of a scene beside its samples.
 
     Attributes:
@@ -52,7 +54,7 @@ class SceneFacts(_Row):
     manoeuvre: str | None = None
 
 
-class DataFacts(_Row):
+class DataFacts(Stored):
     """Which data set: its name and the hash of its content."""
 
     name: str
@@ -60,7 +62,7 @@ class DataFacts(_Row):
     fingerprint: str
 
 
-class RunFacts(_Row):
+class RunFacts(Stored):
     """``run.json``.
 
     Attributes:
@@ -93,7 +95,7 @@ class RunFacts(_Row):
     files: dict[str, str]
 
 
-class ForecastRow(_Row):
+class ForecastRow(Stored):
     """A planner's expectation of the others, as it gave it."""
 
     boxes: list[list[float]]
@@ -101,7 +103,7 @@ class ForecastRow(_Row):
     scores: list[list[float]]
 
 
-class PlanRow(_Row):
+class PlanRow(Stored):
     """A plan as the planner gave it, in its own frame."""
 
     frame: Literal["lidar", "ego"]
@@ -111,7 +113,7 @@ class PlanRow(_Row):
     forecasts: ForecastRow | None = None
 
 
-class OutcomeRow(_Row):
+class OutcomeRow(Stored):
     """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`)."""
 
     collision: list[bool]
@@ -126,7 +128,7 @@ CAUSES: Final[tuple[Cause, ...]] = get_args(Cause)
 """Verdicts of a diagnosis."""
 
 
-class DiagnosisRow(_Row):
+class DiagnosisRow(Stored):
     """Why a colliding plan collides (`benchmark.metrics.diagnosis`).
 
     Attributes:
@@ -142,7 +144,7 @@ class DiagnosisRow(_Row):
     first_contact_s: float
 
 
-class SampleRow(_Row):
+class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
     Attributes:
@@ -181,7 +183,7 @@ class SampleRow(_Row):
     disagreements: dict[str, str] = Field(default_factory=dict)
 
 
-class RateRow(_Row):
+class RateRow(Stored):
     """A rate with its counts and its 95 % interval over scenes (`benchmark.metrics.rates.Rate`)."""
 
     value: float | None
@@ -191,7 +193,7 @@ class RateRow(_Row):
     high: float | None
 
 
-class ProtocolSummary(_Row):
+class ProtocolSummary(Stored):
     """What one protocol says about a run.
 
     Attributes:
@@ -214,7 +216,7 @@ class ProtocolSummary(_Row):
     mask_removed_steps: int | None = None
 
 
-class Summary(_Row):
+class Summary(Stored):
     """``summary.json``: derived from the rows alone."""
 
     schema_version: int = Field(alias="schema")

@@ -4,18 +4,19 @@
 `Sheet`), pictures below ``cameras/`` and, where the search kept its rounds, ``rounds.json`` (a `RefinementTrace`).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, file_sha256, read_json
 from benchmark.records.attempts import Attempt
-from benchmark.records.run_schema import DataFacts
+from benchmark.records.run_schema import DataFacts, Stored
 from benchmark.records.statistics import Runtime, SplitStatistics
+from benchmark.records.store import validated
 
 SCHEMA: Final = 1
 SHEET_FILE, ROUNDS_FILE, SPLIT_FILE = "sheet.json", "rounds.json", "split.json"
@@ -35,11 +36,7 @@ Polygon = tuple[Ring, ...]
 Segment = tuple[float, float, float, float]
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class SheetEgo(_Stored):
+class SheetEgo(Stored):
     """Recorded motion of the ego's rear axle, one value a frame.
 
     Attributes:
@@ -59,7 +56,7 @@ class SheetEgo(_Stored):
     centre_ahead_m: float
 
 
-class SheetAgent(_Stored):
+class SheetAgent(Stored):
     """One annotated object.
 
     Attributes:
@@ -83,14 +80,14 @@ class SheetAgent(_Stored):
     yaw_rad: tuple[float | None, ...]
 
 
-class SheetLine(_Stored):
+class SheetLine(Stored):
     """A divider; ``paint`` is a `benchmark.road_map.DividerKind`."""
 
     points: Ring
     paint: str
 
 
-class SheetMap(_Stored):
+class SheetMap(Stored):
     """The road around the ego's way."""
 
     drivable: tuple[Polygon, ...] = ()
@@ -100,7 +97,7 @@ class SheetMap(_Stored):
     dividers: tuple[SheetLine, ...] = ()
 
 
-class SheetCamera(_Stored):
+class SheetCamera(Stored):
     """Where one camera stands in the pictures, pixels of the picture.
 
     Attributes:
@@ -118,7 +115,7 @@ class SheetCamera(_Stored):
     height: int
 
 
-class Sheet(_Stored):
+class Sheet(Stored):
     """What is shown of one scene.
 
     Attributes:
@@ -169,7 +166,7 @@ class Sheet(_Stored):
         return next((name for name in named if isinstance(name, str)), None)
 
 
-class TraceRound(_Stored):
+class TraceRound(Stored):
     """One round of refinement.
 
     Attributes:
@@ -183,7 +180,7 @@ class TraceRound(_Stored):
     collision_free: int
 
 
-class TraceFrame(_Stored):
+class TraceFrame(Stored):
     """One planning frame: its rounds, and which candidate of which round was executed."""
 
     frame: int
@@ -192,7 +189,7 @@ class TraceFrame(_Stored):
     chosen: int
 
 
-class RefinementTrace(_Stored):
+class RefinementTrace(Stored):
     """``rounds.json``: the search for one adversary.
 
     Attributes:
@@ -212,7 +209,7 @@ class RefinementTrace(_Stored):
     frames: tuple[TraceFrame, ...]
 
 
-class AttemptFacts(_Stored):
+class AttemptFacts(Stored):
     """One vehicle that the search tried.
 
     Attributes:
@@ -241,7 +238,7 @@ class AttemptFacts(_Stored):
         )
 
 
-class SplitSheet(_Stored):
+class SplitSheet(Stored):
     """What is shown of one split.
 
     Attributes:
@@ -334,7 +331,8 @@ def find_sheets(root: Path) -> Sheets:
         InputError: If one is damaged, of another version, or a picture is missing or not the one that was written.
     """
     splits = [_read(path, SplitSheet) for path in sorted(root.glob(f"*/*/{SPLIT_FILE}"))]
-    scenes = sorted(_stored_sheets(root), key=lambda found: found.sheet.scene)
+    paths = sorted(root.glob(f"*/*/{SCENES_FOLDER}/*/{SHEET_FILE}"))
+    scenes = sorted((read_sheet(path.parent) for path in paths), key=lambda found: found.sheet.scene)
     return Sheets(
         {(found.data.name, found.split): found for found in splits},
         {(each.sheet.data.name, each.sheet.split, each.sheet.scene): each for each in scenes},
@@ -364,20 +362,10 @@ def read_sheet(directory: Path) -> StoredSheet:
     return StoredSheet(directory, sheet, _read(rounds, RefinementTrace) if rounds.is_file() else None)
 
 
-def _stored_sheets(root: Path) -> Iterator[StoredSheet]:
-    for path in sorted(root.glob(f"*/*/{SCENES_FOLDER}/*/{SHEET_FILE}")):
-        yield read_sheet(path.parent)
-
-
 def _read(path: Path, model: type[_Read]) -> _Read:
     again = f"run challenger-bench sheets again or delete {path.parent}"
     content = read_json(path)
     version = content.get("schema") if isinstance(content, dict) else None
     if version != SCHEMA:
         raise InputError(f"{path} has schema {version!r}, this version reads {SCHEMA}; {again}")
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path} is damaged at {where}: {first['msg']}; {again}") from error
+    return validated(model.model_validate, content, lambda where, why: f"{path} is damaged at {where}: {why}; {again}")

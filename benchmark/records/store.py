@@ -1,13 +1,15 @@
-"""The three files of a run record: replaced together or not at all, and read in any schema there ever was.
+"""How records are read, and the three files of a run record: replaced together or not at all, read in any schema.
 
 New files are first written under pending names, ``run.json`` last; from then on the record is decided and the three are
 renamed, ``run.json`` last again. A command that is killed before leaves the old record as it was; one that is killed
 between the renames leaves a pending ``run.json``, and `settle` finishes the renames.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import (
@@ -27,6 +29,54 @@ _HASHED = (ROWS_FILE, SUMMARY_FILE)
 
 RecordFiles = tuple[dict[str, Any], list[Any], dict[str, Any]]
 """Contents of ``run.json``, ``samples.jsonl`` and ``summary.json``."""
+
+
+Value = TypeVar("Value")
+Record = TypeVar("Record")
+
+
+def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[[str, str], str]) -> Value:
+    """What a file says, checked at the edge.
+
+    Args:
+        validate: Checks it, for example the ``model_validate`` of a model.
+        stored: What was read.
+        sentence: What to tell the user, given the place of the first fault (empty for the whole) and what is wrong.
+
+    Returns:
+        The checked value.
+
+    Raises:
+        InputError: If it is not as it must be.
+    """
+    try:
+        return validate(stored)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(sentence(".".join(map(str, first["loc"])), first["msg"])) from error
+
+
+def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:
+    """Read every record that was found.
+
+    Args:
+        places: Where they are.
+        read: Reads one.
+        instead: What a user gets by taking a damaged one away.
+
+    Returns:
+        Records in the order of the places.
+
+    Raises:
+        InputError: If one of them is damaged.
+    """
+    found = []
+    for place in places:
+        try:
+            found.append(read(place))
+        except InputError as damage:
+            raise InputError(f"{damage}; or delete or move {place}{instead}") from damage
+    return found
 
 
 def pending(directory: Path, name: str) -> Path:

@@ -11,18 +11,18 @@ Two measures, because a package of strangers may do anything when it is imported
 * of this project, whose modules do nothing when they are imported, only the definitions that are reached count.
 
 What a name stands for counts, not how it is imported: a name from the public face of a package leads to the module that
-defines it, also where a module-level ``__getattr__`` looks it up in a table (`SourceFile.offered`). Text that names a
-module (``"package.module"``, ``"package.module:name"``) is followed like an import; ``"package."``, of which a name is
-made, leads to all modules of the package. A class that is found through nothing of this is given by hand: the function
-that made the planner (``made_by``), the classes of its parts.
+defines it, also where a module-level ``__getattr__`` looks it up. Text that names a module (``"package.module"``,
+``"package.module:name"``) is followed like an import; ``"package."``, of which a name is made, leads to all modules of
+the package. A class that is found through nothing of this is given by hand: the function that made the planner
+(``made_by``), the classes of its parts.
 
-`outside_identity` and `one_entry_counts` mark, where a thing is defined, what is not followed.
+`outside_identity` marks, where a thing is defined, what is not followed.
 """
 
 import importlib
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final, TypeVar
@@ -36,7 +36,6 @@ _REFERENCE: Final = re.compile(r"\.*[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(:[A-Za-z_][\w.
 _PREFIX: Final = re.compile(r"([A-Za-z_]\w*(\.[A-Za-z_]\w*)*)\.")
 _LISTS_MODULES: Final = frozenset({"iter_modules", "walk_packages"})
 Anything = TypeVar("Anything")
-Value = TypeVar("Value")
 
 
 def outside_identity(definition: Anything) -> Anything:
@@ -53,19 +52,6 @@ def outside_identity(definition: Anything) -> Anything:
     return definition
 
 
-def one_entry_counts(table: Mapping[str, Value], *, counted: tuple[str, ...] = ()) -> Mapping[str, Value]:
-    """Mark a table of planners by name: of one who looks a planner up, only that planner's own entry counts.
-
-    Args:
-        table: Written out as a dict; an entry that comes from ``**`` counts for all.
-        counted: Of entries that are calls, only arguments of these keywords (and those without) count; all by default.
-
-    Returns:
-        The table.
-    """
-    return table
-
-
 @dataclass(frozen=True, slots=True, order=True)
 class Definition:
     """A top-level name of a module.
@@ -79,38 +65,34 @@ class Definition:
     name: str
 
 
-def code_sha256(
-    planner_class: type, *, made_by: str | None = None, name: str | None = None, parts: frozenset[type] = frozenset()
-) -> str | None:
+def code_sha256(planner_class: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()) -> str | None:
     """Hash of the code that a planner's plans depend on, so that changed code is never taken for done work.
 
     Args:
         planner_class: Its class.
         made_by: The function or class that made it, as ``package.module:name``.
-        name: Its own entry in tables of planners.
         parts: Classes of what it was given, such as its network.
 
     Returns:
         The hash; ``None`` if the class has no source file.
     """
-    return _identity(planner_class, made_by, name, parts)[0]
+    return _identity(planner_class, made_by, parts)[0]
 
 
 def dependencies_of(
-    planner_class: type, *, made_by: str | None = None, name: str | None = None, parts: frozenset[type] = frozenset()
+    planner_class: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()
 ) -> tuple[Definition, ...]:
     """What `code_sha256` is the hash of.
 
     Args:
-        planner_class: See `code_sha256`.
-        made_by: See `code_sha256`.
-        name: See `code_sha256`.
-        parts: See `code_sha256`.
+        planner_class: A planner's class.
+        made_by: The function or class that made it, as ``package.module:name``.
+        parts: Classes of what it was given, such as its network.
 
     Returns:
         All definitions, by module and name.
     """
-    return _identity(planner_class, made_by, name, parts)[1]
+    return _identity(planner_class, made_by, parts)[1]
 
 
 def parts_of(planner: Any) -> frozenset[type]:
@@ -130,7 +112,7 @@ def parts_of(planner: Any) -> frozenset[type]:
 
 @cache
 def _identity(
-    planner_class: type, made_by: str | None, name: str | None, parts: frozenset[type]
+    planner_class: type, made_by: str | None, parts: frozenset[type]
 ) -> tuple[str | None, tuple[Definition, ...]]:
     file = source_of(planner_class)
     if file is None:
@@ -138,7 +120,7 @@ def _identity(
     files = ModuleFiles(planner_class.__module__, file)
     given = [each for each in (*planner_class.__mro__[1:], *parts) if files.follows(each.__module__) or is_local(each)]
     files.followed |= {top_package(each.__module__) for each in given}
-    reach = _Reach(files, frozenset() if name is None else frozenset({name}))
+    reach = _Reach(files)
     contract = PrivilegedPlanner if hasattr(planner_class, "reveal") else Planner
     for each in (planner_class, contract, *given):
         reach.start(each.__module__, each.__qualname__)
@@ -155,13 +137,11 @@ class _Reach:
 
     Args:
         files: Of the modules.
-        entries: The planner's own entries in tables.
     """
 
-    def __init__(self, files: ModuleFiles, entries: frozenset[str]) -> None:
+    def __init__(self, files: ModuleFiles) -> None:
         self.found: set[Definition] = set()
         self._files = files
-        self._entries = entries
         self._waiting: list[Definition] = []
 
     def start(self, module: str, qualname: str) -> None:
@@ -179,7 +159,7 @@ class _Reach:
     def _entry(self, found: Definition) -> list[Any]:
         source = self._source(found.module)
         stand_for = set()
-        for used in source.read(found.name, self._entries).uses:
+        for used in source.read(found.name).uses:
             for each in self._meant(source, found, used):
                 said = each if isinstance(each, str) else f"{each.name} {self._text(each)}"
                 stand_for.add((used[0], said))
@@ -189,7 +169,7 @@ class _Reach:
         source = self._source(found.module)
         if found.name in source.outside:
             return ""
-        reading = source.read(found.name, self._entries)
+        reading = source.read(found.name)
         return reading.sha256 if reading.text else ""
 
     def _source(self, module: str) -> SourceFile:
@@ -216,7 +196,7 @@ class _Reach:
 
     def _expand(self, found: Definition) -> None:
         source = self._source(found.module)
-        reading = source.read(found.name, self._entries)
+        reading = source.read(found.name)
         if top_package(found.module) not in OURS:
             self._reach_module(found.module)
         else:
@@ -237,7 +217,7 @@ class _Reach:
         name, rest = used[0], used[1:]
         if name in source.definitions and name != ON_IMPORT:
             yield Definition(found.module, name)
-        own = source.read(found.name, self._entries).imports.get(name, set())
+        own = source.read(found.name).imports.get(name, set())
         for each in own | source.imports.get(name, set()):
             yield from self._imported(each, rest)
 
@@ -265,9 +245,7 @@ class _Reach:
                 yield from self._imported(each, rest, seen | {(module, name)})
         elif self._files.exists(f"{module}.{name}"):
             yield from self._defined(f"{module}.{name}", rest, seen)
-        elif source is not None and name in source.offered:
-            yield from self._imported(source.offered[name], rest, seen | {(module, name)})
-        elif source is not None and "__getattr__" in source.definitions and (owner := _owner(module, name)):
+        elif source is not None and "__getattr__" in source.definitions and (owner := self._owner(module, name)):
             yield from self._defined(owner, path, seen | {(module, name)})
         else:
             yield from self._whole(module)
@@ -285,11 +263,17 @@ class _Reach:
                 path = [*parts[known[0] :], *filter(None, attribute.split("."))]
                 yield from self._defined(".".join(parts[: known[0]]), tuple(path))
 
-
-def _owner(module: str, name: str) -> str | None:
-    """The module that defines what a module-level ``__getattr__`` hands on without a table."""
-    try:
-        owner = getattr(getattr(importlib.import_module(module), name), "__module__", None)
-    except Exception:
-        return None
-    return owner if isinstance(owner, str) and owner != module else None
+    def _owner(self, module: str, name: str) -> str | None:
+        """The module that defines what a module-level ``__getattr__`` hands on; a constant does not say so itself."""
+        try:
+            value = getattr(importlib.import_module(module), name)
+        except Exception:
+            return None
+        owner = getattr(value, "__module__", None)
+        if not isinstance(owner, str):
+            loaded = sorted(
+                each for each, found in sys.modules.items() if getattr(found, "__dict__", {}).get(name) is value
+            )
+            sources = ((each, self._files.source(each)) for each in loaded)
+            owner = next((each for each, source in sources if source is not None and name in source.definitions), None)
+        return owner if owner != module else None

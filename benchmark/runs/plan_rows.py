@@ -99,7 +99,7 @@ def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
         name=planner.name,
         privileged=isinstance(planner, PrivilegedPlanner),
         weights_sha256=getattr(planner, "weights_sha256", None),
-        code_sha256=code_sha256(type(planner), made_by=made_by, name=planner.name, parts=parts_of(planner)),
+        code_sha256=code_sha256(type(planner), made_by=made_by, parts=parts_of(planner)),
         settings=settings,
         seed=int(getattr(planner, "seed", 0)),
         native_protocol=known_native(getattr(planner, "native_protocol", None), f"planner {planner.name!r}"),

@@ -20,7 +20,6 @@ _DEFINING = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 _SAYS_NOTHING: Final = frozenset({"ctx", "type_comment", "kind"})
 _OUTSIDE: Final = "outside_identity"
-_TABLE: Final = "one_entry_counts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +70,14 @@ class SourceFile:
         package: Which the module is in, or is.
         definitions: Statements by the name they define; those that define none under `ON_IMPORT`.
         outside: Definitions that are marked with `outside_identity`.
-        tables: Definitions that are marked with `one_entry_counts`.
         imports: What import statements outside definitions make of names.
         modules: Modules that importing this one imports.
-        offered: Names that a module-level ``__getattr__`` hands on, by the tables that say from where: a name to
-            ``"module"``, ``"module:name"`` or ``("module", "name")``, or a module to a list of names.
     """
 
     def __init__(self, path: Path, module: str) -> None:
         self.package = module if path.name == "__init__.py" else module.rpartition(".")[0]
         self.definitions: defaultdict[str, list[ast.stmt]] = defaultdict(list)
-        self.offered: dict[str, Import] = {}
-        self._readings: dict[tuple[str, frozenset[str]], Reading] = {}
+        self._readings: dict[str, Reading] = {}
         content = path.read_bytes()
         try:
             with warnings.catch_warnings():
@@ -98,35 +93,26 @@ class SourceFile:
                 self.definitions[name].append(statement)
             if not names:
                 on_import.append(statement)
-        if "__getattr__" in self.definitions:
-            self.offered = dict(_offered(tree, self.package))
         for statement in on_import:
             for name in sorted(set(_bound_within(statement))):
                 self.definitions[name].append(statement)
         self.definitions[ON_IMPORT] = on_import
-        self.outside, self.tables = self._all_marked(_OUTSIDE), self._all_marked(_TABLE)
+        self.outside = frozenset(name for name, said in self.definitions.items() if any(map(_is_outside, said)))
         first = self.read(ON_IMPORT)
         self.imports, self.modules = first.imports, first.modules
 
-    def read(self, name: str, entries: frozenset[str] = frozenset()) -> Reading:
+    def read(self, name: str) -> Reading:
         """What a definition says.
 
         Args:
             name: Of the definition.
-            entries: Entries that count where it is a table of which only one does; all if it has none of these.
 
         Returns:
             Its statements in order, read once.
         """
-        key = (name, entries if name in self.tables else frozenset())
-        if key not in self._readings:
-            reader = _Reader(self.package, entries)
-            reader.statements(self.definitions[name])
-            self._readings[key] = reader.done()
-        return self._readings[key]
-
-    def _all_marked(self, marker: str) -> frozenset[str]:
-        return frozenset(name for name, said in self.definitions.items() if any(_marked(each, marker) for each in said))
+        if name not in self._readings:
+            self._readings[name] = _Reader(self.package).reading(self.definitions[name])
+        return self._readings[name]
 
 
 def source_file(path: Path, module: str) -> SourceFile | None:
@@ -154,21 +140,16 @@ def _read(path: Path, module: str, changed_ns: int, size: int) -> SourceFile:
 class _Reader:
     """Writes statements down and notes the names that they use."""
 
-    def __init__(self, package: str, entries: frozenset[str]) -> None:
+    def __init__(self, package: str) -> None:
         self._package = package
-        self._entries = entries
         self._parts: list[str] = []
         self._found = Reading()
 
-    def done(self) -> Reading:
-        """What was found."""
+    def reading(self, body: Iterable[ast.AST]) -> Reading:
+        """What some statements say, one after the other."""
+        self._value(list(body))
         self._found.text = " ".join(self._parts)
         return self._found
-
-    def statements(self, body: Iterable[ast.AST]) -> None:
-        """Read one after the other."""
-        for statement in body:
-            self._node(statement)
 
     def _node(self, node: ast.AST) -> None:
         if isinstance(node, ast.Import | ast.ImportFrom):
@@ -177,12 +158,10 @@ class _Reader:
             # Docstrings, and what stands where there is nothing to say.
             return
         elif isinstance(node, ast.If) and _never_runs(node.test):
-            self.statements(node.orelse)
+            self._value(node.orelse)
         elif isinstance(node, ast.Attribute) and (chain := _chain(node)):
             self._found.uses.add(chain)
             self._parts.append(".".join(chain))
-        elif isinstance(node, ast.Call) and _last_name(node.func) == _TABLE and node.args:
-            self._table(node)
         else:
             self._fields(node)
 
@@ -210,29 +189,6 @@ class _Reader:
                 self._value(each)
         else:
             self._parts.append(repr(value))
-
-    def _table(self, call: ast.Call) -> None:
-        """Only the planner's own entry, and of that only what the table says that plans depend on."""
-        table = call.args[0]
-        counted = next((_words(keyword.value) for keyword in call.keywords if keyword.arg == "counted"), frozenset())
-        if not isinstance(table, ast.Dict):
-            self._fields(call)
-            return
-        keys = [key.value if isinstance(key, ast.Constant) else None for key in table.keys]
-        own = self._entries.intersection(key for key in keys if isinstance(key, str)) or None
-        for key, value in zip(keys, table.values):
-            # An entry whose name cannot be read may be anybody's.
-            if own is None or key is None or key in own:
-                self._parts.append(repr(key))
-                self._entry(value, counted)
-
-    def _entry(self, value: ast.expr, counted: frozenset[str]) -> None:
-        if not counted or not isinstance(value, ast.Call):
-            self._node(value)
-            return
-        self._node(value.func)
-        self.statements(value.args)
-        self.statements(each for each in value.keywords if each.arg is None or each.arg in counted)
 
     def _import(self, node: ast.Import | ast.ImportFrom) -> None:
         found = self._found
@@ -334,35 +290,8 @@ def _last_name(node: ast.expr) -> str | None:
     return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else None
 
 
-def _marked(statement: ast.stmt, marker: str) -> bool:
+def _is_outside(statement: ast.stmt) -> bool:
     if isinstance(statement, _DEFINING):
-        return any(_last_name(each) == marker for each in statement.decorator_list)
+        return any(_last_name(each) == _OUTSIDE for each in statement.decorator_list)
     value = getattr(statement, "value", None)
-    return isinstance(value, ast.Call) and _last_name(value.func) == marker
-
-
-def _words(node: ast.expr) -> frozenset[str]:
-    constants = [each.value for each in ast.walk(node) if isinstance(each, ast.Constant)]
-    return frozenset(value for value in constants if isinstance(value, str))
-
-
-def _offered(tree: ast.Module, package: str) -> Iterator[tuple[str, Import]]:
-    for table in (node for node in ast.walk(tree) if isinstance(node, ast.Dict)):
-        for key, value in zip(table.keys, table.values):
-            if not (isinstance(key, ast.Constant) and isinstance(key.value, str)):
-                continue
-            words = [each.value for each in getattr(value, "elts", [value]) if isinstance(each, ast.Constant)]
-            if not words or not all(isinstance(word, str) for word in words):
-                continue
-            yield from _rows(key.value, [str(word) for word in words], value, package)
-
-
-def _rows(key: str, words: list[str], value: ast.expr, package: str) -> Iterator[tuple[str, Import]]:
-    if isinstance(value, ast.Constant):
-        module, _, name = words[0].partition(":")
-        yield key, Import(absolute_name(module, package), name or key)
-    elif isinstance(value, ast.Tuple) and len(words) == 2 and key.isidentifier() and "." in words[0]:
-        yield key, Import(absolute_name(words[0], package), words[1])
-    else:
-        for word in words:
-            yield word, Import(absolute_name(key, package), word)
+    return isinstance(value, ast.Call) and _last_name(value.func) == _OUTSIDE

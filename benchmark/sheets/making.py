@@ -23,6 +23,7 @@ from benchmark.records.scenes import (
     read_sheet,
     scene_folder,
 )
+from benchmark.records.store import validated
 from benchmark.scene import Scene
 from benchmark.sheets.motion import agents_of, ego_of, origin_of
 from benchmark.sheets.pictures import (
@@ -104,14 +105,12 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
     """
     made = data.provenance()
     report = made["scenes"].get(name, {}).get("report") if made else None
-    try:
-        sheet = sheet_to_draw(data.scene(name))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise InputError(
-            f"{data.root}: scene {name} cannot be shown, its {where} is not sound ({first['msg']}); correct the tables"
-        ) from error
+    scene = f"{data.root}: scene {name}"
+    sheet = validated(
+        sheet_to_draw,
+        data.scene(name),
+        lambda where, why: f"{scene} cannot be shown, its {where} is not sound ({why}); correct the tables",
+    )
     return sheet.model_copy(
         update={
             "data": facts,

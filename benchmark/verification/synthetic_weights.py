@@ -13,10 +13,11 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
+from benchmark.records.store import validated
 
 _Value = TypeVar("_Value")
 _Recipe = TypeVar("_Recipe", bound="WeightsRecipe")
@@ -95,12 +96,11 @@ def read_recipe(path: Path, kind: type[_Recipe], lacks: str = "does not say how 
     Raises:
         InputError: If the file is absent, broken or no such manifest.
     """
-    try:
-        return kind.model_validate(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} {lacks}: {place}: {first['msg']}") from error
+    return validated(
+        kind.model_validate,
+        read_json(path),
+        lambda where, why: f"{path} {lacks}: {where or 'the whole file'}: {why}",
+    )
 
 
 def read_shapes(path: Path) -> dict[str, tuple[int, ...]]:

@@ -8,9 +8,7 @@ import numpy as np
 
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import CollisionProtocol
-from benchmark.protocols import uniad as uniad_raster
-from benchmark.protocols import vad as vad_raster
-from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, ego_cells, full_rasters, truncated
+from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, full_rasters
 from benchmark.protocols.stacked import stack
 from benchmark.truth import SampleTruth
 
@@ -62,21 +60,15 @@ def raster_view(definition: CollisionProtocol, truth: SampleTruth, waypoint: Flo
     Returns:
         The cells, or ``None`` for a protocol without a raster.
     """
+    if not isinstance(definition, RasterProtocol):
+        return None
     stacked = stack([truth])
     counted = np.flatnonzero(definition.counted_objects(stacked)[:, step])
-    cells = ego_cells(waypoint)
-    if isinstance(definition, uniad_raster.UniAD):
-        polygons, flipped = uniad_raster.polygons(stacked.boxes[counted, step + 1]), False
-    elif isinstance(definition, vad_raster.VAD):
-        cells[:, 0] = CELLS - cells[:, 0]
-        boxes = vad_raster.followed_boxes(stacked, counted, np.full(len(counted), step))
-        polygons, flipped = vad_raster.polygons(boxes), True
-    else:
-        return None
+    polygons = definition.drawn_polygons(definition.drawn_boxes(stacked, counted, np.full(len(counted), step)))
     occupied = full_rasters(polygons, np.zeros(len(counted), np.int64), 1)[0] > 0
-    ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), truncated(cells)
+    ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), definition.ego_block(waypoint)
     ego[at[:, 0], at[:, 1]] = True
-    if flipped:
+    if definition.first_row_ahead:
         return RasterView(occupied[::-1], ego[::-1], (-EXTENT_M, EXTENT_M - CELL_M * (CELLS - 1)))
     return RasterView(occupied, ego, (-EXTENT_M, -EXTENT_M))
 

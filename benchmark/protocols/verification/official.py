@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols import PROTOCOLS, Outcomes, raster, uniad, vad
+from benchmark.protocols import PROTOCOLS, Outcomes, raster
 from benchmark.protocols.stacked import StackedTruths, stack
 from benchmark.protocols.verification.golden_set import GoldenScene
 from benchmark.verification.checks import Comparison
@@ -54,11 +54,11 @@ def drawn(name: str, truths: StackedTruths) -> NDArray[np.uint8]:
     Returns:
         (S, 6, 200, 200) ones where occupied.
     """
-    objects, steps = np.nonzero(PROTOCOLS[name].counted_objects(truths))
-    if name == "uniad":
-        polygons = uniad.polygons(truths.boxes[objects, steps + 1])
-    else:
-        polygons = vad.polygons(vad.followed_boxes(truths, objects, steps))
+    definition = PROTOCOLS[name]
+    if not isinstance(definition, raster.RasterProtocol):
+        raise ValueError(f"protocol {name} draws no raster")
+    objects, steps = np.nonzero(definition.counted_objects(truths))
+    polygons = definition.drawn_polygons(definition.drawn_boxes(truths, objects, steps))
     samples = len(truths.ego_future)
     grids = raster.full_rasters(polygons, truths.sample_of[objects] * PLAN_STEPS + steps, samples * PLAN_STEPS)
     return grids.reshape(samples, PLAN_STEPS, *grids.shape[1:])

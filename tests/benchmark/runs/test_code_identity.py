@@ -46,27 +46,6 @@ FILES = {
     "made_up/layers/gain.py": GAIN,
     "made_up/unrelated.py": "raise RuntimeError('nobody imports this')",
 }
-TABLE = """
-from benchmark.runs.code_identity import one_entry_counts
-from made_up import slow
-
-class Entry:
-    def __init__(self, build, shown=None):
-        self.build = build
-
-def fast(): return 1
-def shown(): return "fast"
-
-MODELS = one_entry_counts({"fast": Entry(build=fast, shown=shown), "slow": Entry(build=slow.make)}, counted=("build",))
-"""
-LOOKS_UP = """
-class Planner:
-    def reset(self, scene): ...
-    def plan(self, observation):
-        from made_up.table import MODELS
-        return MODELS["fast"].build()
-"""
-
 Identify = Callable[..., str | None]
 
 
@@ -267,21 +246,14 @@ def test_the_face_of_this_project_leads_to_what_it_names(load: Callable[..., Mod
     assert not any(each.module.startswith("benchmark.datasets") for each in found)
 
 
-def test_of_a_table_only_the_own_entry_counts_and_of_that_what_is_said_to(identity: Identify, ours: None) -> None:
-    files = {
-        "made_up/__init__.py": "",
-        "made_up/planner.py": LOOKS_UP,
-        "made_up/table.py": TABLE,
-        "made_up/slow.py": "def make(): return 2",
-    }
-    before = identity(files, name="fast")
-    assert identity(changed("made_up/slow.py", "2", "3", files), name="fast") == before
-    another = changed("made_up/table.py", '"fast": E', '"new": Entry(build=slow), "fast": E', files)
-    assert identity(another, name="fast") == before
-    assert identity(changed("made_up/table.py", 'return "fast"', 'return "quick"', files), name="fast") == before
-    assert identity(changed("made_up/table.py", "return 1", "return 3", files), name="fast") != before
-    everything = identity(files, name="unknown")
-    assert everything == identity(files) != identity(changed("made_up/slow.py", "2", "3", files))
+def test_a_constant_from_a_public_face_leads_to_the_module_that_defines_it(identity: Identify, ours: None) -> None:
+    lazy = "def __getattr__(name):\n    import importlib\n    return importlib.import_module('made_up.sizes').SIZES\n"
+    files = {**FILES, "made_up/__init__.py": lazy, "made_up/sizes.py": "SIZES = {'a': 1}\nOTHER = 2\n"}
+    files = changed("made_up/planner.py", "pass", "print(SIZES)", files)
+    files = changed("made_up/planner.py", "from made_up.net", "from made_up import SIZES\nfrom made_up.net", files)
+    before = identity(files)
+    assert before == identity(changed("made_up/sizes.py", "OTHER = 2", "OTHER = 3", files))
+    assert before != identity(changed("made_up/sizes.py", "'a': 1", "'a': 2", files))
 
 
 def test_what_is_marked_as_outside_is_not_followed(identity: Identify, ours: None) -> None:

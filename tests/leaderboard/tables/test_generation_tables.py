@@ -206,16 +206,6 @@ def test_a_study_is_known_by_its_content(tmp_path: Path) -> None:
     assert again.content_id == study().content_id != study(seed=1).content_id
 
 
-def test_studies_of_before_quote_the_paper_and_keep_their_identity(tmp_path: Path) -> None:
-    said = study().model_dump(mode="json", by_alias=True)
-    assert "paper_rate" not in said["rows"][0]
-    said["rows"] = [{**row, "paper_rate": 0.5} for row in said["rows"]]
-    write_json(tmp_path / "ablation.json", said)
-    (old,) = find_ablations(tmp_path)
-    assert old.model_dump(mode="json", by_alias=True) == said and old.content_id != study().content_id
-    assert row_of(named(ablation_tables([old]), "ablation-p"), "Challenger")["paper"] == "6.17"
-
-
 def test_the_leaderboard_has_them_in_every_form_with_and_without_runs(tmp_path: Path) -> None:
     sheets = workspace_sheets("../mine")
     files = leaderboard_files([], (), sheets, [study()])
