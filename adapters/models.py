@@ -137,7 +137,7 @@ class Model:
         """Its network as it is evaluated, with random weights.
 
         Args:
-            shapes: See `configuration`.
+            shapes: Of the tensors that the network is for, by name, where it depends on them.
             seed: Of the run.
             device: Where it is made; ``meta`` needs no memory.
 

@@ -64,12 +64,12 @@ def planner_factory(
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
     Args:
-        name: See `planner`.
-        checkpoint: See `planner`.
-        data: See `planner`; a planner that needs the data set itself cannot be rebuilt elsewhere.
-        seed: See `planner`.
-        device: See `planner`.
-        precision: See `planner`.
+        name: What `planner` takes, as all that follows.
+        checkpoint: Weights file, if not the planner's own.
+        data: The data set; a planner that needs the data set itself cannot be rebuilt elsewhere.
+        seed: Of whatever is drawn.
+        device: cpu, cuda, cuda:1.
+        precision: float32, bfloat16.
 
     Returns:
         The factory with the planner's identity.

@@ -92,7 +92,7 @@ def drive(path: Path, speed: float, obstacles: Obstacles, driver: DriverSettings
         path: The path.
         speed: Now, m/s.
         obstacles: Others along it.
-        driver: Its wishes and limits.
+        driver: Speeds, accelerations and distances that the driver keeps to.
 
     Returns:
         (6,) distance travelled at the plan's steps, metres.

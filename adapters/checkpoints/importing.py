@@ -111,7 +111,7 @@ def fetch_checkpoint(weights: PublishedWeights, cache: Path, *, normalisation: s
     Args:
         weights: Which one (`benchmark.weights.catalogue.checkpoint_of`).
         cache: Folder of weights.
-        normalisation: See `import_checkpoint`.
+        normalisation: Of the pixels, or ``None``: as the file or its publication says.
 
     Returns:
         The imported weights.

@@ -28,8 +28,8 @@ def planner_of(
         checkpoint: Its weights (`resolve_checkpoint`); without, those of this package for a miniature, and what has
             been imported for the others.
         seed: Of the noise, where there is some.
-        device: See `adapters.planner.NativePlanner`.
-        precision: See there.
+        device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
+        precision: ``bfloat16`` computes the matrix products in half the bytes.
 
     Returns:
         The planner.

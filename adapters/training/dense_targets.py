@@ -20,6 +20,8 @@ VEHICLES: Final = tuple(
 )
 CHANNELS: Final = 1 + len(MAP_CLASSES) + 2
 """Drivable; each kind of map element; vehicles; other agents."""
+DENSE_GAIN: Final = 4.0
+"""From a normalised channel of the view to a logit."""
 LINES_WITHIN_M: Final = (15.0, 30.0)
 """x and y up to which map elements are annotated."""
 
@@ -47,6 +49,25 @@ def dense_targets(frame: TrainingFrame, grid: BEVGrid) -> tuple[Tensor, Tensor]:
     known = torch.ones_like(targets, dtype=torch.bool)
     known[:, 1 : 1 + len(MAP_CLASSES)] = (centres.abs() < torch.tensor(LINES_WITHIN_M)).all(-1, keepdim=True)
     return targets, known
+
+
+def dense_loss(bev: Tensor, frame: TrainingFrame, grid: BEVGrid, weight: float) -> Tensor:
+    """Cross entropy of the first channels of a bird's-eye view; the mean over what is known.
+
+    Args:
+        bev: (cells, C).
+        frame: What is annotated.
+        grid: Of the view.
+        weight: What the loss counts.
+
+    Returns:
+        A scalar.
+    """
+    targets, known = dense_targets(frame, grid)
+    entropy = F.binary_cross_entropy_with_logits(DENSE_GAIN * bev[:, :CHANNELS], targets, reduction="none")
+    # Cells of lines and agents are few.
+    weights = known * (1 + 2 * targets)
+    return weight * (entropy * weights).sum() / weights.sum()
 
 
 def _near_lines(centres: Tensor, lines: Tensor, half_cell_m: Tensor) -> Tensor:

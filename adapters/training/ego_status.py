@@ -69,7 +69,7 @@ def train_ego_status(
         tracks: Folder of ``SOURCE.npz`` files in the neutral track format.
         out: Weights file to write; the measurements go beside it as JSON.
         seed: Seed of everything.
-        settings: See `TrainingSettings`.
+        settings: How long, how fast and from what it learns; the usual ones by default.
 
     Returns:
         For each held-out source its number of samples and the L2 at 1, 2 and 3 s, metres, of the network (``l2_1s``)

@@ -4,6 +4,7 @@ All are pure functions of one key frame (no batch). Losses are means that are ze
 is annotated.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -36,14 +37,16 @@ class Matches:
     wanted: Tensor
 
 
-def assigned(cost: Tensor) -> Matches:
-    """Pairs with the least sum of costs (Kuhn 1955).
+def assigned(cost: Tensor, queries: int | None = None, counts: Sequence[int] | None = None) -> Matches:
+    """Pairs with the least sum of costs (Kuhn 1955), within each key frame.
 
     Args:
         cost: (Q, G).
+        queries: Predictions of a key frame, where those of several lie one after the other; all by default.
+        counts: Annotations of each key frame; all of one by default.
 
     Returns:
-        min(Q, G) pairs.
+        The pairs; of one key frame min(Q, G).
 
     Raises:
         InputError: If a cost is not finite.
@@ -51,8 +54,12 @@ def assigned(cost: Tensor) -> Matches:
     matrix = cost.detach().float().cpu().numpy()
     if not np.isfinite(matrix).all():
         raise InputError("the network's predictions are no longer finite numbers; train with a lower learning rate")
-    queries, wanted = linear_sum_assignment(matrix)
-    return Matches(torch.from_numpy(queries).to(cost.device), torch.from_numpy(wanted).to(cost.device))
+    each, pairs, start = len(matrix) if queries is None else queries, [], 0
+    for frame, count in enumerate([matrix.shape[1]] if counts is None else counts):
+        block = matrix[frame * each : (frame + 1) * each, start : start + count]
+        pairs.append(np.array(linear_sum_assignment(block)) + [[frame * each], [start]])
+        start += count
+    return Matches(*torch.from_numpy(np.concatenate(pairs, 1)).to(cost.device))
 
 
 def class_cost(logits: Tensor, labels: Tensor) -> Tensor:

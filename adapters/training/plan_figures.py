@@ -56,7 +56,7 @@ class PlanFigures:
 def plan_figures(
     planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
 ) -> PlanFigures:
-    """The figures of plans alone; see `figures`, which has the same arguments."""
+    """The figures of plans alone; arguments and errors as of `figures`."""
     return figures(planner, data, scenes, images=images, every=every)[0]
 
 
@@ -103,7 +103,7 @@ def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> 
         data: Where the scenes are.
         scenes: All that are looked at.
         number: Place of the scene among them.
-        images: See `Images`.
+        images: Those of its own cameras, blank ones, or those of another scene.
 
     Yields:
         Observations in time order.

@@ -1,17 +1,23 @@
 """A golden set of a camera network: how its inputs are made, and what the official code made of them."""
 
 import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor
 
+from adapters.models import Model, resolve
 from benchmark.errors import InputError
+from benchmark.machine.devices import single_precision
 from benchmark.machine.storage import read_json
+from benchmark.verification.checks import Check, Comparison
+from benchmark.verification.filled_networks import fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, golden_directory
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_shapes, seeded_normal
 
@@ -20,6 +26,10 @@ COARSE = 32
 LARGEST_IMAGES = 2**27
 """Numbers in the images of one frame; more than that is a damaged manifest."""
 
+FRAMES: Final = 1000
+"""More of them are a damaged set."""
+
+T = TypeVar("T")
 Length = Annotated[int, Field(gt=0)]
 
 
@@ -76,7 +86,7 @@ class ParitySet:
     outputs: list[GoldenArrays]
 
     @classmethod
-    def read(cls, folder: Path) -> Self:
+    def read(cls, folder: Path) -> "ParitySet":
         """Read a set.
 
         Args:
@@ -89,28 +99,28 @@ class ParitySet:
         Raises:
             InputError: If anything in it is absent or damaged.
         """
-        golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
-        keys = folder / "keys.json" if (folder / "keys.json").is_file() else folder.parent / "keys.json"
-        if not keys.is_file():
-            raise InputError(f"the golden set {folder} has no keys.json in it or beside it; copy it there")
-        path = folder / "manifest.json"
-        try:
-            manifest = ParityManifest.model_validate(read_json(path))
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-            raise InputError(f"{path} does not describe a golden set: {place}: {first['msg']}") from error
-        count = 0
-        while (folder / f"outputs_frame{count}.npz").is_file():
-            count += 1
-        if len(manifest.scene_tokens) < count:
+        return read_sets(folder, lambda raw, _: [ParityManifest.model_validate(raw)])[0]
+
+    def camera_images(self, frame: int, cameras: int) -> Tensor:
+        """As `images`, for a network.
+
+        Args:
+            frame: From 0.
+            cameras: That the network has.
+
+        Returns:
+            (cameras, 3, H, W) float32.
+
+        Raises:
+            InputError: As `images`, and if the set's images are those of another network.
+        """
+        images = self.images(frame)
+        if images.shape[:2] != (cameras, 3):
             raise InputError(
-                f"{path} names the scenes of {len(manifest.scene_tokens)} frames and there are outputs of {count}; "
-                "fetch or make the set again"
+                f"{self.folder / 'manifest.json'} asks for images of shape {tuple(images.shape)}, and the network "
+                f"takes {cameras} cameras with 3 channels; pass the set of this model"
             )
-        outputs = [GoldenArrays.read(folder / f"outputs_frame{frame}.npz") for frame in range(count)]
-        inputs = GoldenArrays.read(folder / "inputs.npz")
-        return cls(folder, manifest, read_shapes(keys), inputs, outputs)
+        return images
 
     def images(self, frame: int) -> Tensor:
         """Synthetic images: noise per pixel on twice the noise of large squares.
@@ -136,11 +146,7 @@ class ParitySet:
         images = seeded_normal(f"input:image:frame{frame}", recipe.shape, salt) + 2 * squares
         images[:, :, recipe.valid_rows :] = 0
         single = images.astype(np.float32)
-        if len(recipe.sha256) > frame and hashlib.sha256(single.tobytes()).hexdigest() != recipe.sha256[frame]:
-            raise InputError(
-                f"the images of frame {frame} made here are not those whose SHA-256 is in {path}; fetch the set again"
-            )
-        return torch.from_numpy(single)
+        return recorded_images(single, recipe.sha256[frame] if len(recipe.sha256) > frame else None, frame, path)
 
     def stored(self, quantity: str) -> StoredTensor:
         """How a quantity is stored.
@@ -153,6 +159,60 @@ class ParitySet:
                 f"{self.folder / 'manifest.json'} does not say how {quantity} is stored; fetch or make the set again"
             )
         return self.manifest.tensors[quantity]
+
+
+def read_sets(folder: Path, manifests: Callable[[Any, int], Sequence[ParityManifest]]) -> list[ParitySet]:
+    """A golden set, seen with each of several manifests; outputs are those of all frames in each case.
+
+    Args:
+        folder: As for `ParitySet.read`.
+        manifests: Makes them of the raw manifest and the number of frames.
+
+    Returns:
+        A set for each manifest.
+
+    Raises:
+        InputError: If anything in it is absent or damaged.
+    """
+    golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
+    keys, path = keys_file(folder, "beside"), folder / "manifest.json"
+    count = next(n for n in range(1, FRAMES + 1) if n == FRAMES or not (folder / f"outputs_frame{n}.npz").is_file())
+    found = described(path, lambda raw: manifests(raw, count))
+    if len(found[0].scene_tokens) < count:
+        raise InputError(
+            f"{path} names the scenes of {len(found[0].scene_tokens)} frames and there are outputs of {count}; "
+            "fetch or make the set again"
+        )
+    outputs = [GoldenArrays.read(folder / f"outputs_frame{frame}.npz") for frame in range(count)]
+    inputs, shapes = GoldenArrays.read(folder / "inputs.npz"), read_shapes(keys)
+    return [ParitySet(folder, manifest, shapes, inputs, outputs) for manifest in found]
+
+
+def described(path: Path, parse: Callable[[Any], T]) -> T:
+    """What a JSON file of a golden set says; an `InputError` where it is not of the form that `parse` wants."""
+    try:
+        return parse(read_json(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        raise InputError(f"{path} does not describe a golden set: {place}: {first['msg']}") from error
+
+
+def keys_file(folder: Path, where: str) -> Path:
+    """Names and shapes of a network's tensors: in a set's folder or in the one above, which messages call `where`."""
+    keys = folder / "keys.json" if (folder / "keys.json").is_file() else folder.parent / "keys.json"
+    if not keys.is_file():
+        raise InputError(f"the golden set {folder} has no keys.json in it or {where} it; copy it there")
+    return keys
+
+
+def recorded_images(images: NDArray[np.float32], sha256: str | None, frame: int, path: Path) -> Tensor:
+    """Images as a tensor; an `InputError` if they are not those that a set was made with, where it says."""
+    if sha256 is not None and hashlib.sha256(images.tobytes()).hexdigest() != sha256:
+        raise InputError(
+            f"the images of frame {frame} made here are not those whose SHA-256 is in {path}; fetch the set again"
+        )
+    return torch.from_numpy(images)
 
 
 def set_folders(golden: Path) -> list[Path]:
@@ -168,3 +228,35 @@ def set_folders(golden: Path) -> list[Path]:
     if (golden / "manifest.json").exists() or not golden.is_dir():
         return [golden]
     return sorted(path.parent for path in golden.glob("*/manifest.json")) or [golden]
+
+
+def compare_sets(
+    model: Model,
+    golden: Path,
+    device: str,
+    read: Callable[[Path], list[ParitySet]],
+    compare: Callable[[Comparison, Any, list[ParitySet]], None],
+) -> list[Check]:
+    """Fill a network for each golden set and compare it; errors as of `adapters.verification.models.verify_model`.
+
+    Args:
+        model: Whose network.
+        golden: A set's folder, or a model's folder whose sets are all compared.
+        device: What the network runs on.
+        read: Reads a set.
+        compare: Compares a network, already filled, with what was read.
+
+    Returns:
+        One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
+    """
+    comparison = Comparison()
+    for folder in set_folders(golden):
+        sets = read(folder)
+        shapes, manifest = sets[0].shapes, sets[0].manifest
+        network = resolve(model.net.build)(model.configuration(shapes)).to(device)
+        if not same_names_and_shapes(comparison, network, shapes):
+            break
+        fill(comparison, network, manifest, shapes, manifest.weights_sha256, folder / "manifest.json")
+        with single_precision():
+            compare(comparison, network, sets)
+    return comparison.checks()

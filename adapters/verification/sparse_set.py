@@ -1,19 +1,18 @@
 """Golden sets of the sparse networks: how their inputs are made, and what the official code made of them."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self, TypeVar
 
 import numpy as np
 import torch
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 from torch import Tensor
 
 from adapters.networks.sparse.config import SparseConfig, image_length_fits
 from adapters.networks.sparse.model import SparseInputs
+from adapters.verification.parity_set import described, keys_file, recorded_images
 from benchmark.errors import InputError
-from benchmark.machine.storage import read_json
 from benchmark.verification.golden import GoldenArrays, golden_directory
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes, seeded_normal
 
@@ -120,14 +119,10 @@ class SparseSet:
             InputError: If anything in it is absent or damaged, or it is of another model.
         """
         golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
-        path = folder / "manifest.json"
-        manifest = _validated(TypeAdapter(SetManifest), path)
+        manifest = described(folder / "manifest.json", SetManifest.model_validate)
         if manifest.model != model:
             raise InputError(f"{folder} is a golden set of {manifest.model}, not of {model}; pass one of {model}")
-        keys = folder / "keys.json" if (folder / "keys.json").is_file() else folder.parent / "keys.json"
-        if not keys.is_file():
-            raise InputError(f"the golden set {folder} has no keys.json in it or above it; copy it there")
-        shapes = read_shapes(keys)
+        shapes = read_shapes(keys_file(folder, "above"))
         frames = [f"frame{frame}" for frame in range(manifest.n_frames)]
         statistics = _by_frame(folder / "stats_full.json", TypeAdapter(dict[str, dict[str, Statistic]]))
         calls = _by_frame(folder / "trace.json", TypeAdapter(dict[str, list[ModuleStatistic]]))
@@ -189,26 +184,12 @@ class SparseSet:
         images = (squares + 0.5 * seeded_normal(f"input:image:fine:frame{frame}", shape, salt)).astype(np.float32)
         recorded = self.manifest.image_sha256
         wanted = recorded if isinstance(recorded, str) else recorded.get(f"frame{frame}")
-        if wanted is not None and hashlib.sha256(images.tobytes()).hexdigest() != wanted:
-            raise InputError(
-                f"the images of frame {frame} made here are not those whose SHA-256 is in "
-                f"{self.folder / 'manifest.json'}; fetch the set again"
-            )
-        return torch.from_numpy(images)
-
-
-def _validated(adapter: TypeAdapter[T], path: Path) -> T:
-    try:
-        return adapter.validate_python(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} does not describe a golden set: {place}: {first['msg']}") from error
+        return recorded_images(images, wanted, frame, self.folder / "manifest.json")
 
 
 def _by_frame(path: Path, adapter: TypeAdapter[dict[str, T]]) -> dict[str, T]:
     """What a file says about each frame; nothing where there is no file."""
-    return _validated(adapter, path) if path.is_file() else {}
+    return described(path, adapter.validate_python) if path.is_file() else {}
 
 
 def _recipe(folder: Path, salt: str, shapes: dict[str, tuple[int, ...]]) -> WeightsRecipe:

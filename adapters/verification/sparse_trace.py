@@ -1,15 +1,15 @@
 """What the modules of a network give, call by call, beside what those of the official code gave."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor, nn
-from torch.utils.hooks import RemovableHandle
 
 from adapters.verification.sparse_set import ModuleStatistic
+from adapters.verification.taps import hooked
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,32 +37,23 @@ def traced(network: nn.Module, calls: list[ModuleStatistic]) -> Iterator[Trace]:
         What is recorded.
     """
     trace = Trace()
-    modules = dict(network.named_modules())
+    modules = {name for name, _ in network.named_modules()}
 
-    def keep_maps(name: str) -> RemovableHandle:
-        def keep(_module: nn.Module, _inputs: object, maps: list[Tensor]) -> None:
-            trace.maps[name] = maps
+    def keep_maps(name: str) -> tuple[str, Callable[[Any], None]]:
+        return name, lambda maps: trace.maps.update({name: maps})
 
-        handle: RemovableHandle = modules[name].register_forward_hook(keep)
-        return handle
-
-    def keep_statistics(name: str) -> RemovableHandle:
-        def keep(_module: nn.Module, _inputs: object, output: Any) -> None:
+    def keep_statistics(name: str) -> tuple[str, Callable[[Any], None]]:
+        def keep(output: Any) -> None:
             numbers = _tensor_of(output).double()
             largest = float(numbers.abs().amax()) if numbers.numel() else 0.0
             deviation = float(numbers.std(correction=0))
             trace.calls[name].append((float(numbers.mean()), deviation, largest, numbers.numel()))
 
-        handle: RemovableHandle = modules[name].register_forward_hook(keep)
-        return handle
+        return name, keep
 
-    handles = [keep_maps("img_backbone"), keep_maps("img_neck")]
-    try:
-        handles += [keep_statistics(name) for name in sorted({call.module for call in calls} & modules.keys())]
+    named = sorted({call.module for call in calls} & modules)
+    with hooked(network, [keep_maps("img_backbone"), keep_maps("img_neck"), *map(keep_statistics, named)]):
         yield trace
-    finally:
-        for handle in handles:
-            handle.remove()
 
 
 def _tensor_of(output: Any) -> Tensor:

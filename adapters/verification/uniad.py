@@ -1,50 +1,32 @@
 """`challenger-bench verify model --model uniad`: UniAD against numbers of its official code, with synthetic weights."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import torch
-from pydantic import ValidationError
-from torch import Tensor, nn
+from torch import Tensor
 
-from adapters.models import Model, resolve
+from adapters.models import Model
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD, UniADInputs
-from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor, set_folders
+from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor, compare_sets, read_sets
 from adapters.verification.quantities import SAMPLED, STATISTICS, Quantity, compare_frame
+from adapters.verification.taps import tapped
 from adapters.verification.uniad_optimiser import compare_optimiser
 from adapters.verification.uniad_quantities import frame_quantities
 from benchmark.errors import InputError
-from benchmark.machine.devices import single_precision
-from benchmark.machine.storage import read_json
 from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.filled_networks import fill, same_names_and_shapes
-from benchmark.verification.golden import GoldenArrays, golden_directory
-from benchmark.verification.synthetic_weights import read_shapes
+from benchmark.verification.golden import GoldenArrays
 
-FRAMES: Final = 1000
-"""More of them are a damaged set."""
 ELSEWHERE: Final = ("sdc_traj", "col_optim_cells")
 """What `compare_optimiser` compares."""
 
 
 def verify_uniad(model: Model, golden: Path, device: str = "cpu") -> list[Check]:
     """Compare UniAD with golden sets; arguments and errors as of `adapters.verification.models.verify_model`."""
-    comparison = Comparison()
-    for folder in set_folders(golden):
-        frames = read_frames(folder)
-        network = resolve(model.net.build)(model.configuration(frames[0].shapes)).to(device)
-        if not same_names_and_shapes(comparison, network, frames[0].shapes):
-            break
-        manifest = frames[0].manifest
-        fill(comparison, network, manifest, frames[0].shapes, manifest.weights_sha256, folder / "manifest.json")
-        with single_precision():
-            compare_uniad(comparison, network, frames)
-    return comparison.checks()
+    return compare_sets(model, golden, device, read_frames, compare_uniad)
 
 
 def compare_uniad(comparison: Comparison, network: UniAD, frames: list[ParitySet]) -> None:
@@ -65,7 +47,7 @@ def compare_uniad(comparison: Comparison, network: UniAD, frames: list[ParitySet
     for number, frame in enumerate(frames):
         where, stored = f"{frame.folder.name}, frame {number}", _booleans_as_numbers(frame, number)
         key_frame = inputs.frame(frame, number, device)
-        with torch.inference_mode(), _tapped(network) as taps:
+        with torch.inference_mode(), tapped(network) as taps:
             seen = network.ego_motion(key_frame).can_bus
             predictions = network.predict(key_frame)
             ours = frame_quantities(network, predictions, seen, taps, stored)
@@ -99,31 +81,18 @@ def read_frames(folder: Path) -> list[ParitySet]:
     Raises:
         InputError: If anything in it is absent or damaged.
     """
-    golden_directory(folder, "dev", "manifest.json", "inputs.npz", "outputs_frame0.npz")
-    keys = folder / "keys.json" if (folder / "keys.json").is_file() else folder.parent / "keys.json"
-    if not keys.is_file():
-        raise InputError(f"the golden set {folder} has no keys.json in it or beside it; copy it there")
-    path, raw = folder / "manifest.json", read_json(folder / "manifest.json")
-    count = next(n for n in range(1, FRAMES + 1) if n == FRAMES or not (folder / f"outputs_frame{n}.npz").is_file())
-    try:
-        plain = ParityManifest.model_validate({**raw, "tensors": {}})
-        layouts = [_layout(raw.get("tensors", {}), f"frame{number}") for number in range(count)]
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} does not describe a golden set: {place}: {first['msg']}") from error
-    except (TypeError, AttributeError) as error:
-        raise InputError(f"{path} does not list quantities by name and frame; fetch or make the set again") from error
-    if len(plain.scene_tokens) < count:
-        raise InputError(
-            f"{path} names the scenes of {len(plain.scene_tokens)} frames and there are outputs of {count}; "
-            "fetch or make the set again"
-        )
-    outputs = [GoldenArrays.read(folder / f"outputs_frame{number}.npz") for number in range(count)]
-    inputs, shapes = GoldenArrays.read(folder / "inputs.npz"), read_shapes(keys)
-    return [
-        ParitySet(folder, plain.model_copy(update={"tensors": layout}), shapes, inputs, outputs) for layout in layouts
-    ]
+
+    def manifests(raw: Any, count: int) -> list[ParityManifest]:
+        try:
+            plain = ParityManifest.model_validate({**raw, "tensors": {}})
+            layouts = [_layout(raw.get("tensors", {}), f"frame{number}") for number in range(count)]
+        except (TypeError, AttributeError) as error:
+            raise InputError(
+                f"{folder / 'manifest.json'} does not list quantities by name and frame; fetch or make the set again"
+            ) from error
+        return [plain.model_copy(update={"tensors": layout}) for layout in layouts]
+
+    return read_sets(folder, manifests)
 
 
 def _layout(tensors: dict[str, dict[str, Any]], frame: str) -> dict[str, StoredTensor]:
@@ -184,14 +153,8 @@ class _Inputs:
 
     def frame(self, golden: ParitySet, number: int, device: torch.device) -> UniADInputs:
         """One frame."""
-        images = golden.images(number)
-        if images.shape[:2] != (len(self.projections), 3):
-            raise InputError(
-                f"{golden.folder / 'manifest.json'} asks for images of shape {tuple(images.shape)}, and the network "
-                f"takes {len(self.projections)} cameras with 3 channels; pass the set of this model"
-            )
         return UniADInputs(
-            images=images.to(device),
+            images=golden.camera_images(number, len(self.projections)).to(device),
             lidar2img=self.projections.to(device),
             can_bus=self.can_bus[number],
             l2g_r_mat=self.rotations[number],
@@ -200,22 +163,3 @@ class _Inputs:
             command=self.commands[number],
             scene_token=golden.manifest.scene_tokens[number],
         )
-
-
-@contextmanager
-def _tapped(network: UniAD) -> Iterator[dict[str, Tensor]]:
-    """Collect the feature maps of images under the names of the set."""
-    taps: dict[str, Tensor] = {}
-
-    def levels(name: str) -> torch.utils.hooks.RemovableHandle:
-        def keep(_module: nn.Module, _inputs: object, maps: list[Tensor]) -> None:
-            taps.update({f"{name}{level}": features for level, features in enumerate(maps)})
-
-        return network.get_submodule(f"img_{name}").register_forward_hook(keep)
-
-    handles = [levels("backbone"), levels("neck")]
-    try:
-        yield taps
-    finally:
-        for handle in handles:
-            handle.remove()

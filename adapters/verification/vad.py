@@ -1,7 +1,5 @@
 """What VAD's golden sets store, from a network of ours that is given the same inputs."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -9,20 +7,19 @@ from typing import Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from adapters.models import Model
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
-from adapters.verification.parity_set import ParitySet, set_folders
+from adapters.verification.parity_set import ParitySet, compare_sets
 from adapters.verification.quantities import Quantity, Tolerance, compare_frame, golden_list
+from adapters.verification.taps import tapped
 from benchmark.errors import InputError
 from benchmark.geometry import Bools
-from benchmark.machine.devices import single_precision
 from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.filled_networks import fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays
 
 EXACT: Final = Tolerance(1e-3)
@@ -47,35 +44,26 @@ PARTS: Final = ("motion_decoder", "motion_map_decoder", "ego_agent_decoder", "eg
 
 def verify_vad(model: Model, golden: Path, device: str = "cpu") -> list[Check]:
     """Compare a VAD with golden sets; arguments and errors as of `adapters.verification.models.verify_model`."""
-    comparison = Comparison()
-    network = model.build().to(device)
-    for folder in set_folders(golden):
-        parity_set = ParitySet.read(folder)
-        if not same_names_and_shapes(comparison, network, parity_set.shapes):
-            break
-        recorded = parity_set.manifest.weights_sha256
-        fill(comparison, network, parity_set.manifest, parity_set.shapes, recorded, folder / "manifest.json")
-        with single_precision():
-            compare_vad(comparison, network, parity_set)
-    return comparison.checks()
+    return compare_sets(model, golden, device, lambda folder: [ParitySet.read(folder)], compare_vad)
 
 
-def compare_vad(comparison: Comparison, network: VAD, golden: ParitySet) -> None:
+def compare_vad(comparison: Comparison, network: VAD, sets: list[ParitySet]) -> None:
     """Run the frames of a golden set with carried state and compare each.
 
     Args:
         comparison: Gets the errors.
         network: Already filled.
-        golden: The set.
+        sets: The only one.
 
     Raises:
         InputError: If the set is damaged or not one of this network.
     """
+    (golden,) = sets
     network.reset()
     device = next(network.parameters()).device
     for frame, stored in enumerate(golden.outputs):
         inputs = _inputs(golden, network.config, frame, device)
-        with torch.inference_mode(), _tapped(network) as taps:
+        with torch.inference_mode(), tapped(network, "pts_bbox_head", PARTS) as taps:
             seen = network.ego_motion(inputs).can_bus
             predictions = network.predict(inputs)
         ours = {name: Quantity.of(tensor, EXACT) for name, tensor in taps.items()}
@@ -90,12 +78,7 @@ def compare_vad(comparison: Comparison, network: VAD, golden: ParitySet) -> None
 
 def _inputs(golden: ParitySet, config: VADConfig, frame: int, device: torch.device) -> VADInputs:
     """One frame of the set."""
-    images = golden.images(frame)
-    if images.shape[:2] != (config.cameras, 3):
-        raise InputError(
-            f"{golden.folder / 'manifest.json'} asks for images of shape {tuple(images.shape)}, and the network takes "
-            f"{config.cameras} cameras with 3 channels; pass the set of this model"
-        )
+    images = golden.camera_images(frame, config.cameras)
     frames = len(golden.outputs)
     projections = golden.inputs.floats("lidar2img", config.cameras, 4, 4)
     commands = golden.inputs.floats("ego_fut_cmd", None, config.commands)
@@ -109,35 +92,6 @@ def _inputs(golden: ParitySet, config: VADConfig, frame: int, device: torch.devi
         command=int(commands[frame].argmax()),
         scene_token=golden.manifest.scene_tokens[frame],
     )
-
-
-@contextmanager
-def _tapped(network: VAD) -> Iterator[dict[str, Tensor]]:
-    """Collect what inner parts of the network give, under the names of the set."""
-    taps: dict[str, Tensor] = {}
-
-    def levels(name: str) -> None:
-        def keep(_module: nn.Module, _inputs: object, maps: list[Tensor]) -> None:
-            taps.update({f"{name}{level}": features for level, features in enumerate(maps)})
-
-        handles.append(network.get_submodule(f"img_{name}").register_forward_hook(keep))
-
-    def tokens(name: str) -> None:
-        def keep(_module: nn.Module, _inputs: object, states: Tensor) -> None:
-            taps[name] = states
-
-        handles.append(network.pts_bbox_head.get_submodule(name).register_forward_hook(keep))
-
-    handles: list[torch.utils.hooks.RemovableHandle] = []
-    try:
-        levels("backbone")
-        levels("neck")
-        for part in PARTS:
-            tokens(part)
-        yield taps
-    finally:
-        for handle in handles:
-            handle.remove()
 
 
 def _undecided_agents(config: VADConfig, predictions: VADPredictions) -> Bools:

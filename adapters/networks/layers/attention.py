@@ -92,6 +92,37 @@ class Attention(nn.Module):
         return tokens + attended
 
 
+class ResidualAttention(nn.Module):
+    """Attention, added to what is given for it.
+
+    Args:
+        channels: Width of the tokens.
+        heads: Divides `channels`.
+    """
+
+    def __init__(self, channels: int, heads: int) -> None:
+        super().__init__()
+        self.attn = MultiheadAttention(channels, heads)
+
+    def forward(
+        self, tokens: Tensor, query: Tensor, key: Tensor, value: Tensor, allowed: Tensor | None = None
+    ) -> Tensor:
+        """Attend.
+
+        Args:
+            tokens: (..., Q, C) what the result is added to.
+            query: (..., Q, C).
+            key: (..., K, C).
+            value: (..., K, C).
+            allowed: As in `MultiheadAttention`.
+
+        Returns:
+            (..., Q, C).
+        """
+        attended: Tensor = self.attn(query, key, value, allowed)
+        return tokens + attended
+
+
 class FeedForward(nn.Module):
     """Two linear layers, added to what they came from.
 
@@ -128,16 +159,9 @@ class CrossAttentionLayer(nn.Module):
         self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(2)])
 
-    def forward(
-        self,
-        tokens: Tensor,
-        positions: Tensor,
-        keys: Tensor | None = None,
-        values: Tensor | None = None,
-        allowed: Tensor | None = None,
-    ) -> Tensor:
+    def forward(self, tokens: Tensor, *seen: Tensor | None) -> Tensor:
         """Arguments and result as in `Attention`."""
-        tokens = self.norms[0](self.attentions[0](tokens, positions, keys, values, allowed))
+        tokens = self.norms[0](self.attentions[0](tokens, *seen))
         result: Tensor = self.norms[1](self.ffns[0](tokens))
         return result
 
@@ -149,15 +173,8 @@ class CrossAttentionDecoder(nn.Module):
         super().__init__()
         self.layers = nn.ModuleList([CrossAttentionLayer(channels, heads, hidden) for _ in range(layers)])
 
-    def forward(
-        self,
-        tokens: Tensor,
-        positions: Tensor,
-        keys: Tensor | None = None,
-        values: Tensor | None = None,
-        allowed: Tensor | None = None,
-    ) -> Tensor:
+    def forward(self, tokens: Tensor, *seen: Tensor | None) -> Tensor:
         """Arguments and result as in `Attention`."""
         for layer in self.layers:
-            tokens = layer(tokens, positions, keys, values, allowed)
+            tokens = layer(tokens, *seen)
         return tokens

@@ -8,7 +8,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from adapters.networks.layers.attention import FeedForward
-from adapters.networks.layers.bev_geometry import BEVGrid, CameraHits, camera_hits
+from adapters.networks.layers.bev_config import BEVConfig
+from adapters.networks.layers.bev_geometry import CameraHits, camera_hits
 from adapters.networks.layers.deformable_attention import SamplingPattern, ring_of_offsets
 from adapters.networks.layers.sampling import Shapes, deformable_sampling
 
@@ -193,37 +194,26 @@ class ImageFeatures:
 
 
 class BEVFormerEncoder(nn.Module):
-    """A stack of `BEVFormerLayer` over a grid; arguments as there.
+    """A stack of `BEVFormerLayer` over a grid.
 
     Args:
-        grid: The cells.
-        layers: How many layers.
-        heights: Points of a pillar that are looked for in images.
+        config: Sizes.
     """
 
     pillars: Tensor
     centres: Tensor
 
-    def __init__(
-        self,
-        grid: BEVGrid,
-        layers: int,
-        channels: int,
-        heads: int,
-        hidden: int,
-        levels: int,
-        bev_points: int,
-        image_points: int,
-        heights: int,
-    ) -> None:
+    def __init__(self, config: BEVConfig) -> None:
         super().__init__()
-        if image_points % heights:
-            raise ValueError(f"{image_points} points per head cannot be shared evenly by {heights} heights")
-        self.grid = grid
-        self.register_buffer("pillars", grid.pillars(heights), persistent=False)
-        self.register_buffer("centres", grid.centres(), persistent=False)
+        points, heights = config.image_points, config.height_points
+        if points % heights:
+            raise ValueError(f"{points} points per head cannot be shared evenly by {heights} heights")
+        self.grid = config.grid
+        self.register_buffer("pillars", self.grid.pillars(heights), persistent=False)
+        self.register_buffer("centres", self.grid.centres(), persistent=False)
+        sizes = (config.channels, config.heads, config.feedforward_channels, config.pyramid_levels)
         self.layers = nn.ModuleList(
-            [BEVFormerLayer(channels, heads, hidden, levels, bev_points, image_points) for _ in range(layers)]
+            [BEVFormerLayer(*sizes, config.bev_points, points) for _ in range(config.encoder_layers)]
         )
 
     def forward(

@@ -15,12 +15,13 @@ NEAREST_DEPTH_M = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class CameraFeatures:
-    """What the cameras saw.
+    """What the cameras saw in a key frame, or in B of them side by side.
 
     Attributes:
-        values: (cameras, S, C) features of all levels, each flattened row by row, level after level: S cells.
+        values: (cameras or B * cameras, S, C) features of all levels, each flattened row by row, level after level: S
+            cells.
         shapes: Rows and columns of the levels, fine to coarse.
-        projections: (cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
+        projections: (cameras, 4, 4) or (B, cameras, 4, 4) float32, lidar frame in metres to pixels of the input images.
         height_px: Of the input images.
         width_px: Of the input images.
     """
@@ -36,8 +37,8 @@ class CameraFeatures:
         """From feature maps.
 
         Args:
-            maps: (cameras, C, h, w) for each level, fine to coarse.
-            projections: (cameras, 4, 4).
+            maps: (cameras or B * cameras, C, h, w) for each level, fine to coarse.
+            projections: (cameras, 4, 4) or (B, cameras, 4, 4).
             height_px: Of the images.
             width_px: Of the images.
 
@@ -52,15 +53,15 @@ class CameraFeatures:
         """Where points are in the images.
 
         Args:
-            points: (N, P, 3) metres, lidar frame.
+            points: (..., N, P, 3) metres, lidar frame; with a leading B where there are several key frames.
 
         Returns:
-            (N, cameras, P, 2) x, y where 0 to 1 spans the image; also what lies outside.
+            (..., N, cameras, P, 2) x, y where 0 to 1 spans the image; also what lies outside.
         """
         # Written out, because matrix products may run in reduced precision: a pixel off is another feature.
-        x, y, z = points[:, None].float().unbind(-1)
-        rows = self.projections[:, :3, :, None].unbind(1)
-        u, v, depth = (row[:, 0] * x + row[:, 1] * y + row[:, 2] * z + row[:, 3] for row in rows)
+        x, y, z = points[..., None, :, :].float().unbind(-1)
+        rows = self.projections[..., None, :, :3, :].unbind(-2)
+        u, v, depth = (row[..., :1] * x + row[..., 1:2] * y + row[..., 2:3] * z + row[..., 3:] for row in rows)
         depth = depth.clamp(min=NEAREST_DEPTH_M)
         return torch.stack([u / depth / self.width_px, v / depth / self.height_px], -1)
 
@@ -157,21 +158,26 @@ class CameraSampling(nn.Module):
         """Sample images.
 
         Args:
-            queries: (N, C).
-            points: (N, P, 3) metres, lidar frame.
+            queries: (..., N, C), with a leading B where there are several key frames.
+            points: (..., N, P, 3) metres, lidar frame.
             cameras: What there is to sample.
 
         Returns:
-            (N, C).
+            (..., N, C).
         """
-        count, levels = points.shape[1], len(cameras.shapes)
-        views = self.camera_encoder(cameras.projections[:, :3].flatten(1))
+        count, levels, total = points.shape[-2], len(cameras.shapes), queries.shape[:-1].numel()
+        views = self.camera_encoder(cameras.projections[..., :3, :].flatten(-2))
         # The layer is linear: a query and a camera can go through it apart, once each.
-        logits = self.weights_fc(queries)[:, None] + F.linear(views, self.weights_fc.weight)
-        logits = logits.view(len(queries), -1, self.groups).float()
-        weights = logits.softmax(1).view(len(queries), len(views), levels, count, self.groups)
-        sampled = deformable_aggregation(cameras.values, cameras.shapes, cameras.locate(points), weights)
-        result: Tensor = self.output_proj(sampled)
+        seen_from = F.linear(views, self.weights_fc.weight)[..., None, :, :]
+        logits = (self.weights_fc(queries)[..., None, :] + seen_from).view(total, -1, self.groups).float()
+        weights = logits.softmax(1).view(total, views.shape[-2], levels, count, self.groups)
+        first = None
+        if cameras.projections.dim() == 4:
+            frames = torch.arange(len(queries), device=queries.device)
+            first = frames.repeat_interleave(queries.shape[1]) * views.shape[-2]
+        locations = cameras.locate(points).flatten(0, -4)
+        sampled = deformable_aggregation(cameras.values, cameras.shapes, locations, weights, first)
+        result: Tensor = self.output_proj(sampled.view(queries.shape))
         return result
 
 

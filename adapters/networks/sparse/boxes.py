@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
 from adapters.networks.sparse.branches import class_branch, correction_branch, encoder
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion
+from adapters.networks.sparse.keyframe_pose import RigidMotion
 
 BOX_CODE = 11
 BOX_QUALITIES = 2
@@ -19,7 +19,7 @@ FACE = 0.45
 """Points near the faces are this share of an extent away from the centre."""
 
 
-def carry_boxes(boxes: Tensor, motion: KeyframeMotion, seconds: float) -> Tensor:
+def carry_boxes(boxes: Tensor, motion: RigidMotion, seconds: Tensor | float) -> Tensor:
     """Boxes of a remembered frame, seen from the present one.
 
     Args:

@@ -5,7 +5,6 @@ import math
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import MultiheadAttention
 from adapters.networks.layers.positional import sine_features
 
 
@@ -43,17 +42,6 @@ def point_encoder(inputs: int, channels: int) -> nn.Sequential:
 def class_branch(channels: int, outputs: int) -> nn.Sequential:
     """Two hidden layers with normalisation, and a linear one."""
     return nn.Sequential(*normalised_layers(channels, channels, 1, 2), nn.Linear(channels, outputs))
-
-
-def plain_branch(channels: int, outputs: int) -> nn.Sequential:
-    """Two hidden layers, and a linear one."""
-    return nn.Sequential(
-        nn.Linear(channels, channels),
-        nn.ReLU(),
-        nn.Linear(channels, channels),
-        nn.ReLU(),
-        nn.Linear(channels, outputs),
-    )
 
 
 class Scale(nn.Module):
@@ -96,37 +84,6 @@ class FeedForward(nn.Module):
         tokens = self.pre_norm(tokens)
         result: Tensor = self.identity_fc(tokens) + self.layers(tokens)
         return result
-
-
-class ResidualAttention(nn.Module):
-    """Attention, added to what is given for it.
-
-    Args:
-        channels: Width of the tokens.
-        heads: Divides `channels`.
-    """
-
-    def __init__(self, channels: int, heads: int) -> None:
-        super().__init__()
-        self.attn = MultiheadAttention(channels, heads)
-
-    def forward(
-        self, tokens: Tensor, query: Tensor, key: Tensor, value: Tensor, allowed: Tensor | None = None
-    ) -> Tensor:
-        """Attend.
-
-        Args:
-            tokens: (..., Q, C) what the result is added to.
-            query: (..., Q, C).
-            key: (..., K, C).
-            value: (..., K, C).
-            allowed: As in `adapters.networks.layers.attention.MultiheadAttention`.
-
-        Returns:
-            (..., Q, C).
-        """
-        attended: Tensor = self.attn(query, key, value, allowed)
-        return tokens + attended
 
 
 def decoupled_attention(

@@ -8,9 +8,10 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
+from adapters.networks.layers.attention import ResidualAttention
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import BOX_CODE, BoxEncoder, BoxRefinement, BoxSampling, carry_boxes
-from adapters.networks.sparse.branches import FeedForward, ResidualAttention, decoupled_attention
+from adapters.networks.sparse.branches import FeedForward, decoupled_attention
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S, KeyframeMotion
 from adapters.networks.sparse.lines import LineEncoder, LineRefinement, LineSampling, carry_lines

@@ -7,12 +7,12 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
+from adapters.networks.layers.attention import ResidualAttention
+from adapters.networks.layers.branches import plain_branch
 from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
 from adapters.networks.sparse.branches import (
     FeedForward,
-    ResidualAttention,
     class_branch,
-    plain_branch,
     point_encoder,
     sine_of_points,
 )
@@ -37,9 +37,9 @@ class PathSampling(CameraSampling):
         self.output_proj = nn.Linear(channels, channels)
 
     def forward(self, tokens: Tensor, offsets: Tensor, cameras: CameraFeatures) -> Tensor:
-        """(M, C) tokens and (M, steps, 2) metres from step to step to (M, C)."""
-        ground = offsets.cumsum(1)[:, :, None, None].expand(-1, -1, len(HEIGHTS_M), -1, -1)
-        return tokens + self.sample(tokens, at_heights(ground).flatten(1, 3), cameras)
+        """(..., M, C) tokens and (..., M, steps, 2) metres from step to step to (..., M, C)."""
+        ground = offsets.cumsum(-2)[..., None, None, :].expand(*offsets.shape[:-1], len(HEIGHTS_M), -1, -1)
+        return tokens + self.sample(tokens, at_heights(ground).flatten(-4, -2), cameras)
 
 
 class Modulation(nn.Module):
@@ -50,7 +50,7 @@ class Modulation(nn.Module):
         self.scale_shift_mlp = nn.Sequential(nn.Mish(), nn.Linear(channels, 2 * channels))
 
     def forward(self, tokens: Tensor, time: Tensor) -> Tensor:
-        """(M, C) tokens and (C,) embedding of the time to (M, C)."""
+        """(..., M, C) tokens and (C,) embedding of the time to (..., M, C)."""
         scale, shift = self.scale_shift_mlp(time).chunk(2, -1)
         result: Tensor = tokens * (1 + scale) + shift
         return result
@@ -65,7 +65,7 @@ class PlanRefinement(nn.Module):
         self.plan_reg_branch = plain_branch(config.channels, config.steps * 2)
 
     def forward(self, tokens: Tensor) -> tuple[Tensor, Tensor]:
-        """(M, C) to (M,) logits and (M, steps, 2) metres from step to step."""
+        """(..., M, C) to (..., M) logits and (..., M, steps, 2) metres from step to step."""
         offsets = self.plan_reg_branch(tokens).float().unflatten(-1, (-1, 2))
         return self.plan_cls_branch(tokens)[..., 0].float(), offsets
 
@@ -87,13 +87,13 @@ class TimeEmbedding(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class PlanContext:
-    """What plans look at.
+    """What plans look at; with a leading B where there are several key frames.
 
     Attributes:
         cameras: What they saw.
-        ego: (1, C) embedding of the box of the ego.
+        ego: (..., 1, C) embedding of the box of the ego.
         watched: Features and embeddings of agents, and of the ego in the last row.
-        anchors: (M, C) tokens of the anchors that the plans started from.
+        anchors: (..., M, C) tokens of the anchors that the plans started from.
     """
 
     cameras: CameraFeatures
@@ -175,23 +175,25 @@ class DiffusionPlanner(Planner):
 
         Args:
             context: What plans look at.
-            anchors: (M, steps, 2) positions, metres.
-            noise: (M, steps, 2) standard normal numbers.
+            anchors: (..., M, steps, 2) positions, metres.
+            noise: (..., M, steps, 2) standard normal numbers.
 
         Returns:
-            (M,) logits; (M, steps, 2) metres from step to step; and what came on the way, by name.
+            (..., M) logits; (..., M, steps, 2) metres from step to step; and what came on the way, by name. Gradients
+            stop between the blocks.
         """
-        clean = normalised(anchors.diff(dim=1, prepend=torch.zeros_like(anchors[:, :1])))
+        clean = normalised(anchors.diff(dim=-2, prepend=torch.zeros_like(anchors[..., :1, :])))
         sample = noised(clean, noise)
-        logits, offsets = sample.new_zeros(len(sample)), anchors
+        logits, offsets = sample.new_zeros(sample.shape[:-2]), anchors
         on_the_way = {"anchors": clean, "noise": noise, "start": sample}
         for step, timestep in enumerate(TIMESTEPS):
             offsets = metres(sample.clamp(-1, 1))
-            tokens = self.plan_pos_encoder(sine_of_points(offsets, self.config.channels // 2).flatten(1))
+            tokens = self.plan_pos_encoder(sine_of_points(offsets, self.config.channels // 2).flatten(-2))
             time = self.time_mlp(torch.tensor(float(timestep), device=tokens.device))
             for block in range(BLOCKS):
-                tokens, logits, offsets = self.clean(block, tokens, offsets, time, context)
-                on_the_way |= {f"logits {block} {step}": logits, f"offsets {block} {step}": offsets}
+                tokens, logits, found = self.clean(block, tokens, offsets, time, context)
+                on_the_way |= {f"logits {block} {step}": logits, f"offsets {block} {step}": found}
+                offsets = found.detach()
             sample = previous_sample(sample, normalised(offsets), timestep)
             on_the_way[f"sample {step}"] = sample
         return logits, offsets, on_the_way
@@ -203,8 +205,8 @@ class DiffusionPlanner(Planner):
 
         Args:
             block: Which.
-            tokens: (M, C) of the plans.
-            offsets: (M, steps, 2) metres from step to step.
+            tokens: (..., M, C) of the plans.
+            offsets: (..., M, steps, 2) metres from step to step.
             time: (C,) embedding.
             context: What the plans look at.
 
@@ -217,7 +219,7 @@ class DiffusionPlanner(Planner):
         )[first : first + LAYERS_OF_A_BLOCK]
         tokens = path(tokens, offsets, context.cameras)
         tokens = norm(each_other(tokens, tokens, tokens, tokens))
-        ego = context.ego.expand(len(tokens), -1)
+        ego = context.ego.expand_as(tokens)
         tokens = agents_norm(self.decoupled(agents, (tokens, ego), context.watched))
         tokens = anchors_norm(anchors(tokens, tokens, context.anchors, context.anchors))
         tokens = modulate(feed_norm(feed(tokens)), time)

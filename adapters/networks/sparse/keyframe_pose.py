@@ -28,23 +28,43 @@ class KeyframePose:
 
 
 @dataclass(frozen=True, slots=True)
-class KeyframeMotion:
-    """From a remembered frame to the present one.
+class RigidMotion:
+    """From lidar frame to lidar frame.
+
+    Attributes:
+        now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.
+    """
+
+    now_T_then: Tensor
+
+    def move(self, points: Tensor) -> Tensor:
+        """(..., D) points with D = 2 or 3 coordinates, seen from the present lidar frame."""
+        axes = points.shape[-1]
+        return self.turn(points) + self.now_T_then[..., :axes, 3]
+
+    def turn(self, vectors: Tensor) -> Tensor:
+        """(..., D) vectors with D = 2 or 3 coordinates, in the present lidar frame."""
+        axes = vectors.shape[-1]
+        # Written out, because matrix products may run in reduced precision.
+        return (vectors[..., None, :] * self.now_T_then[..., :axes, :axes]).sum(-1)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeMotion(RigidMotion):
+    """From a remembered frame to the present one, with one matrix.
 
     Attributes:
         seconds: In between; rounded to single precision, and negative if frames come out of order.
-        now_T_then: (4, 4) float32, lidar frame of the remembered frame to that of the present one.
     """
 
     seconds: float
-    now_T_then: Tensor
 
     @classmethod
     def between(cls, then: KeyframePose, now: KeyframePose, device: torch.device) -> "KeyframeMotion":
         """What lies between two poses; the matrix is put on the device."""
         # World coordinates are large, so the product is in double precision.
         matrix = torch.linalg.inv(now.global_T_lidar) @ then.global_T_lidar
-        return cls(float(np.float32(now.timestamp_s - then.timestamp_s)), matrix.float().to(device))
+        return cls(matrix.float().to(device), float(np.float32(now.timestamp_s - then.timestamp_s)))
 
     @property
     def fresh(self) -> bool:
@@ -60,14 +80,3 @@ class KeyframeMotion:
     def ego_velocity(self) -> Tensor:
         """(2,) m/s, how the origin of the lidar frame has moved, seen from the present frame."""
         return -self.now_T_then[:2, 3] / self.interval_s
-
-    def move(self, points: Tensor) -> Tensor:
-        """(..., D) points with D = 2 or 3 coordinates, seen from the present lidar frame."""
-        axes = points.shape[-1]
-        return self.turn(points) + self.now_T_then[:axes, 3]
-
-    def turn(self, vectors: Tensor) -> Tensor:
-        """(..., D) vectors with D = 2 or 3 coordinates, in the present lidar frame."""
-        axes = vectors.shape[-1]
-        # Written out, because matrix products may run in reduced precision.
-        return (vectors[..., None, :] * self.now_T_then[:axes, :axes]).sum(-1)

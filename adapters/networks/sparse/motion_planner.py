@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from adapters.networks.layers.attention import ResidualAttention
+from adapters.networks.layers.branches import plain_branch
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import heading_of
 from adapters.networks.sparse.branches import (
     FeedForward,
-    ResidualAttention,
     class_branch,
     decoupled_attention,
-    plain_branch,
     point_encoder,
     sine_of_points,
 )
@@ -191,18 +191,43 @@ class Planner(nn.Module):
         watched = features[rows], embeddings[rows]
         seen = most_certain(lines.scores, self.config.watched_lines)
         lanes, places = lines.features[seen], lines.embeddings[seen]
+        features = self.looked(features, embeddings, past, allowed, watched, (lanes, places))
+        return Interaction(features, embeddings, watched)
 
+    def looked(
+        self,
+        features: Tensor,
+        embeddings: Tensor,
+        past: tuple[Tensor, Tensor],
+        allowed: Tensor,
+        watched: tuple[Tensor, Tensor],
+        lanes: tuple[Tensor, Tensor],
+    ) -> Tensor:
+        """Features after agents and the ego have looked at the rest; with a leading B where there are more key frames.
+
+        Args:
+            features: (..., N + 1, C).
+            embeddings: (..., N + 1, C).
+            past: Features and embeddings of the last L frames, (..., N + 1, L, C) each.
+            allowed: (..., N + 1, 1, L) which of these frames everybody may look at.
+            watched: Features and embeddings of those that all others look at.
+            lanes: The same of map elements.
+
+        Returns:
+            (..., N + 1, C).
+        """
+        lines, places = lanes
         layers = list(self.interaction)[:-1]
         for first in range(0, len(layers), LAYERS_OF_A_BLOCK):
             look_back, look_around, norm, look_at_map, second_norm, feed, third_norm = layers[
                 first : first + LAYERS_OF_A_BLOCK
             ]
-            each = features[:, None], embeddings[:, None]
-            features = self.decoupled(look_back, each, past, allowed)[:, 0]
+            each = features[..., None, :], embeddings[..., None, :]
+            features = self.decoupled(look_back, each, past, allowed)[..., 0, :]
             features = norm(self.decoupled(look_around, (features, embeddings), watched))
-            features = look_at_map(features, features + embeddings, lanes + places, lanes)
+            features = look_at_map(features, features + embeddings, lines + places, lines)
             features = third_norm(feed(second_norm(features)))
-        return Interaction(features, embeddings, watched)
+        return features
 
     def decoupled(
         self,

@@ -1,17 +1,14 @@
 """From image features to a bird's-eye view, and from the view to boxes for all queries (BEVFormer, Li et al., 2022)."""
 
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.bev_geometry import turned_view
-from adapters.networks.layers.bevformer import BEVFormerEncoder, ImageFeatures
+from adapters.networks.layers.bev_network import BEVTransformer, bev_decoder, can_bus_network
 from adapters.networks.layers.branches import normalised_branch, plain_branch
 from adapters.networks.layers.coders import box_codes, logit, metres
-from adapters.networks.layers.deformable_decoder import DeformableDecoder
-from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
+from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.positional import LearnedGridEncoding
 from adapters.networks.uniad.config import UniADConfig
 
@@ -37,37 +34,13 @@ class Detections:
     reference_logits: Tensor
 
 
-class DetectionTransformer(nn.Module):
+class DetectionTransformer(BEVTransformer):
     """The encoder of the bird's-eye view and the decoder of agents."""
 
     def __init__(self, config: UniADConfig) -> None:
-        super().__init__()
-        channels, heads, hidden = config.channels, config.heads, config.feedforward_channels
-        self.level_embeds = nn.Parameter(torch.randn(config.pyramid_levels, channels))
-        self.cams_embeds = nn.Parameter(torch.randn(config.cameras, channels))
-        self.encoder = BEVFormerEncoder(
-            config.grid,
-            config.encoder_layers,
-            channels,
-            heads,
-            hidden,
-            config.pyramid_levels,
-            config.bev_points,
-            config.image_points,
-            config.height_points,
-        )
-        self.decoder = DeformableDecoder(channels, heads, hidden, 1, config.bev_points, config.decoder_layers)
-        self.can_bus_mlp = nn.Sequential(
-            OrderedDict(
-                [
-                    ("0", nn.Linear(CAN_BUS, channels // 2)),
-                    ("1", nn.ReLU()),
-                    ("2", nn.Linear(channels // 2, channels)),
-                    ("3", nn.ReLU()),
-                    ("norm", nn.LayerNorm(channels)),
-                ]
-            )
-        )
+        super().__init__(config, config.pyramid_levels)
+        self.decoder = bev_decoder(config)
+        self.can_bus_mlp = can_bus_network(config.channels)
 
 
 class DetectionHead(nn.Module):
@@ -89,26 +62,10 @@ class DetectionHead(nn.Module):
     def encode(
         self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: EgoMotion, previous: Tensor | None
     ) -> Tensor:
-        """Bird's-eye view of one moment.
-
-        Args:
-            maps: For each level, (cameras, C, h, w) features.
-            images: (cameras, 3, H, W) they are from.
-            projections: (cameras, 4, 4) from metres to pixels.
-            motion: Since the previous moment.
-            previous: (cells, C) the view of the previous moment of the same scene.
-
-        Returns:
-            (cells, C).
-        """
-        transformer = self.transformer
-        features = ImageFeatures.of(maps, images, transformer.cams_embeds, transformer.level_embeds)
-        turned = None if previous is None else turned_view(previous, self.config.grid, motion.previous_cells)
-        queries = self.bev_embedding.weight
-        cells = queries + transformer.can_bus_mlp(motion.can_bus.to(queries.dtype))
-        positions = self.positional_encoding()
-        result: Tensor = transformer.encoder(cells, positions, features, projections, motion.shift, turned)
-        return result
+        """(cells, C) bird's-eye view of one moment; arguments as in `BEVTransformer.encode`."""
+        return self.transformer.encode(
+            self.bev_embedding.weight, self.positional_encoding(), maps, images, projections, motion, previous
+        )
 
     def detect(self, bev: Tensor, queries: Tensor, reference_logits: Tensor) -> Detections:
         """Boxes of queries.

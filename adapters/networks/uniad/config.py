@@ -5,31 +5,23 @@ from dataclasses import dataclass
 from typing import Final, Literal, Self
 
 from adapters.camera_inputs import MINIATURE_IMAGE, ImageFormat
-from adapters.networks.layers.bev_geometry import BEVGrid
+from adapters.networks.layers.bev_config import BEVConfig
 
 PUBLISHED_IMAGE: Final = ImageFormat.scaled(1.0)
 MAP_OFFSETS: Final = "seg_head.transformer.encoder.layers.0.attentions.0.sampling_offsets.weight"
 """The tensor whose shape tells for how many levels a checkpoint's map head was made."""
 
 
-@dataclass(frozen=True, slots=True)
-class UniADConfig:
-    """What fixes the names and the shapes of a network's parameters, and how it reads its inputs.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UniADConfig(BEVConfig):
+    """Sizes of UniAD, beside those of all networks with a bird's-eye view.
+
+    Rows and columns of the view are multiples of 8, and it reads 3 or more feature maps of an image.
 
     Attributes:
-        bev_rows: Cells of the bird's-eye view along y, the driving direction; a multiple of 8.
-        bev_columns: Cells along x; a multiple of 8.
-        perception_range_m: x, y, z of one corner, then of the other, in the lidar frame.
-        channels: Width of all tokens; a multiple of `heads` and of 4.
-        feedforward_channels: Hidden width of the feed-forward blocks.
-        occupancy_feedforward_channels: The same in the decoder of the occupancy head.
-        heads: Attention heads.
-        encoder_layers: Layers of the bird's-eye-view encoder.
-        decoder_layers: Layers of the agent decoder.
+        occupancy_feedforward_channels: Hidden width of the feed-forward blocks in the decoder of the occupancy head.
         queries: Agent queries beside the one of the ego.
-        agent_classes: Kinds of agents.
         map_queries: Queries for map elements.
-        map_classes: Kinds of map elements.
         map_layers: Layers of the map head's encoder, and of its decoder.
         map_levels: Feature maps for which the map head's attention has parameters; it is given one map
             (`adapters.networks.uniad.map_attention`).
@@ -37,27 +29,16 @@ class UniADConfig:
         stuff_mask_layers: Blocks that make the mask of the drivable area.
         motion_layers: Layers of the forecast.
         motion_groups: Groups of kinds of agents with anchors of their own.
-        modes: Forecasts per agent.
         forecast_steps: Forecast steps of 0.5 s.
         occupancy_steps: The present and steps of 0.5 s after it.
         plan_layers: Layers of the planner.
         plan_steps: Planned steps of 0.5 s.
-        commands: Driving commands.
-        cameras: Cameras, in the order of the specification.
-        backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 23, 3) is ResNet-101.
-        backbone_width: Channels after its first convolution; 64 in ResNet-101.
-        backbone_style: Which convolution of its blocks strides, as in `adapters.networks.layers.resnet.Bottleneck`.
-        deformable_stages: Its stages whose 3 x 3 convolutions are deformable.
-        pyramid_levels: Feature maps of an image that the bird's-eye view reads, 3 or more.
-        height_points: Heights of the pillar over a cell at which images are sampled.
-        image_points: Sampling points per head and level in images, a multiple of `height_points`.
-        bev_points: Sampling points per head in the bird's-eye view.
+        backbone_style: Which convolution of a block of the image network strides, as in
+            `adapters.networks.layers.resnet.Bottleneck`.
+        deformable_stages: Stages of the image network whose 3 x 3 convolutions are deformable.
         memory_length: States that a track remembers.
-        max_boxes: Most tracks, and most boxes, that are reported.
-        max_lines: Map elements that get a mask.
         occupancy_half_m: Half the side of the square whose occupancy is predicted.
         occupied_above: Occupancy times the track's score above which a cell counts as occupied.
-        rotation_centre: Column and row of the previous view, in cells, around which it is turned.
         image_format: Its images.
         motion_across_scenes: Whether the first key frame of a scene is told the motion from wherever the ego was last
             (in the very first, from the origin), as the published network is; else that it has not moved.
@@ -68,51 +49,33 @@ class UniADConfig:
     bev_rows: int = 200
     bev_columns: int = 200
     perception_range_m: tuple[float, float, float, float, float, float] = (-51.2, -51.2, -5.0, 51.2, 51.2, 3.0)
-    channels: int = 256
-    feedforward_channels: int = 512
     occupancy_feedforward_channels: int = 2048
-    heads: int = 8
     encoder_layers: int = 6
     decoder_layers: int = 6
     queries: int = 900
-    agent_classes: int = 10
     map_queries: int = 300
-    map_classes: int = 3
     map_layers: int = 6
     map_levels: int = 4
     thing_mask_layers: int = 4
     stuff_mask_layers: int = 6
     motion_layers: int = 3
     motion_groups: int = 4
-    modes: int = 6
     forecast_steps: int = 12
     occupancy_steps: int = 5
     plan_layers: int = 3
     plan_steps: int = 6
-    commands: int = 3
-    cameras: int = 6
     backbone_blocks: tuple[int, int, int, int] = (3, 4, 23, 3)
-    backbone_width: int = 64
     backbone_style: Literal["pytorch", "caffe"] = "caffe"
     deformable_stages: tuple[int, ...] = (2, 3)
     pyramid_levels: int = 4
-    height_points: int = 4
-    image_points: int = 8
-    bev_points: int = 4
     memory_length: int = 4
     max_boxes: int = 300
     max_lines: int = 100
     occupancy_half_m: float = 50.0
     occupied_above: float = 0.1
-    rotation_centre: tuple[float, float] = (100.0, 100.0)
     image_format: ImageFormat = PUBLISHED_IMAGE
     motion_across_scenes: bool = True
     counterclockwise_yaw: bool = False
-
-    @property
-    def grid(self) -> BEVGrid:
-        """The bird's-eye view."""
-        return BEVGrid(self.bev_rows, self.bev_columns, self.perception_range_m)
 
     @classmethod
     def base(cls, map_levels: int = 4) -> Self:

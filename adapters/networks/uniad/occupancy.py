@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from adapters.networks.layers.attention import FeedForward, MultiheadAttention
+from adapters.networks.layers.attention import FeedForward, ResidualAttention
 from adapters.networks.uniad.config import UniADConfig
 
 CELL_M = 0.5
@@ -177,32 +177,19 @@ class DenseDecoder(nn.Module):
         return features
 
 
-class NamedAttention(nn.Module):
-    """Attention under the name that published checkpoints have for it, added to what it came from."""
-
-    def __init__(self, channels: int, heads: int) -> None:
-        super().__init__()
-        self.attn = MultiheadAttention(channels, heads)
-
-    def forward(self, tokens: Tensor, things: Tensor, allowed: Tensor | None = None) -> Tensor:
-        """Arguments and result as in `adapters.networks.layers.attention.MultiheadAttention`."""
-        attended: Tensor = self.attn(tokens, things, things, allowed)
-        return tokens + attended
-
-
 class OccupancyLayer(nn.Module):
     """Cells look at each other and then at vehicles."""
 
     def __init__(self, channels: int, heads: int, hidden: int) -> None:
         super().__init__()
-        self.attentions = nn.ModuleList([NamedAttention(channels, heads) for _ in range(2)])
+        self.attentions = nn.ModuleList([ResidualAttention(channels, heads) for _ in range(2)])
         self.ffns = nn.ModuleList([FeedForward(channels, hidden)])
         self.norms = nn.ModuleList([nn.LayerNorm(channels) for _ in range(3)])
 
     def forward(self, cells: Tensor, vehicles: Tensor, allowed: Tensor) -> Tensor:
         """(cells, C), (V, C) and (cells, V) booleans to (cells, C)."""
-        cells = self.norms[0](self.attentions[0](cells, cells))
-        cells = self.norms[1](self.attentions[1](cells, vehicles, allowed))
+        cells = self.norms[0](self.attentions[0](cells, cells, cells, cells))
+        cells = self.norms[1](self.attentions[1](cells, cells, vehicles, vehicles, allowed))
         result: Tensor = self.norms[2](self.ffns[0](cells))
         return result
 

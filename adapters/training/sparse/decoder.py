@@ -6,73 +6,39 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from adapters.networks.sparse.boxes import BoxSampling
-from adapters.networks.sparse.decoder import DECAY, PAST, PRESENT, REFINE, SAMPLE, BoxDecoder, SparseDecoder
+from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.boxes import BoxSampling, carry_boxes
+from adapters.networks.sparse.decoder import (
+    DECAY,
+    PAST,
+    PRESENT,
+    REFINE,
+    SAMPLE,
+    BoxDecoder,
+    Decoded,
+    Remembered,
+    SparseDecoder,
+    Stage,
+)
 from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S
 from adapters.networks.sparse.lines import LineSampling
-from adapters.training.sparse.views import KeyframeMotions, Views, rows_of
+from adapters.training.sparse.views import KeyframeMotions, rows_of
 
 
 @dataclass(frozen=True, slots=True)
-class LearnedStage:
-    """What a stage says about N instances of B key frames.
+class Learned(Decoded):
+    """N instances of B key frames after the last stage; all tensors have a leading B.
 
     Attributes:
-        anchors: (B, N, D).
-        logits: (B, N, classes).
-        qualities: (B, N, 2) of boxes only.
+        kept: What to remember of them; nothing is learned through it.
     """
 
-    anchors: Tensor
-    logits: Tensor
-    qualities: Tensor | None
-
-
-@dataclass(frozen=True, slots=True)
-class Kept:
-    """The K most certain instances, for the next key frames; nothing is learned through them.
-
-    Attributes:
-        features: (B, K, C).
-        anchors: (B, K, D).
-        confidence: (B, K) 0 to 1.
-        rows: (B, K) which instances they are.
-    """
-
-    features: Tensor
-    anchors: Tensor
-    confidence: Tensor
-    rows: Tensor
-
-
-@dataclass(frozen=True, slots=True)
-class Learned:
-    """N instances of B key frames after the last stage.
-
-    Attributes:
-        stages: One after the other.
-        features: (B, N, C).
-        embeddings: (B, N, C).
-        kept: What to remember of them.
-    """
-
-    stages: tuple[LearnedStage, ...]
-    features: Tensor
-    embeddings: Tensor
-    kept: Kept
-
-    @property
-    def anchors(self) -> Tensor:
-        """(B, N, D) places."""
-        return self.stages[-1].anchors
-
-    @property
-    def scores(self) -> Tensor:
-        """(B, N) 0 to 1, of the most likely class."""
-        return self.stages[-1].logits.amax(-1).sigmoid()
+    kept: Remembered
 
     @classmethod
-    def decoded(cls, decoder: SparseDecoder, views: Views, past: Kept | None, motions: KeyframeMotions | None) -> Self:
+    def decoded(
+        cls, decoder: SparseDecoder, views: CameraFeatures, past: Remembered | None, motions: KeyframeMotions | None
+    ) -> Self:
         """Decode B key frames.
 
         Gradients stop between stages, at the places of instances: each stage learns how to correct what it is given.
@@ -93,10 +59,12 @@ class Learned:
         count = anchors.shape[1]
         carried, key = None, None
         if past and motions:
-            moved = motions.carry_boxes(past.anchors, True) if isinstance(decoder, BoxDecoder) else None
-            carried = motions.carry_lines(past.anchors) if moved is None else moved
+            if isinstance(decoder, BoxDecoder):
+                carried = carry_boxes(past.anchors, motions, motions.seconds)
+            else:
+                carried = motions.carry_lines(past.anchors)
             key = past.features, decoder.anchor_encoder(carried)
-        stages: list[LearnedStage] = []
+        stages: list[Stage] = []
         for operation, layer in zip(decoder.operations, decoder.layers, strict=True):
             if operation == PAST:
                 features = decoder.attend(layer, features, embeddings, key)
@@ -120,28 +88,28 @@ class Learned:
         return cls(tuple(stages), features, embeddings, _kept(decoder, stages[-1], features, past))
 
 
-def _sampled(layer: object, features: Tensor, anchors: Tensor, embeddings: Tensor, views: Views) -> Tensor:
+def _sampled(layer: object, features: Tensor, anchors: Tensor, embeddings: Tensor, views: CameraFeatures) -> Tensor:
     assert isinstance(layer, BoxSampling | LineSampling)
     batch, count = features.shape[:2]
     points = layer.kps_generator(features.flatten(0, 1), anchors.flatten(0, 1)).unflatten(0, (batch, count))
-    return torch.cat([views.sample(layer, features + embeddings, points), features], -1)
+    return torch.cat([layer.sample(features + embeddings, points, views), features], -1)
 
 
 def _refined(
     layer: torch.nn.Module, features: Tensor, anchors: Tensor, embeddings: Tensor, motions: KeyframeMotions | None
-) -> LearnedStage:
+) -> Stage:
     batch, count = features.shape[:2]
     interval_s = motions.seconds.expand(-1, count, -1).flatten(0, 1) if motions else USUAL_INTERVAL_S
     refined = layer(features.flatten(0, 1), anchors.flatten(0, 1), embeddings.flatten(0, 1), interval_s)
     places, logits, qualities = (None if each is None else each.unflatten(0, (batch, count)) for each in refined)
     assert places is not None and logits is not None
-    return LearnedStage(places, logits, qualities)
+    return Stage(places, logits, qualities)
 
 
-def _kept(decoder: SparseDecoder, last: LearnedStage, features: Tensor, past: Kept | None) -> Kept:
+def _kept(decoder: SparseDecoder, last: Stage, features: Tensor, past: Remembered | None) -> Remembered:
     confidence = last.logits.detach().amax(-1).sigmoid()
     if past:
         old = torch.maximum(past.confidence * DECAY, confidence[:, : decoder.remembered])
         confidence = torch.cat([old, confidence[:, decoder.remembered :]], 1)
     best, rows = confidence.topk(decoder.remembered, dim=1)
-    return Kept(rows_of(features.detach(), rows), rows_of(last.anchors.detach(), rows), best, rows)
+    return Remembered(rows_of(features.detach(), rows), rows_of(last.anchors.detach(), rows), best, rows)

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
+from adapters.networks.sparse.decoder import Stage
 from adapters.networks.sparse.queue import FORWARD_SPEED
 from adapters.training.losses import (
     Matches,
+    assigned,
     box_loss,
     class_cost,
     direction_loss,
@@ -21,9 +21,8 @@ from adapters.training.losses import (
     query_class_loss,
     winners,
 )
-from adapters.training.sparse.decoder import Learned, LearnedStage
+from adapters.training.sparse.decoder import Learned
 from adapters.training.sparse.targets import Targets
-from benchmark.errors import InputError
 
 BOX_WEIGHTS: Final = (2.0, 2.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 0.5, 0.0)
 """Of the numbers of a box."""
@@ -48,34 +47,7 @@ STATUS: Final = 0.1
 SPEED: Final = 0.3
 
 
-def block_matches(cost: Tensor, queries: int, counts: Sequence[int]) -> Matches:
-    """Pairs with the least sum of costs, each within its key frame.
-
-    Args:
-        cost: (F * queries, sum of counts) of all predictions and all annotations.
-        queries: Predictions of a key frame.
-        counts: Annotations of each key frame.
-
-    Returns:
-        The pairs.
-
-    Raises:
-        InputError: If a cost is not finite.
-    """
-    matrix = cost.detach().float().cpu().numpy()
-    if not np.isfinite(matrix).all():
-        raise InputError("the network's predictions are no longer finite numbers; train with a lower learning rate")
-    rows, columns, start = [], [], 0
-    for frame, count in enumerate(counts):
-        first = frame * queries
-        row, column = linear_sum_assignment(matrix[first : first + queries, start : start + count])
-        rows.append(row + first)
-        columns.append(column + start)
-        start += count
-    return Matches(*(torch.from_numpy(np.concatenate(each)).to(cost.device) for each in (rows, columns)))
-
-
-def stage_of_boxes(stage: LearnedStage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
     """Losses of one stage of the decoder of boxes, of F key frames in the order of the targets.
 
     Args:
@@ -90,7 +62,7 @@ def stage_of_boxes(stage: LearnedStage, targets: Targets) -> tuple[dict[str, Ten
     weights = boxes.new_tensor(BOX_WEIGHTS)
     distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)
     cost = CLASS * class_cost(logits, targets.box_labels) + BOX * distance
-    matches = block_matches(cost, stage.anchors.shape[1], targets.box_counts)
+    matches = assigned(cost, stage.anchors.shape[1], targets.box_counts)
     found, wanted = boxes[matches.queries], targets.boxes[matches.wanted]
     missed = (found - wanted)[:, :3].detach().norm(dim=-1)
     alike = ((found[:, 6:8] * wanted[:, 6:8]).sum(-1) > 0).float()
@@ -126,7 +98,7 @@ def nearest_predictions(boxes: Tensor, targets: Targets, queries: int) -> Matche
     return Matches(rows.gather(1, near).flatten(), wanted.flatten())
 
 
-def stage_of_lines(stage: LearnedStage, targets: Targets) -> dict[str, Tensor]:
+def stage_of_lines(stage: Stage, targets: Targets) -> dict[str, Tensor]:
     """Losses of one stage of the decoder of lines; arguments as in `stage_of_boxes`."""
     logits = stage.logits.flatten(0, 1)
     points = stage.anchors.flatten(0, 1).view(len(logits), -1, 2)
@@ -134,7 +106,7 @@ def stage_of_lines(stage: LearnedStage, targets: Targets) -> dict[str, Tensor]:
     distance = torch.cdist(points.detach().flatten(1), orders.flatten(2).flatten(0, 1), p=1)
     nearest, order = distance.view(len(points), *orders.shape[:2]).min(-1)
     cost = CLASS * class_cost(logits, targets.line_labels) + LINE * nearest / points.shape[1]
-    matches = block_matches(cost, stage.anchors.shape[1], targets.line_counts)
+    matches = assigned(cost, stage.anchors.shape[1], targets.line_counts)
     matched = orders[matches.wanted, order[matches.queries, matches.wanted]]
     return {
         "line class": CLASS * query_class_loss(logits, targets.line_labels, matches),
@@ -168,10 +140,10 @@ def decoder_losses(
     return found, boxes[-1][1]
 
 
-def _joined(decoded: Sequence[Learned]) -> list[LearnedStage]:
+def _joined(decoded: Sequence[Learned]) -> list[Stage]:
     stages = zip(*(each.stages for each in decoded), strict=True)
     return [
-        LearnedStage(
+        Stage(
             torch.cat([stage.anchors for stage in same]),
             torch.cat([stage.logits for stage in same]),
             torch.cat([stage.qualities for stage in same if stage.qualities is not None])

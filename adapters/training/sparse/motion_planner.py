@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from adapters.networks.sparse.branches import sine_of_points
-from adapters.networks.sparse.diffusion import BLOCKS, DiffusionPlanner, PathSampling, PlanRefinement
-from adapters.networks.sparse.diffusion import LAYERS_OF_A_BLOCK as LAYERS_OF_A_DIFFUSION_BLOCK
-from adapters.networks.sparse.lines import HEIGHTS_M, at_heights
-from adapters.networks.sparse.motion_planner import LAYERS_OF_A_BLOCK, Planner
-from adapters.networks.sparse.noise_schedule import TIMESTEPS, metres, noised, normalised, previous_sample
+from adapters.networks.sparse.aggregation import CameraFeatures
+from adapters.networks.sparse.boxes import carry_boxes
+from adapters.networks.sparse.decoder import Remembered
+from adapters.networks.sparse.diffusion import BLOCKS, DiffusionPlanner, PlanContext
+from adapters.networks.sparse.motion_planner import Planner
+from adapters.networks.sparse.noise_schedule import TIMESTEPS
 from adapters.networks.sparse.queue import FORWARD_SPEED, SURE, VELOCITY, VELOCITY_Y
-from adapters.training.sparse.decoder import Kept, Learned
-from adapters.training.sparse.views import KeyframeMotions, Views, rows_of
+from adapters.training.sparse.decoder import Learned
+from adapters.training.sparse.views import KeyframeMotions, rows_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class QueueLeft:
     """
 
     queue: LearnedQueue
-    kept: Kept
+    kept: Remembered
     confidence: Tensor
     status: Tensor
 
@@ -124,7 +124,7 @@ def _followed(past: QueueLeft, agents: Learned, motions: KeyframeMotions) -> Lea
     rows = torch.cat([rows, rows.new_full((batch, 1), past.confidence.shape[1])], 1)
     nobody = ~known[..., None]
     features = [rows_of(each, rows).masked_fill(nobody, 0) for each in past.queue.features]
-    boxes = [motions.carry_boxes(rows_of(each, rows), moving=False) for each in past.queue.boxes]
+    boxes = [carry_boxes(rows_of(each, rows), motions, 0.0) for each in past.queue.boxes]
     return LearnedQueue(
         torch.stack(features),
         torch.stack([each.masked_fill(nobody, 0) for each in boxes]),
@@ -157,16 +157,7 @@ def interacted(
     watched = rows_of(features, rows), rows_of(embeddings, rows)
     seen = lines.scores.detach().topk(config.watched_lines, dim=1).indices
     lanes, places = rows_of(lines.features, seen), rows_of(lines.embeddings, seen)
-    layers = list(planner.interaction)[:-1]
-    for first in range(0, len(layers), LAYERS_OF_A_BLOCK):
-        look_back, look_around, norm, look_at_map, second_norm, feed, third_norm = layers[
-            first : first + LAYERS_OF_A_BLOCK
-        ]
-        each = features[:, :, None], embeddings[:, :, None]
-        features = planner.decoupled(look_back, each, past, allowed)[:, :, 0]
-        features = norm(planner.decoupled(look_around, (features, embeddings), watched))
-        features = look_at_map(features, features + embeddings, lanes + places, lanes)
-        features = third_norm(feed(second_norm(features)))
+    features = planner.looked(features, embeddings, past, allowed, watched, (lanes, places))
     tokens = features + embeddings
     status: Tensor = planner.refinement.plan_status_branch(tokens[:, -1])
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
@@ -189,7 +180,7 @@ class Cleaned:
 
 
 def denoised(
-    planner: DiffusionPlanner, views: Views, found: Interacted, commands: Tensor, noise: Tensor
+    planner: DiffusionPlanner, views: CameraFeatures, found: Interacted, commands: Tensor, noise: Tensor
 ) -> list[Cleaned]:
     """Put noise on the anchored plans of the given commands and clean them again, as when the network plans.
 
@@ -203,44 +194,11 @@ def denoised(
     Returns:
         What each block says in each step of the way back, the last one last. Gradients stop between the steps.
     """
-    anchors = planner.plan_anchor[commands]
-    sample = noised(normalised(anchors.diff(dim=2, prepend=torch.zeros_like(anchors[:, :, :1]))), noise)
     starts = planner.plan_queries(found.ego[:, None])[torch.arange(len(commands), device=commands.device), commands]
-    cleaned: list[Cleaned] = []
-    for timestep in TIMESTEPS:
-        offsets = metres(sample.clamp(-1, 1))
-        tokens = planner.plan_pos_encoder(sine_of_points(offsets, planner.config.channels // 2).flatten(2))
-        time = planner.time_mlp(torch.tensor(float(timestep), device=tokens.device))
-        for block in range(BLOCKS):
-            tokens, made = _clean(planner, block, tokens, offsets, time, views, found, starts)
-            offsets = made.offsets.detach()
-            cleaned.append(made)
-        sample = previous_sample(sample, normalised(offsets), timestep)
-    return cleaned
-
-
-def _clean(
-    planner: DiffusionPlanner,
-    block: int,
-    tokens: Tensor,
-    offsets: Tensor,
-    time: Tensor,
-    views: Views,
-    found: Interacted,
-    starts: Tensor,
-) -> tuple[Tensor, Cleaned]:
-    first = block * LAYERS_OF_A_DIFFUSION_BLOCK
-    path, each_other, norm, agents, agents_norm, anchors, anchors_norm, feed, feed_norm, modulate, refine = list(
-        planner.diff_layers
-    )[first : first + LAYERS_OF_A_DIFFUSION_BLOCK]
-    assert isinstance(path, PathSampling) and isinstance(refine, PlanRefinement)
-    ground = offsets.cumsum(2)[..., None, None, :].expand(-1, -1, -1, len(HEIGHTS_M), -1, -1)
-    tokens = tokens + views.sample(path, tokens, at_heights(ground).flatten(2, 4))
-    tokens = norm(each_other(tokens, tokens, tokens, tokens))
-    ego = found.ego_embedding.expand_as(tokens)
-    tokens = agents_norm(planner.decoupled(agents, (tokens, ego), found.watched))
-    tokens = anchors_norm(anchors(tokens, tokens, starts, starts))
-    tokens = modulate(feed_norm(feed(tokens)), time)
-    logits = refine.plan_cls_branch(tokens)[..., 0]
-    offsets = refine.plan_reg_branch(tokens).unflatten(-1, (-1, 2))
-    return tokens, Cleaned(logits, offsets)
+    context = PlanContext(views, found.ego_embedding, found.watched, starts)
+    _, _, made = planner.denoise(context, planner.plan_anchor[commands], noise)
+    return [
+        Cleaned(made[f"logits {block} {step}"], made[f"offsets {block} {step}"])
+        for step in range(len(TIMESTEPS))
+        for block in range(BLOCKS)
+    ]

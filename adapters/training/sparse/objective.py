@@ -8,14 +8,15 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from adapters.camera_inputs import RGB_MEAN_STD, Normalisation
+from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.decoder import Decoded, Stage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
 from adapters.networks.sparse.keyframe_pose import KeyframePose
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.training.frames import TrainingFrame
+from adapters.training.image_encoder import miniature_images
 from adapters.training.phases import Phase
-from adapters.training.sparse.decoder import Learned, LearnedStage
+from adapters.training.sparse.decoder import Learned
 from adapters.training.sparse.losses import (
     decoder_losses,
     forecast_losses,
@@ -25,7 +26,7 @@ from adapters.training.sparse.losses import (
 )
 from adapters.training.sparse.motion_planner import Cleaned, Interacted, denoised, interacted, queued
 from adapters.training.sparse.targets import Targets
-from adapters.training.sparse.views import KeyframeMotions, Views
+from adapters.training.sparse.views import KeyframeMotions
 from adapters.training.trainer import Recipe
 from benchmark.machine.storage import content_seed
 
@@ -57,13 +58,12 @@ class Seen:
 
 
 class SparseObjective:
-    """All tasks at once, frame after frame, as in the second stage of the published training; see `Objective`.
+    """All tasks at once, frame after frame, as in the second stage of the published training.
 
     Memory goes from frame to frame, and gradients stop there.
 
     Args:
         network: To be trained.
-        normalisation: Of the images.
         perception: Whether what finds boxes and lines learns too, and not the planner alone.
 
     Attributes:
@@ -71,17 +71,15 @@ class SparseObjective:
         clip_frames: Key frames of a clip.
     """
 
-    def __init__(
-        self, network: SparseNetwork, normalisation: Normalisation = RGB_MEAN_STD, *, perception: bool = True
-    ) -> None:
+    def __init__(self, network: SparseNetwork, *, perception: bool = True) -> None:
         self.network: nn.Module = network
         self.clip_frames = STREAM_FRAMES
-        self._sparse, self._normalisation = network, normalisation
+        self._sparse = network
         for name in FROZEN if perception else PERCEPTION:
             network.get_submodule(name).requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """See `Objective.losses`."""
+        """Losses of one clip; weighted scalars by name, means over the key frames."""
         return self.losses_of([clip])
 
     def losses_of(self, clips: Sequence[Sequence[TrainingFrame]]) -> dict[str, Tensor]:
@@ -150,14 +148,14 @@ class SparseObjective:
         network, head = self._sparse, self._sparse.head
         config, device = network.config, targets.plans.device
         images = torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device)
-        maps = network.img_neck(network.img_backbone(normalised_images(images, self._normalisation)))
+        maps = network.img_neck(network.img_backbone(miniature_images(images)))
         found: list[Seen] = []
         before: list[KeyframePose] = []
         for start in range(0, len(frames), batch):
             present = frames[start : start + batch]
             rows = slice(start * config.cameras, (start + batch) * config.cameras)
             projections = torch.stack([frame.lidar2img for frame in present]).to(device, torch.float32)
-            views = Views.of(
+            views = CameraFeatures.of(
                 [level[rows] for level in maps], projections, config.image_height_px, config.image_width_px
             )
             poses = [KeyframePose(frame.timestamp_s, frame.global_T_lidar, frame.scene) for frame in present]
@@ -175,7 +173,7 @@ class SparseObjective:
         return found
 
     def _cleaned(
-        self, views: Views, planned: Interacted, commands: Tensor, frames: Sequence[TrainingFrame]
+        self, views: CameraFeatures, planned: Interacted, commands: Tensor, frames: Sequence[TrainingFrame]
     ) -> tuple[Cleaned, ...]:
         planner = self._sparse.head.motion_plan_head
         if not isinstance(planner, DiffusionPlanner):
@@ -189,18 +187,17 @@ class SparseObjective:
         return torch.randn((config.modes, config.steps, 2), generator=_generator(frame, "noise"))
 
 
-def network_inputs(frame: TrainingFrame, normalisation: Normalisation = RGB_MEAN_STD) -> SparseInputs:
+def network_inputs(frame: TrainingFrame) -> SparseInputs:
     """What the planner would give the network for a key frame.
 
     Args:
         frame: The key frame.
-        normalisation: Of the images.
 
     Returns:
         The inputs.
     """
     return SparseInputs(
-        images=normalised_images(frame.images, normalisation),
+        images=miniature_images(frame.images),
         projections=frame.lidar2img,
         timestamp_s=frame.timestamp_s,
         global_T_lidar=frame.global_T_lidar,
@@ -209,22 +206,14 @@ def network_inputs(frame: TrainingFrame, normalisation: Normalisation = RGB_MEAN
     )
 
 
-def normalised_images(images: Tensor, normalisation: Normalisation) -> Tensor:
-    """(..., 3, H, W) bytes, red green blue, as a network reads them."""
-    mean, std = (
-        torch.tensor(each, device=images.device)[:, None, None] for each in (normalisation.mean, normalisation.std)
-    )
-    return ((images if normalisation.rgb else images.flip(-3)) - mean) / std
-
-
 def _generator(frame: TrainingFrame, purpose: str) -> torch.Generator:
     return torch.Generator().manual_seed(content_seed("sparse lesson", purpose, frame.scene, frame.index))
 
 
-def _flattened(agents: Sequence[Learned]) -> LearnedStage:
+def _flattened(agents: Sequence[Learned]) -> Stage:
     """The last stages of several key frames, (F * N, ...)."""
     anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
-    return LearnedStage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
+    return Stage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
 
 
 def phases() -> tuple[Phase, ...]:

@@ -5,12 +5,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.uniad.bev import Detections
-from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.map_head import MapElements
 from adapters.networks.uniad.motion import Forecasts
 from adapters.networks.uniad.occupancy import Occupancy
-from adapters.training.dense_targets import CHANNELS, dense_targets
-from adapters.training.frames import TrainingFrame
 from adapters.training.losses import (
     FOCAL_GAMMA,
     Matches,
@@ -35,9 +32,6 @@ SPEED_WEIGHT = 1.0
 RECTANGLE_WEIGHT, MASK_WEIGHT = 2.0, 1.0
 FORECAST_WEIGHT, MODE_WEIGHT, DEVIATION_WEIGHT = 0.5, 0.5, 0.05
 OCCUPANCY_WEIGHT = 1.0
-DENSE_WEIGHT = 6.0
-DENSE_GAIN = 4.0
-"""From a normalised channel of the view to a logit."""
 SMALLEST_DEVIATION_M, LARGEST_CORRELATION = 0.1, 0.9
 
 
@@ -109,25 +103,6 @@ def _agent_class_loss(logits: Tensor, labels: Tensor, matches: Matches) -> Tenso
     miss = (logits.sigmoid() - targets).abs()
     share = POSITIVES * targets + (1 - POSITIVES) * (1 - targets)
     return (share * miss**FOCAL_GAMMA * entropy).sum() / max(len(matches.queries), 1)
-
-
-def dense_loss(bev: Tensor, frame: TrainingFrame, config: UniADConfig) -> Tensor:
-    """Of the first channels of the bird's-eye view, which say what is in each cell (`adapters.training.dense_targets`).
-
-    Args:
-        bev: (cells, C).
-        frame: What is annotated.
-        config: Gives the view.
-
-    Returns:
-        A scalar.
-    """
-    targets, known = dense_targets(frame, config.grid)
-    logits = DENSE_GAIN * bev[:, :CHANNELS]
-    entropy = F.binary_cross_entropy_with_logits(logits, targets, reduction="none")
-    # Cells of lines and agents are few.
-    weights = known * (1 + 2 * targets)
-    return DENSE_WEIGHT * (entropy * weights).sum() / weights.sum()
 
 
 def matched_elements(elements: MapElements, road: Road) -> Matches:

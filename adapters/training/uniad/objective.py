@@ -15,13 +15,13 @@ from adapters.networks.uniad.frames import UniADInputs
 from adapters.networks.uniad.model import Memory, UniAD
 from adapters.networks.uniad.motion import Forecasts
 from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Instances, Pose, decoded
+from adapters.training.dense_targets import dense_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.losses import Matches, plan_loss
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus
 from adapters.training.uniad.losses import (
-    dense_loss,
     detection_losses,
     forecast_losses,
     map_losses,
@@ -40,7 +40,7 @@ from adapters.training.uniad.targets import (
 
 Stage = Literal["perception", "all"]
 """``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""
-PLAN_WEIGHT = 2.0
+PLAN_WEIGHT, DENSE_WEIGHT = 2.0, 6.0
 LOST = 0.1
 """Share of tracks that are dropped between frames, so that their agents are found anew."""
 FROZEN = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
@@ -167,7 +167,7 @@ class UniADObjective:
         matches = matched_agents(detections, agents, entering.track_ids[config.queries + 1 :], config.queries)
         ego_codes = box_targets(ego_box(frame), config)
         losses = detection_losses(detections, agents, matches, ego_codes, config.queries)
-        losses["dense"] = dense_loss(bev, frame, config)
+        losses["dense"] = dense_loss(bev, frame, config.grid, DENSE_WEIGHT)
         instances = _followed(entering, detections, agents, matches)
         memory = Memory(frame.scene, bev, self._handed_on(instances, matches), pose)
         if last:

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.networks.layers.coders import line_extent
 from adapters.networks.sparse.anchors import clustered
 from adapters.networks.uniad.config import UniADConfig
@@ -16,6 +15,7 @@ from adapters.networks.uniad.frames import UniADInputs
 from adapters.networks.uniad.motion import GROUP_OF_CLASS
 from adapters.networks.uniad.occupancy import CELL_M
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
+from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import normalised_boxes
 from benchmark.constants import EGO_BODY_WIDTH_M, EGO_HEIGHT_M, EGO_LENGTH_M
 
@@ -36,9 +36,8 @@ def network_inputs(frame: TrainingFrame) -> UniADInputs:
     Returns:
         The inputs, on the device of the frame's images.
     """
-    mean, std = (frame.images.new_tensor(values, dtype=torch.float32) for values in _MEAN_STD)
     return UniADInputs(
-        images=(frame.images.float() - mean[:, None, None]) / std[:, None, None],
+        images=miniature_images(frame.images),
         lidar2img=frame.lidar2img,
         can_bus=frame.can_bus,
         l2g_r_mat=frame.global_T_lidar[:3, :3].T.float(),
@@ -47,9 +46,6 @@ def network_inputs(frame: TrainingFrame) -> UniADInputs:
         command=frame.command,
         scene_token=frame.scene,
     )
-
-
-_MEAN_STD = (RGB_MEAN_STD.mean, RGB_MEAN_STD.std)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.model import VAD, VADInputs
-from adapters.networks.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.networks.vad.predictions import VADPredictions
-from adapters.training.dense_targets import CHANNELS, dense_targets
+from adapters.training.dense_targets import CHANNELS, dense_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
@@ -31,6 +30,7 @@ from adapters.training.losses import (
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus
+from adapters.training.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 
 CLIP_FRAMES: Final = 3
 LEARNED_FRAMES: Final = 2
@@ -41,8 +41,6 @@ WITHOUT_SPEED: Final = 1 / 3
 """Share of clips that are not told how the ego moves: the plan has to come from what is seen."""
 WITHOUT_PAST: Final = 0.4
 """Share of clips whose first learned frame is as at the start of a scene; it saves a sixth of the time, too."""
-DENSE_GAIN: Final = 4.0
-"""From a normalised channel of the view to a logit."""
 PACE_STEP: Final = 1
 """The planned step whose distance the tokens have to know: 1 s."""
 PACE_M: Final = 7.0
@@ -103,7 +101,7 @@ class VADObjective:
             network.img_backbone.get_submodule(name).requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """See `adapters.training.frames.Objective`; the mean over the learned frames."""
+        """Losses of a clip of consecutive key frames; weighted scalars by name, means over the learned frames."""
         disguise = Disguise.drawn()
         first_learned = max(len(clip) - LEARNED_FRAMES, 0)
         previous: tuple[Tensor, Tensor] | None = None
@@ -155,7 +153,7 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
     return {
         **_agent_losses(network, predictions, frame),
         **_map_losses(network, predictions, frame),
-        "dense": _dense_loss(network, predictions, frame),
+        "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
         "pace": _pace_loss(predictions, frame),
         **_plan_losses(predictions, frame),
     }
@@ -237,16 +235,6 @@ def _with_points(lines: Tensor, points: int) -> Tensor:
     if not len(lines):
         return lines.new_zeros((0, points, 2))
     return F.interpolate(lines.transpose(1, 2), points, mode="linear", align_corners=True).transpose(1, 2)
-
-
-def _dense_loss(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
-    """Cross entropy of the first channels of the view; the mean over what is known."""
-    targets, known = dense_targets(frame, network.config.grid)
-    logits = DENSE_GAIN * predictions.bev[:, :CHANNELS]
-    # Cells of lines and agents are few.
-    weights = known * (1 + 2 * targets)
-    entropy = F.binary_cross_entropy_with_logits(logits, targets, reduction="none")
-    return CHANNELS * (entropy * weights).sum() / weights.sum()
 
 
 def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:

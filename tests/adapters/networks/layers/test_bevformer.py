@@ -1,11 +1,13 @@
 """The bird's-eye-view encoder cell by cell, camera by camera."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
-from adapters.networks.layers.bev_geometry import BEVGrid, camera_hits
+from adapters.networks.layers.bev_config import BEVConfig
+from adapters.networks.layers.bev_geometry import camera_hits
 from adapters.networks.layers.bevformer import (
     BEVFormerEncoder,
     BEVFormerLayer,
@@ -17,7 +19,24 @@ from tests.adapters.networks.layers.slow_sampling import slow_sampling
 from tests.adapters.networks.layers.test_attention import perturb
 from tests.adapters.networks.layers.test_bev_geometry import cameras
 
-GRID = BEVGrid(5, 4, (-15.0, -30.0, -2.0, 15.0, 30.0, 2.0))
+SIZES = BEVConfig(
+    bev_rows=5,
+    bev_columns=4,
+    perception_range_m=(-15.0, -30.0, -2.0, 15.0, 30.0, 2.0),
+    encoder_layers=2,
+    decoder_layers=1,
+    pyramid_levels=2,
+    max_boxes=1,
+    max_lines=1,
+    backbone_blocks=(1, 1, 1, 1),
+    channels=8,
+    feedforward_channels=16,
+    heads=2,
+    height_points=2,
+    image_points=4,
+    bev_points=3,
+)
+GRID = SIZES.grid
 SHAPES = ((3, 5), (2, 3))
 
 
@@ -105,9 +124,7 @@ def test_cells_that_no_camera_sees_stay_as_they_are() -> None:
 @pytest.mark.parametrize("past", [False, True])
 def test_an_encoder_keeps_the_first_queries_as_the_present(past: bool) -> None:
     torch.manual_seed(3)
-    encoder: Any = BEVFormerEncoder(
-        GRID, layers=2, channels=8, heads=2, hidden=16, levels=2, bev_points=3, image_points=4, heights=2
-    )
+    encoder: Any = BEVFormerEncoder(SIZES)
     perturb(encoder)
     cells, positions, before = (torch.randn(GRID.cells, 8) for _ in range(3))
     projections, features = cameras(5), torch.randn(3, 21, 8)
@@ -135,7 +152,7 @@ def test_features_know_their_camera_and_level() -> None:
 
 def test_points_are_shared_by_heights_evenly() -> None:
     with pytest.raises(ValueError, match="shared evenly"):
-        BEVFormerEncoder(GRID, 1, 8, 2, 16, levels=1, bev_points=2, image_points=3, heights=2)
+        BEVFormerEncoder(replace(SIZES, image_points=3))
 
 
 def test_a_layer_is_one_graph() -> None:

@@ -195,6 +195,6 @@ def test_damaged_sets_are_refused(message: str, tmp_path: Path, monkeypatch: pyt
     golden = copy("vad_tiny", tmp_path, frames=1)
     DAMAGES[message](golden)
     # What is damaged here is found before weights matter.
-    monkeypatch.setattr("adapters.verification.vad.fill", lambda *_: None)
+    monkeypatch.setattr("adapters.verification.parity_set.fill", lambda *_: None)
     with pytest.raises(InputError, match=message):
         verify_model("vad-tiny", golden)

@@ -20,7 +20,8 @@ from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNe
 from adapters.networks.sparse.planner import SparsePlanner
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
-from adapters.training.sparse.losses import FORECAST, block_matches, forecast_losses, plan_losses
+from adapters.training.losses import assigned
+from adapters.training.sparse.losses import FORECAST, forecast_losses, plan_losses
 from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained, untrained_diffusion
 from adapters.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
@@ -193,7 +194,7 @@ def test_matches_stay_in_their_key_frame_and_are_the_cheapest(data: st.DataObjec
     counts = data.draw(st.lists(st.integers(0, 3), min_size=1, max_size=3))
     seed = data.draw(st.integers(0, 1000))
     cost = torch.rand(len(counts) * queries, sum(counts), generator=torch.Generator().manual_seed(seed))
-    found = block_matches(cost, queries, counts)
+    found = assigned(cost, queries, counts)
     total, start = 0.0, 0
     for number, count in enumerate(counts):
         block = cost[number * queries : (number + 1) * queries, start : start + count].numpy()

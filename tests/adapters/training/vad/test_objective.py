@@ -16,7 +16,6 @@ from adapters.networks.layers.bev_geometry import BEVGrid
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
-from adapters.networks.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.networks.vad.planner import VADPlanner
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import select
@@ -36,6 +35,7 @@ from adapters.training.vad.objective import (
     inputs_of,
     predictions_of,
 )
+from adapters.training.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.training.vad.start import RARE, set_first_values, untrained
 from benchmark.datasets.nuscenes import NuScenesData
 from tests.adapters.networks.vad.small_vad import SMALL, rig, small_network
