@@ -28,9 +28,10 @@ from torch import Tensor, nn
 from generation.render.magicdrive.autoencoder import DIFFUSERS, VideoDecoder
 from generation.render.magicdrive.conditions import TEXT_TOKENS, Conditions, TextStates
 from generation.render.magicdrive.config import MagicDriveConfig
-from generation.render.magicdrive.cost import Clip, Operations, operations
+from generation.render.magicdrive.cost import Operations, Workload, operations
 from generation.render.magicdrive.guidance import GuidedModel
-from generation.render.magicdrive.model import LatentSize, MagicDriveDiT
+from generation.render.magicdrive.latents import LatentSize
+from generation.render.magicdrive.model import MagicDriveDiT
 
 STEPS = 30
 PUBLISHED_SECONDS = 395.0
@@ -73,7 +74,7 @@ class Job:
     def count(self, *, as_published: bool) -> Operations:
         """Operations by formula."""
         size = LatentSize.of(self.frames, self.height, self.width, self.config.rows_multiple)
-        clip = Clip(self.frames, size, self.words + 1, self.boxes, (self.map_cells, self.map_cells))
+        clip = Workload(self.frames, size, self.words + 1, self.boxes, (self.map_cells, self.map_cells))
         return operations(self.config, clip, as_published=as_published)
 
 

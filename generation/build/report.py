@@ -7,6 +7,7 @@ from typing import Any
 from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
 from generation.search.chains import SearchResult
+from generation.search.eligibility import not_tried_together
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +57,8 @@ class BuildReport:
     ) -> "BuildReport":
         """The report on a finished search for adversaries."""
         discarded = Counter(each.attempt.discard for each in found.tried if each.attempt.discard is not None)
-        not_tried: Counter[str] = Counter()
-        for earlier, seen in found.eligibility:
-            # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
-            if not earlier:
-                not_tried.update(seen.not_tried())
+        # Later looks at the same scene, with adversaries in it, are in candidates.jsonl.
+        first_looks = [seen for earlier, seen in found.eligibility if not earlier]
         return cls(
             split="adv",
             scenes=scenes,
@@ -69,7 +67,7 @@ class BuildReport:
             discarded=dict(discarded),
             written=written,
             dropped=dict(Counter(reason.value for reason in found.dropped.values())),
-            not_tried=dict(not_tried),
+            not_tried=not_tried_together(first_looks),
             adversaries=adversaries,
             surrogate=surrogate,
         )

@@ -3,7 +3,6 @@
 Every step is resumable and gives the same bytes for any executor.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.search.attempts import kept_attempt
 from generation.search.chains import Chain, SearchResult, first_units, search_chains
 from generation.search.definition import Search
+from generation.search.eligibility import not_tried_together
 
 Split = Literal["adv", "val-r"]
 
@@ -116,9 +116,6 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
     units = [unit for _, of_scene in chosen for unit in of_scene]
     with_rounds = settings.keep_rounds and settings.adversaries == 1
     left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
-    not_tried: Counter[str] = Counter()
-    for seen, _ in chosen:
-        not_tried.update(seen.not_tried())
     count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
     expected = round(KEPT_SHARE * len(units))
     if settings.per_scene is not None:
@@ -133,7 +130,7 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
         len(names),
         len(units),
         len(units) - len(left),
-        not_tried=dict(not_tried),
+        not_tried=not_tried_together([seen for seen, _ in chosen]),
         adversaries=settings.adversaries,
         estimate=about,
         dry_run=True,

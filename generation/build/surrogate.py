@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.machine.storage import write_bytes, write_json, writing_to
+from benchmark.machine.storage import write_bytes, writing_to
 from benchmark.records.run import RunRecord, scene_failures
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import read_state, release_claim
+from generation.nuscenes_writer.scenes import claim_files, read_state
 
 if TYPE_CHECKING:
     from benchmark.runs.plan_rows import PlannerFactory
@@ -168,15 +168,9 @@ def take_over(staging: DataSetPlan, plan: DataSetPlan, keys: Sequence[str]) -> N
         fragment = read_state(staging.fragment_path(key))
         if fragment is None:
             continue
-        claim_path = plan.claim_path(fragment["variant"], fragment["name"])
-        claim = {name: fragment[name] for name in ("key", "variant", "name")} | {"files": sorted(fragment["files"])}
-        earlier = read_state(claim_path)
-        if earlier != claim:
-            if earlier is not None:
-                release_claim(plan, earlier, frozenset(claim["files"]))
-            write_json(claim_path, claim, indent=None)
+        claim_files(plan, fragment["key"], fragment["variant"], fragment["name"], fragment["files"])
         source, target = staging.data_root(fragment["variant"]), plan.data_root(fragment["variant"])
-        for path in claim["files"]:
+        for path in fragment["files"]:
             _link(source / path, target / path)
         write_bytes(plan.map_path(fragment["map"]), staging.map_path(fragment["map"]).read_bytes())
         write_bytes(plan.fragment_path(key), staging.fragment_path(key).read_bytes())

@@ -1,5 +1,6 @@
 """Actions sampled in advance: the model is unconditional, so its samples do not depend on the scene."""
 
+import functools
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +26,11 @@ def bank_beside(weights: Path) -> Path:
     return weights.with_suffix(".bank.safetensors")
 
 
+def normal_noise(rng: np.random.Generator, count: int) -> torch.Tensor:
+    """(count, 16, 3) standard normal, drawn in float64 so that it is the same everywhere."""
+    return torch.from_numpy(rng.standard_normal((count, WAYPOINTS, CHANNELS)).astype(np.float32))
+
+
 def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, rng: np.random.Generator) -> Floats:
     """The full reverse process from noise, with the reference's small stochasticity.
 
@@ -32,15 +38,12 @@ def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, 
         denoiser: The network, in evaluation mode.
         count: Trajectories.
         steps: Network calls; ``None`` asks at each of the 100 steps.
-        rng: All chance, drawn in float64 so that it is the same everywhere.
+        rng: All chance.
 
     Returns:
         (count, 16, 3) standardised actions.
     """
-
-    def draw() -> torch.Tensor:
-        return torch.from_numpy(rng.standard_normal((count, WAYPOINTS, CHANNELS)).astype(np.float32))
-
+    draw = functools.partial(normal_noise, rng, count)
     with torch.inference_mode():
         actions = reverse(denoiser, denoiser.start(draw()), strided_timesteps(STEPS - 1, steps), draw=draw)
     return actions.numpy().astype(np.float64)

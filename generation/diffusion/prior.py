@@ -14,7 +14,7 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, file_sha256
-from generation.diffusion.bank import bank_beside, read_bank
+from generation.diffusion.bank import bank_beside, normal_noise, read_bank
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
@@ -66,7 +66,7 @@ class TrajectoryPrior:
 
     Attributes:
         fingerprint: SHA-256 of weights, bank and sampler settings.
-        settings: See `SamplerSettings`.
+        settings: How the network is asked.
     """
 
     fingerprint: str
@@ -222,7 +222,7 @@ class TrajectoryPrior:
             if not open_ones:
                 break
             batch = [requests[index] for index in open_ones]
-            noise = [_noise(request.rng, _count(request.count)) for request in batch]
+            noise = [normal_noise(request.rng, _count(request.count)) for request in batch]
             start = self._denoiser.start(torch.cat(noise).to(self._device))
             rngs = [request.rng for request in batch]
             actions = self._reverse(start, strided_timesteps(STEPS - 1, self.settings.steps), rngs, noise)
@@ -249,7 +249,7 @@ class TrajectoryPrior:
             torch.from_numpy(actions_from_waypoints(start, pose).astype(np.float32))
             for start, pose in zip(before, previous, strict=True)
         ]
-        noise = [_noise(request.rng, len(start)) for request, start in zip(requests, before, strict=True)]
+        noise = [normal_noise(request.rng, len(start)) for request, start in zip(requests, before, strict=True)]
         noisy = add_noise(torch.cat(actions).to(self._device), torch.cat(noise).to(self._device), timesteps[0])
         clean = self._reverse(noisy, timesteps, [request.rng for request in requests], noise)
         return [
@@ -271,7 +271,7 @@ class TrajectoryPrior:
         sizes = [len(part) for part in like]
 
         def draw() -> Tensor:
-            drawn = [_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]
+            drawn = [normal_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]
             return torch.cat(drawn).to(self._device)
 
         with torch.inference_mode(), torch.random.fork_rng(enabled=self.settings.dropout):
@@ -298,11 +298,6 @@ def _device(name: str) -> torch.device:
             f"this machine cannot compute on device {name!r}; use cpu, or cuda where there is a GPU"
         ) from (error)
     return device
-
-
-def _noise(rng: np.random.Generator, count: int) -> Tensor:
-    """(count, 16, 3) standard normal, drawn in float64 so that it is the same everywhere."""
-    return torch.from_numpy(rng.standard_normal((count, WAYPOINTS, CHANNELS)).astype(np.float32))
 
 
 def _continuous(waypoints: Floats) -> Floats:

@@ -54,7 +54,7 @@ def can_bus_files(scene: Scene, *, name: str, source: SourceInfo | None, source_
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class EgoMotion:
     """Ego motion at every frame.
 
     Attributes:
@@ -76,7 +76,7 @@ class Motion:
     steering: Floats
 
     @classmethod
-    def of(cls, scene: Scene) -> "Motion":
+    def of(cls, scene: Scene) -> "EgoMotion":
         """Velocity and acceleration from a quadratic through the last half second of the recorded track."""
         yaw = np.unwrap(scene.ego.yaw)
         _, first, second = _derivatives(scene.seconds, np.column_stack([scene.ego.position, yaw]))
@@ -95,7 +95,7 @@ class Motion:
             steering=_steering(velocity[:, 0], rate[:, 2]),
         )
 
-    def at(self, utime: Floats) -> "Motion":
+    def at(self, utime: Floats) -> "EgoMotion":
         """Linear interpolation to other times."""
 
         def between(values: Floats) -> Floats:
@@ -103,7 +103,7 @@ class Motion:
             return np.stack([np.interp(utime, self.utime, column) for column in columns], axis=-1)
 
         rotation = between(self.rotation)
-        return Motion(
+        return EgoMotion(
             utime=utime,
             position=between(self.position),
             rotation=rotation / np.linalg.norm(rotation, axis=-1, keepdims=True),
@@ -123,7 +123,7 @@ def derived_messages(scene: Scene) -> dict[str, Any]:
     Returns:
         The content of each file by message name: the six kinds of messages, ``meta`` and ``route``.
     """
-    motion = Motion.of(scene)
+    motion = EgoMotion.of(scene)
     first, last = int(scene.timestamps_us[0]), int(scene.timestamps_us[-1])
     content: dict[str, Any] = {}
     for kind, rate_hz in _RATES_HZ.items():
@@ -172,7 +172,7 @@ def _steering(speed: Floats, yaw_rate: Floats) -> Floats:
     return np.clip(_STEERING_RATIO * held, -_STEERING_LIMIT_RAD, _STEERING_LIMIT_RAD)
 
 
-def _pose(motion: Motion) -> dict[str, Floats]:
+def _pose(motion: EgoMotion) -> dict[str, Floats]:
     return {
         "accel": motion.acceleration,
         "orientation": motion.rotation,
@@ -182,15 +182,15 @@ def _pose(motion: Motion) -> dict[str, Floats]:
     }
 
 
-def _imu(motion: Motion) -> dict[str, Floats]:
+def _imu(motion: EgoMotion) -> dict[str, Floats]:
     return {"linear_accel": motion.acceleration, "q": motion.rotation, "rotation_rate": motion.rotation_rate}
 
 
-def _steering_feedback(motion: Motion) -> dict[str, Floats]:
+def _steering_feedback(motion: EgoMotion) -> dict[str, Floats]:
     return {"value": motion.steering}
 
 
-def _vehicle_monitor(motion: Motion) -> dict[str, Floats]:
+def _vehicle_monitor(motion: EgoMotion) -> dict[str, Floats]:
     rest = np.zeros(len(motion.utime))
     rpm = _wheel_rpm(motion)
     return {
@@ -211,7 +211,7 @@ def _vehicle_monitor(motion: Motion) -> dict[str, Floats]:
     }
 
 
-def _zoe_veh_info(motion: Motion) -> dict[str, Floats]:
+def _zoe_veh_info(motion: EgoMotion) -> dict[str, Floats]:
     rest, rpm = np.zeros(len(motion.utime)), _wheel_rpm(motion)
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.position[:, :2], axis=0), axis=1))])
     steering_deg = np.rad2deg(motion.steering)
@@ -230,17 +230,17 @@ def _zoe_veh_info(motion: Motion) -> dict[str, Floats]:
     }
 
 
-def _zoe_sensors(motion: Motion) -> dict[str, Floats]:
+def _zoe_sensors(motion: EgoMotion) -> dict[str, Floats]:
     rest = np.zeros(len(motion.utime))
     steering = 0.5 + 0.5 * motion.steering / _STEERING_LIMIT_RAD
     return {"brake_sensor": rest + 0.166, "steering_sensor": steering, "throttle_sensor": rest + 0.105}
 
 
-def _wheel_rpm(motion: Motion) -> Floats:
+def _wheel_rpm(motion: EgoMotion) -> Floats:
     return motion.velocity[:, 0] / (2 * np.pi * _WHEEL_RADIUS_M) * 60.0
 
 
-_FIELDS: Final[Mapping[str, Callable[[Motion], dict[str, Floats]]]] = {
+_FIELDS: Final[Mapping[str, Callable[[EgoMotion], dict[str, Floats]]]] = {
     "ms_imu": _imu,
     "pose": _pose,
     "steeranglefeedback": _steering_feedback,

@@ -83,18 +83,18 @@ class _LayerWriter:
                 "drivable_area_token": area_token if pieces else "",
             }
             self._surface("road_segment", name, shape, extra)
-        for name, shape in sorted(road_map.ped_crossings.items()):
-            self._surface("ped_crossing", name, shape, {"road_segment_token": ""})
-        for name, shape in sorted(road_map.walkways.items()):
-            self._surface("walkway", name, shape, {})
-        for name, shape in sorted(road_map.stop_lines.items()):
-            cues = {"ped_crossing_tokens": [], "traffic_light_tokens": [], "road_block_token": ""}
-            self._surface("stop_line", name, shape, {"stop_line_type": "TURN_STOP", **cues})
-        for name, shape in sorted(road_map.carparks.items()):
-            self._surface("carpark_area", name, shape, {"orientation": 0.0, "road_block_token": ""})
-        for name, shape in sorted(road_map.road_blocks.items()):
-            links = {"from_edge_line_token": "", "to_edge_line_token": "", "road_segment_token": ""}
-            self._surface("road_block", name, shape, links)
+        cues = {"ped_crossing_tokens": [], "traffic_light_tokens": [], "road_block_token": ""}
+        links = {"from_edge_line_token": "", "to_edge_line_token": "", "road_segment_token": ""}
+        areas: tuple[tuple[str, dict[str, Polygon], Row], ...] = (
+            ("ped_crossing", road_map.ped_crossings, {"road_segment_token": ""}),
+            ("walkway", road_map.walkways, {}),
+            ("stop_line", road_map.stop_lines, {"stop_line_type": "TURN_STOP", **cues}),
+            ("carpark_area", road_map.carparks, {"orientation": 0.0, "road_block_token": ""}),
+            ("road_block", road_map.road_blocks, links),
+        )
+        for layer, shapes, extra in areas:
+            for name, shape in sorted(shapes.items()):
+                self._surface(layer, name, shape, extra)
 
     def add_divider(self, divider: Divider) -> None:
         """A lane or road divider with its paint."""

@@ -23,7 +23,6 @@ def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
     Returns:
         What `unpack_road_map` reads; geometries are exact.
     """
-    layers = {layer: _pack_polygons(getattr(road_map, layer)) for layer in _POLYGON_LAYERS}
     return {
         "location": road_map.location,
         "canvas_m": list(road_map.canvas_m),
@@ -49,7 +48,7 @@ def pack_road_map(road_map: RoadMap) -> dict[str, Any]:
             }
             for divider in sorted(road_map.dividers, key=lambda divider: divider.identifier)
         ],
-        **layers,
+        **{layer: {name: _wkb(shape) for name, shape in getattr(road_map, layer).items()} for layer in _POLYGON_LAYERS},
     }
 
 
@@ -107,14 +106,9 @@ def merged(parts: Sequence[RoadMap]) -> RoadMap:
             drivable_area=as_multipolygon(shapely.union_all(areas, grid_size=_SNAP_M)),
             lanes=_merged_lanes(parts),
             dividers=_merged_dividers(parts),
-            ped_crossings=_merged_polygons(part.ped_crossings for part in parts),
-            walkways=_merged_polygons(part.walkways for part in parts),
-            road_segments=_merged_polygons(part.road_segments for part in parts),
             intersections=frozenset[str]().union(*(part.intersections for part in parts)),
-            stop_lines=_merged_polygons(part.stop_lines for part in parts),
-            carparks=_merged_polygons(part.carparks for part in parts),
-            road_blocks=_merged_polygons(part.road_blocks for part in parts),
             canvas_m=(max(part.canvas_m[0] for part in parts), max(part.canvas_m[1] for part in parts)),
+            **{layer: _merged_polygons(getattr(part, layer) for part in parts) for layer in _POLYGON_LAYERS},
         )
     return replace(whole, canvas_m=_canvas(whole))
 
@@ -172,10 +166,6 @@ def _merged_polygons(layers: Iterable[dict[str, Polygon]]) -> dict[str, Polygon]
 
 def _length(line: Any) -> float:
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-
-
-def _pack_polygons(layer: dict[str, Polygon]) -> dict[str, str]:
-    return {name: _wkb(shape) for name, shape in layer.items()}
 
 
 def _wkb(shape: shapely.Geometry) -> str:

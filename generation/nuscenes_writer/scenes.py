@@ -1,6 +1,6 @@
 """Writing one scene: its files first, the fragment with its table rows last."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ def write_scene(
     sensor_files = [row["filename"] for row in tables["sample_data"]]
     if plan.lossless:
         sensor_files += [_lossless(path) for path in sensor_files if path.endswith(".jpg")]
-    _claim(plan, key, labels, [*sensor_files, *messages])
+    claim_files(plan, key, variant, name, [*sensor_files, *messages])
     root = plan.data_root(variant)
     for path, data in messages.items():
         write_bytes(root / path, data, durable=False)
@@ -110,6 +110,29 @@ def read_state(path: Path) -> dict[str, Any] | None:
 def _stays_inside(path: Any) -> bool:
     """Whether a stored path names something below the data root: files that claims name are removed."""
     return isinstance(path, str) and not Path(path).is_absolute() and ".." not in Path(path).parts
+
+
+def claim_files(plan: DataSetPlan, key: str, variant: int, name: str, files: Iterable[str]) -> None:
+    """Say which files are about to be written, after removing what the same name stood for before.
+
+    Args:
+        plan: The data set.
+        key: Content key of the scene.
+        variant: Number of its root in the ``per-variant`` layout.
+        name: Its name in the data set.
+        files: Paths below its data root.
+
+    Raises:
+        InputError: If something cannot be removed or written.
+    """
+    path = plan.claim_path(variant, name)
+    claim: dict[str, Any] = {"key": key, "variant": variant, "name": name, "files": sorted(files)}
+    earlier = read_state(path)
+    if earlier == claim:
+        return
+    if earlier is not None:
+        release_claim(plan, earlier, frozenset(claim["files"]))
+    write_json(path, claim, indent=None)
 
 
 def release_claim(plan: DataSetPlan, claim: dict[str, Any], keep: frozenset[str]) -> None:
@@ -164,18 +187,6 @@ def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
     if read_kept_json(plan.map_path(key)) != packed:
         write_json(plan.map_path(key), packed, indent=None)
     return key
-
-
-def _claim(plan: DataSetPlan, key: str, labels: dict[str, Any], files: list[str]) -> None:
-    """Say which files are about to be written, after removing what the same name stood for before."""
-    path = plan.claim_path(labels["variant"], labels["name"])
-    claim = {"key": key, "variant": labels["variant"], "name": labels["name"], "files": sorted(files)}
-    earlier = read_state(path)
-    if earlier == claim:
-        return
-    if earlier is not None:
-        release_claim(plan, earlier, frozenset(files))
-    write_json(path, claim, indent=None)
 
 
 def _write_sensor_files(

@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.errors import InputError
 from benchmark.scene import Camera, EgoTrack, Scene
 
 Images = dict[str, NDArray[np.uint8]]
@@ -41,6 +42,22 @@ class Renderer(Protocol):
         Yields:
             The images of each frame, in order.
         """
+
+
+def require_frames(scene: Scene, frames: Sequence[int]) -> None:
+    """Refuse frames that a scene does not have.
+
+    Args:
+        scene: The scene.
+        frames: Frame indices that are asked for.
+
+    Raises:
+        InputError: If one is not in the scene.
+    """
+    count = len(scene.timestamps_us)
+    for frame in frames:
+        if not 0 <= frame < count:
+            raise InputError(f"{scene.name} has frames 0 to {count - 1}, there is no frame {frame} to render")
 
 
 @runtime_checkable

@@ -196,8 +196,8 @@ def search_chains(
         names: Which of them.
         executor: Where attempts are computed.
         adversaries: Wanted in each scene.
-        together: See `attempts.attempts`.
-        keep_rounds: Likewise, of the last adversary of each chain: the others are as they are shown.
+        together: Attempts that a worker plans side by side; no result depends on it.
+        keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
 
     Returns:
         What came of it; the same whatever the executor.

@@ -1,5 +1,7 @@
 """Which vehicles of a scene are tried as adversaries, and for each of the others why not."""
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
@@ -76,6 +78,14 @@ class Eligibility(BaseModel):
                 for vehicle in self.vehicles
             ],
         }
+
+
+def not_tried_together(looks: Sequence[Eligibility]) -> dict[str, int]:
+    """How many objects of several scenes are not tried, by reason."""
+    counts: Counter[str] = Counter()
+    for look in looks:
+        counts.update(look.not_tried())
+    return dict(counts)
 
 
 def eligibility_of(scene: Scene, hyper: HyperParameters, seed: int) -> Eligibility:

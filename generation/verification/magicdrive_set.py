@@ -14,7 +14,7 @@ from benchmark.verification.golden import GoldenArrays, golden_directory
 from benchmark.verification.synthetic_weights import WeightsRecipe, read_recipe, read_shapes
 from generation.render.magicdrive.conditions import Conditions, TextStates
 from generation.render.magicdrive.config import MagicDriveConfig
-from generation.render.magicdrive.model import LatentSize
+from generation.render.magicdrive.latents import LatentSize
 
 Length = Annotated[int, Field(gt=0, le=4096)]
 

@@ -14,7 +14,7 @@ from benchmark.verification.golden import GoldenArrays, golden_directory
 from generation.search.hyperparameters import CollisionReading, HyperParameters
 from generation.search.scoring import Terms, final_scores, normalised, score_terms
 from generation.verification.built_in import BUILT_IN
-from generation.verification.planning_frame import PlanningFrame, read_planning_frame
+from generation.verification.scored_frame import ScoredFrame, read_scored_frame
 from generation.verification.ties import RANK_TIE, on_raster_tie, out_of_order, touching_tie
 
 TOLERANCE: Final = 1e-9
@@ -61,7 +61,7 @@ def verify_scoring(golden: Path | None = None) -> list[Check]:
 
 
 def _compare_file(comparison: Comparison, stored: GoldenArrays, excused: dict[str, int]) -> None:
-    frame = read_planning_frame(stored)
+    frame = read_scored_frame(stored)
     golden, where = _read_golden(stored, *frame.boxes.shape[:2]), stored.path.name
     paper = HyperParameters.paper()
     for number, reading in enumerate(CollisionReading):
@@ -86,7 +86,7 @@ def _read_golden(stored: GoldenArrays, count: int, steps: int) -> _Golden:
 
 
 def _compare_road(
-    comparison: Comparison, frame: PlanningFrame, golden: _Golden, terms: Terms, excused: dict[str, int], where: str
+    comparison: Comparison, frame: ScoredFrame, golden: _Golden, terms: Terms, excused: dict[str, int], where: str
 ) -> Bools:
     """Verdicts of leaving the road; gives back which candidates have none that a tie excuses."""
     corners = box_corners(frame.boxes)
@@ -115,7 +115,7 @@ def _compare_challenge(comparison: Comparison, golden: _Golden, terms: Terms, wh
 def _compare_reading(
     comparison: Comparison,
     stored: GoldenArrays,
-    frame: PlanningFrame,
+    frame: ScoredFrame,
     golden: _Golden,
     scored: tuple[Terms, HyperParameters, Bools],
     excused: dict[str, int],

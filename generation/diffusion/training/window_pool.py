@@ -33,7 +33,7 @@ def load_track_data(folder: Path, held_out: tuple[str, ...], stride_s: float) ->
     """Cut every source of a folder.
 
     Args:
-        folder: See `find_track_sources`.
+        folder: Of recordings, in any of the forms that `find_track_sources` knows.
         held_out: Names of sources not to learn from.
         stride_s: Time between the starts of training windows; held-out windows start every half second.
 

@@ -1,6 +1,6 @@
 """Boxes at 12 Hz from annotations at 2 Hz, as the model was trained with them (section 11)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,12 +52,9 @@ def box_tracks(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:
         return tracks
     between = interpolated_annotations(scene, frames)
     simulated = np.array([name in scene.adversaries for name in agents.ids], dtype=np.bool_)
-    return BoxTracks(
-        position=np.where(simulated[:, None, None], tracks.position, between.position),
-        rotation=np.where(simulated[:, None, None], tracks.rotation, between.rotation),
-        size=np.where(simulated[:, None, None], tracks.size, between.size),
-        valid=np.where(simulated[:, None], tracks.valid, between.valid),
-    )
+    for each in fields(BoxTracks):
+        getattr(between, each.name)[simulated] = getattr(tracks, each.name)[simulated]
+    return between
 
 
 def interpolated_annotations(scene: Scene, frames: NDArray[np.int64]) -> BoxTracks:

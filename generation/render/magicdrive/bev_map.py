@@ -43,7 +43,7 @@ def clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
         cells: Cells on a side.
 
     Returns:
-        (T, 8, cells, cells) masks, see `bev_map`.
+        (T, 8, cells, cells) masks by `MAP_CHANNELS`, as `MapLayers.masks` draws them.
 
     Raises:
         InputError: If the scene has no map.
@@ -53,7 +53,7 @@ def clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
             f"{scene.name} has no drivable area at {scene.road_map.location}; MagicDriveDiT draws the road from the "
             f"map expansion, put {scene.road_map.location}.json into maps/expansion of the data set"
         )
-    layers = _Layers(scene.road_map)
+    layers = MapLayers(scene.road_map)
     yaw = np.arctan2(lidar[:, 1, 0], lidar[:, 0, 0])
     poses = np.column_stack([lidar[:, :2, 3], yaw])
     maps = np.empty((len(poses), len(MAP_CHANNELS), cells, cells), dtype=np.bool_)
@@ -64,25 +64,7 @@ def clip_maps(scene: Scene, lidar: Floats, *, cells: int = MAP_CELLS) -> Bools:
     return maps
 
 
-def bev_map(road_map: RoadMap, pose: Floats, *, cells: int = MAP_CELLS) -> Bools:
-    """The map around one pose.
-
-    Surfaces are filled between corners that are rounded to cells; dividers are two cells wide between corners that are
-    cut down to cells, as the devkit draws them.
-
-    Args:
-        road_map: The map.
-        pose: (3,) x, y of the lidar and direction of its x axis (to the right of the car), global.
-        cells: Cells on a side.
-
-    Returns:
-        (8, cells, cells) masks by `MAP_CHANNELS`; the first index goes right and the second forward, both from -50 m to
-        50 m.
-    """
-    return _Layers(road_map).masks(np.asarray(pose, np.float64), cells)
-
-
-class _Layers:
+class MapLayers:
     """Geometries by channel, with an index of where they are."""
 
     def __init__(self, road_map: RoadMap) -> None:
@@ -101,11 +83,24 @@ class _Layers:
         )
         shapes = [*map(list, surfaces), lines[True], lines[False], list(road_map.road_blocks.values())]
         painters: list[_Paint] = [_fill] * 5 + [_stroke] * 2 + [_fill]
-        self._channels = [(np.array(layer, object), shapely.STRtree(layer)) for layer in shapes]
-        self._painters = painters
+        self._channels = [
+            (np.array(layer, object), shapely.STRtree(layer), draw) for layer, draw in zip(shapes, painters)
+        ]
 
-    def masks(self, pose: Floats, cells: int) -> Bools:
-        """See `bev_map`."""
+    def masks(self, pose: Floats, cells: int = MAP_CELLS) -> Bools:
+        """The map around one pose.
+
+        Surfaces are filled between corners that are rounded to cells; dividers are two cells wide between corners that
+        are cut down to cells, as the devkit draws them.
+
+        Args:
+            pose: (3,) x, y of the lidar and direction of its x axis (to the right of the car), global.
+            cells: Cells on a side.
+
+        Returns:
+            (8, cells, cells) masks by `MAP_CHANNELS`; the first index goes right and the second forward, both from
+            -50 m to 50 m.
+        """
         edge = MAP_EXTENT_M * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         window = shapely.Polygon(to_global(edge, pose))
 
@@ -114,7 +109,7 @@ class _Layers:
 
         # OpenCV's rows are forward and its columns right.
         canvas = np.zeros((len(self._channels), cells, cells), dtype=np.uint8)
-        for image, (shapes, tree), draw in zip(canvas, self._channels, self._painters):
+        for image, (shapes, tree, draw) in zip(canvas, self._channels):
             for shape in shapely.intersection(shapes[np.sort(tree.query(window, predicate="intersects"))], window):
                 draw(image, shape, to_cells)
         return np.asarray(canvas.transpose(0, 2, 1).astype(np.bool_))

@@ -35,9 +35,9 @@ def magicdrive_renderer(
         drawn_size: What the network draws, HEIGHTxWIDTH.
         written_size: ``model`` or ``1600x900``.
         look: One of `PromptLook`.
-        device: See `RenderSettings`.
-        seed: See `RenderSettings`.
-        tera_operations: See `RenderSettings`.
+        device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` for GPUs where there are any.
+        seed: Of noise and of the looks of objects.
+        tera_operations: Operations that the device does in a second, 10^12, for estimates; measured by default.
         estimates_only: Whether nothing will be drawn, so that weights are not looked for.
 
     Returns:

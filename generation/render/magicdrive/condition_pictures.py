@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.box_projection import at_near_plane
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.roots import DataSet
 from benchmark.drawing.canvas import png
@@ -169,8 +170,7 @@ def _line(panel: NDArray[np.uint8], ends: Floats, to_pixels: Floats, colour: tup
     if depth.max() <= _NEAR_M:
         return
     if depth.min() < _NEAR_M:
-        share = (_NEAR_M - depth[0]) / (depth[1] - depth[0])
-        cut = ends[0] + share * (ends[1] - ends[0])
+        cut = at_near_plane(ends[0], ends[1], _NEAR_M)
         ends = np.stack([np.where(depth[0] < _NEAR_M, cut, ends[0]), np.where(depth[1] < _NEAR_M, cut, ends[1])])
     homogeneous = ends @ to_pixels.T
     # Far outside the picture OpenCV's fixed-point numbers would overflow.

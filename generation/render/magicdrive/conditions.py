@@ -5,8 +5,8 @@ frames, n is the number of distinct objects in the clip (at least 1, padded wher
 in the lidar frame of their own frame (x right, y forward, z up).
 """
 
-from dataclasses import dataclass, replace
-from typing import Final, Protocol, Self
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, Self
 
 import torch
 from torch import Tensor
@@ -41,20 +41,6 @@ class TextStates:
     def to(self, device: torch.device | str) -> "TextStates":
         """The same states on another device."""
         return TextStates(self.hidden.to(device), self.mask.to(device))
-
-
-class TextEncoder(Protocol):
-    """Turns prompts into hidden states."""
-
-    def encode(self, prompt: str) -> TextStates:
-        """Tokenise, pad or cut to 300 tokens, encode.
-
-        Args:
-            prompt: The words, used as they are.
-
-        Returns:
-            Hidden states and which of them belong to words.
-        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,15 +117,8 @@ class Conditions:
         Returns:
             A copy whose tensors lie there.
         """
-        return replace(
-            self,
-            bboxes=self.bboxes.to(device),
-            classes=self.classes.to(device),
-            masks=self.masks.to(device),
-            box_latent=self.box_latent.to(device),
-            cams=self.cams.to(device),
-            rel_pos=self.rel_pos.to(device),
-            maps=self.maps.to(device),
-            text=self.text.to(device),
-            negative_text=None if self.negative_text is None else self.negative_text.to(device),
-        )
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        moved: dict[str, Any] = {
+            name: value.to(device) for name, value in values.items() if isinstance(value, Tensor | TextStates)
+        }
+        return replace(self, **moved)

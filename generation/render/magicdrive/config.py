@@ -57,18 +57,3 @@ class MagicDriveConfig:
     def full(cls) -> Self:
         """The published network: 2.04 billion parameters."""
         return cls()
-
-    @classmethod
-    def tiny(cls) -> Self:
-        """A network for tests of everything around it; its parts are all there."""
-        return cls(
-            hidden=32,
-            heads=2,
-            encoder_heads=2,
-            depth=2,
-            control_depth=1,
-            caption_channels=24,
-            text_tokens=12,
-            box_hidden=16,
-            map_channels=(4, 4, 8, 8),
-        )

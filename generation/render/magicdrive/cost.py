@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.encoders import CORNERS, EGO_COLUMNS, MAP_PADDINGS, MAP_STRIDES
-from generation.render.magicdrive.model import LatentSize
+from generation.render.magicdrive.latents import LatentSize
 from generation.render.magicdrive.position import FOURIER_CHANNELS
 
 
 @dataclass(frozen=True, slots=True)
-class Clip:
-    """What the cost of a clip hangs on.
+class Workload:
+    """What the cost of a clip depends on.
 
     Attributes:
         frames: Of the clip.
@@ -70,7 +70,7 @@ class Operations:
         return 2 * (steps * self.transformer + (steps if as_published else 1) * self.encoders)
 
 
-def operations(config: MagicDriveConfig, clip: Clip, *, as_published: bool = False) -> Operations:
+def operations(config: MagicDriveConfig, clip: Workload, *, as_published: bool = False) -> Operations:
     """Count one evaluation.
 
     Args:
@@ -111,13 +111,13 @@ def operations(config: MagicDriveConfig, clip: Clip, *, as_published: bool = Fal
     )
 
 
-def _of_boxes(config: MagicDriveConfig, clip: Clip) -> float:
+def _of_boxes(config: MagicDriveConfig, clip: Workload) -> float:
     corners, wide = CORNERS * FOURIER_CHANNELS, config.box_hidden
     layers = config.hidden * (corners + 2 * wide + wide) + wide**2
     return config.views * clip.boxes * _over_time(config, clip.frames, layers)
 
 
-def _of_ego(config: MagicDriveConfig, clip: Clip) -> float:
+def _of_ego(config: MagicDriveConfig, clip: Workload) -> float:
     return _over_time(config, clip.frames, EGO_COLUMNS * FOURIER_CHANNELS * config.hidden)
 
 
@@ -126,11 +126,11 @@ def _over_time(config: MagicDriveConfig, frames: int, layers: int) -> float:
     return 2.0 * frames * (layers + 13 * config.hidden**2) + 4.0 * frames**2 * config.hidden
 
 
-def _of_text(config: MagicDriveConfig, clip: Clip) -> float:
+def _of_text(config: MagicDriveConfig, clip: Workload) -> float:
     return 2.0 * clip.text_tokens * config.hidden * (config.caption_channels + config.hidden)
 
 
-def _of_map(config: MagicDriveConfig, clip: Clip) -> float:
+def _of_map(config: MagicDriveConfig, clip: Workload) -> float:
     first, second, third, fourth = config.map_channels
     widths = (first, first, second, second, third, third, fourth)
     rows, columns = clip.map_cells

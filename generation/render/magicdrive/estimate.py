@@ -17,10 +17,11 @@ from generation.build.estimate import duration
 from generation.render.magicdrive.bev_map import MAP_CELLS
 from generation.render.magicdrive.clip import SMALL_HEIGHT_PX, padded_frames
 from generation.render.magicdrive.config import MagicDriveConfig
-from generation.render.magicdrive.cost import Clip, operations
+from generation.render.magicdrive.cost import Workload, operations
 from generation.render.magicdrive.image_geometry import ImageGeometry
+from generation.render.magicdrive.latents import LatentSize
 from generation.render.magicdrive.layers import modulated
-from generation.render.magicdrive.model import LatentSize, MagicDriveDiT
+from generation.render.magicdrive.model import MagicDriveDiT
 
 T5_NUMBERS: Final = 4.76e9
 """Numbers of the published text encoder; a token costs twice as many operations."""
@@ -120,7 +121,7 @@ def rendering_stages(
     size = LatentSize.of(frames, geometry.height, geometry.width, config.rows_multiple)
     cells = MAP_CELLS if geometry.height <= SMALL_HEIGHT_PX else 2 * MAP_CELLS
     text_tokens = min(math.ceil(_TOKENS_A_WORD * len(words.split())) + 2, config.text_tokens)
-    clip = Clip(frames, size, text_tokens, max(len(scene.agents), 1), (cells, cells))
+    clip = Workload(frames, size, text_tokens, max(len(scene.agents), 1), (cells, cells))
     number_bytes = torch.finfo(dtype).bits // 8
     tokens = config.views * size.frames * size.tokens
     pixels = geometry.height * geometry.width

@@ -1,7 +1,7 @@
 """Classifier-free guidance: one branch is told everything, one is not, and the sampler follows their difference."""
 
 from dataclasses import replace
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 import torch
 from torch import Tensor
@@ -10,7 +10,6 @@ from generation.render.magicdrive.conditions import Conditions, TextStates
 from generation.render.magicdrive.model import Encoded, MagicDriveDiT
 
 GuidanceMode = Literal["rflow-slice", "rflow"]
-GUIDANCE_MODES: Final = ("rflow-slice", "rflow")
 
 
 def null_conditions(model: MagicDriveDiT, conditions: Conditions, *, keep_map: bool) -> Conditions:
@@ -47,18 +46,20 @@ def null_conditions(model: MagicDriveDiT, conditions: Conditions, *, keep_map: b
 class GuidedModel:
     """A network with the conditions of one clip."""
 
-    def __init__(self, model: MagicDriveDiT, told: Encoded, null: Encoded, scale: float, *, together: bool) -> None:
+    def __init__(
+        self, model: MagicDriveDiT, conditional: Encoded, unconditional: Encoded, scale: float, *, together: bool
+    ) -> None:
         """Take branches that are encoded already.
 
         Args:
             model: The network.
-            told: The branch that is told all.
-            null: The other one.
+            conditional: The branch that is told all.
+            unconditional: The other one.
             scale: Guidance; 1 is the first branch alone.
             together: Whether both branches are one batch, which takes twice the memory.
         """
         self._model, self._scale = model, scale
-        self._branches = (Encoded.batched([told, null]),) if together else (told, null)
+        self._branches = (Encoded.batched([conditional, unconditional]),) if together else (conditional, unconditional)
 
     @classmethod
     def of(
@@ -79,9 +80,9 @@ class GuidedModel:
             conditions: Of one clip, on the network's device.
             mode: ``rflow-slice`` takes the map away from the null branch, ``rflow`` leaves it there.
             scale: Guidance.
-            together: As above.
-            keep_keys_values: See `MagicDriveDiT.encode`; not together with ``together``.
-            rows_multiple: See `MagicDriveDiT.encode`.
+            together: Whether both branches are one batch, which takes twice the memory.
+            keep_keys_values: Whether to keep what the blocks make of the conditions, for speed; not with ``together``.
+            rows_multiple: To what rows of tokens are padded; as the configuration says by default.
 
         Returns:
             The guided network.
@@ -101,12 +102,13 @@ class GuidedModel:
         if len(self._branches) == 1:
             twice = None if given is None else given.expand(2, -1)
             inputs = latent.expand(2, *latent.shape[1:]), timestep.expand(2)
-            told, null = self._model(*inputs, self._branches[0], twice).chunk(2)
-            return told, null
-        told, null = (self._model(latent, timestep, encoded, given) for encoded in self._branches)
-        return told, null
+            both = self._model(*inputs, self._branches[0], twice).chunk(2)
+        else:
+            both = tuple(self._model(latent, timestep, encoded, given) for encoded in self._branches)
+        conditional, unconditional = both
+        return conditional, unconditional
 
     def velocity(self, latent: Tensor, timestep: Tensor, given: Tensor | None = None) -> Tensor:
         """The velocity to follow, (1, 96, t, h, w) in single precision."""
-        told, null = self.branches(latent, timestep, given)
-        return null + self._scale * (told - null)
+        conditional, unconditional = self.branches(latent, timestep, given)
+        return unconditional + self._scale * (conditional - unconditional)

@@ -24,58 +24,10 @@ from generation.render.magicdrive.encoders import (
     MapTimeEncoder,
     TextEncoder,
 )
-from generation.render.magicdrive.layers import RotaryFrequencies, Rotation, modulated, parted, rounded_to_bfloat16
+from generation.render.magicdrive.latents import LatentSize, packed_views, unpacked_views, unpatched
+from generation.render.magicdrive.layers import RotaryFrequencies, Rotation, modulated, rounded_to_bfloat16
 from generation.render.magicdrive.position import PatchEmbedding, ScalarEmbedding, grid_embedding
 from generation.render.magicdrive.tokens import ConditionTokens
-
-PIXELS_PER_CELL = 8
-"""Of an image, along a side of a latent cell."""
-
-
-@dataclass(frozen=True, slots=True)
-class LatentSize:
-    """Size of a clip's latent.
-
-    Attributes:
-        frames: Latent frames t.
-        rows: Cells from top to bottom, h.
-        columns: Cells from left to right, w.
-        padded_rows: Cells from top to bottom that the network computes with; the added ones are cropped.
-    """
-
-    frames: int
-    rows: int
-    columns: int
-    padded_rows: int
-
-    @classmethod
-    def of(cls, frames: int, height: int, width: int, rows_multiple: int = 1) -> Self:
-        """The latent of a clip.
-
-        Args:
-            frames: Of the clip.
-            height: Of an image, pixels.
-            width: Of an image, pixels.
-            rows_multiple: See `MagicDriveConfig`.
-
-        Returns:
-            Its size; t is a quarter of the frames, rounded up twice.
-        """
-        rows, columns = height // PIXELS_PER_CELL, width // PIXELS_PER_CELL
-        token_rows, token_columns = -(-rows // 2), -(-columns // 2)
-        missing = -token_rows % rows_multiple if token_rows * token_columns % rows_multiple else 0
-        padded = 2 * (token_rows + missing) if missing else rows
-        return cls((frames + 3) // 4, rows, columns, padded)
-
-    @property
-    def grid(self) -> tuple[int, int]:
-        """Rows and columns of tokens."""
-        return -(-self.padded_rows // 2), -(-self.columns // 2)
-
-    @property
-    def tokens(self) -> int:
-        """Tokens of a view's latent frame."""
-        return self.grid[0] * self.grid[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,7 +268,7 @@ class MagicDriveDiT(nn.Module):
         rotation = self.rope.rotation(size.frames, self.dtype, rounded=self.config.rounded)
         x = self._transformed(cells, modulation, encoded, rotation)
         patches = self.final_layer(x, time, time_of_given, given)
-        return packed_views(_unpatched(patches, size)).float()
+        return packed_views(unpatched(patches, size)).float()
 
     def _transformed(self, cells: Tensor, modulation: Tensor, encoded: Encoded, rotation: Rotation) -> Tensor:
         """Both streams; the control stream adds to the base stream after each of its blocks."""
@@ -374,31 +326,6 @@ class MagicDriveDiT(nn.Module):
     def _entering(self, numbers: Tensor) -> Tensor:
         """Numbers in single precision, rounded as those were that the published weights saw in training."""
         return rounded_to_bfloat16(numbers) if self.config.rounded else numbers.float()
-
-
-def unpacked_views(latent: Tensor, views: int) -> Tensor:
-    """Latents of the views apart.
-
-    Args:
-        latent: (b, channels * views, t, h, w), channel-major and view-minor.
-        views: Cameras.
-
-    Returns:
-        (b, views, channels, t, h, w).
-    """
-    return parted(latent, 1, -1, views).transpose(1, 2)
-
-
-def packed_views(latent: Tensor) -> Tensor:
-    """The inverse of `unpacked_views`."""
-    return latent.transpose(1, 2).flatten(1, 2)
-
-
-def _unpatched(patches: Tensor, size: LatentSize) -> Tensor:
-    """(b, V, t, S, 2 * 2 * channels), row, column and channel in this order, to (b, V, channels, t, h, w)."""
-    cells = parted(parted(patches, -1, 2, 2, -1), 3, *size.grid)
-    whole = cells.permute(0, 1, 7, 2, 3, 5, 4, 6).flatten(6, 7).flatten(4, 5)
-    return whole[..., : size.rows, : size.columns]
 
 
 def _block(blocks: nn.ModuleList, level: int) -> Block:

@@ -23,7 +23,7 @@ from benchmark.machine.storage import content_key, content_seed, file_name, writ
 from benchmark.machine.workers import worker_number
 from benchmark.scene import Camera, EgoTrack, Scene
 from generation.nuscenes_writer.plan import digest
-from generation.render.contract import Images
+from generation.render.contract import Images, require_frames
 from generation.render.magicdrive.autoencoder import VideoDecoder
 from generation.render.magicdrive.checkpoint import load_official
 from generation.render.magicdrive.clip import Clip, clip_of, padded_frames
@@ -32,7 +32,8 @@ from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.estimate import RenderingEstimate, measured_speed, rendering_stages
 from generation.render.magicdrive.image_geometry import ImageGeometry
 from generation.render.magicdrive.kept_tensors import keep_tensor, kept_tensor
-from generation.render.magicdrive.model import MagicDriveDiT, unpacked_views
+from generation.render.magicdrive.latents import unpacked_views
+from generation.render.magicdrive.model import MagicDriveDiT
 from generation.render.magicdrive.prompt import PromptLook, prompt_of
 from generation.render.magicdrive.sampling import SamplingOptions, SamplingState, first_state, sample
 from generation.render.magicdrive.sensor_frames import camera_tracks, model_order
@@ -106,10 +107,11 @@ class MagicDriveRenderer:
         sampling = settings.sampling
         weights = None if files is None else [files.fingerprint, files.text_fingerprint]
         details = content_key(weights, digest(sampling), digest(self.config))[:12]
+        precision = str(self._dtype).removeprefix("torch.")
         return (
             f"{RENDERER_VERSION}, {settings.geometry.height}x{settings.geometry.width}, {settings.look.value}, seed "
             f"{settings.seed}, {sampling.steps} steps, guidance {sampling.guidance:g} ({sampling.mode}), "
-            f"{_name_of(self._dtype)} on {'cuda' if self._on_gpu else 'cpu'}, weights and details {details}"
+            f"{precision} on {'cuda' if self._on_gpu else 'cpu'}, weights and details {details}"
         )
 
     @property
@@ -178,16 +180,13 @@ class MagicDriveRenderer:
                 device has too little memory.
         """
         _require_drawable(scene)
-        count = len(scene.timestamps_us)
-        for frame in frames:
-            if not 0 <= frame < count:
-                raise InputError(f"{scene.name} has frames 0 to {count - 1}, there is no frame {frame} to render")
+        require_frames(scene, frames)
         if not len(frames):
             return
         geometry = self.settings.geometry
         clip = clip_of(
             scene,
-            padded_frames(range(count)),
+            padded_frames(range(len(scene.timestamps_us))),
             height=geometry.height,
             width=geometry.width,
             look=self.settings.look,
@@ -323,7 +322,3 @@ def _repeatable(device: torch.device, scene: str) -> Iterator[None]:
             f"{scene} does not fit into the memory of {device}; see what each stage needs with --dry-run, free the GPU "
             "of other work or choose a smaller --render-size (finished work is kept)"
         ) from error
-
-
-def _name_of(dtype: torch.dtype) -> str:
-    return str(dtype).removeprefix("torch.")

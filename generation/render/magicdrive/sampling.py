@@ -158,8 +158,8 @@ def sample(
         on_step: Called after each step, for progress and for saving.
 
     Returns:
-        (1, 96, t, h, w) float32 on the network's device (`generation.render.magicdrive.model.unpacked_views` takes the
-        views apart).
+        (1, 96, t, h, w) float32 on the network's device (`generation.render.magicdrive.latents.unpacked_views` takes
+        the views apart).
 
     Raises:
         InputError: If velocities are not finite.

@@ -12,7 +12,7 @@ TRANSFORMERS: Final = Library("transformers", extra="render", needed_by="the ren
 
 
 class T5TextEncoder:
-    """The published text encoder, in single precision as the published scripts use it; a `TextEncoder`."""
+    """The published text encoder, in single precision as the published scripts use it."""
 
     def __init__(self, folder: Path, device: torch.device, tokens: int = TEXT_TOKENS) -> None:
         """Load it.

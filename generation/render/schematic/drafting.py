@@ -57,7 +57,7 @@ Quad = list[tuple[float, float, float]]
 
 
 @dataclass
-class Draft:
+class SolidDraft:
     """Facets being collected."""
 
     split: float = 0.0

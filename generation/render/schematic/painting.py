@@ -14,7 +14,8 @@ from shapely.ops import substring
 from benchmark.geometry import Floats
 from benchmark.road_map import Divider, DividerKind, RoadMap
 
-_SHIFT = 4
+SHIFT = 4
+"""Binary digits of the fraction in OpenCV's coordinates."""
 _LINE_WIDTH_M = 0.15
 _DASH_M, _GAP_M = 3.0, 5.0
 _STRIPE_M = 0.5
@@ -99,27 +100,20 @@ def paint(
         colour = colours[layer.coat]
         simple: list[NDArray[np.int32]] = []
         for index in np.flatnonzero(inside):
-            rings = [to_fixed_point(ring, world_to_pixel) for ring in layer.rings[index]]
+            rings = [
+                to_fixed_point(ring @ world_to_pixel[:, :2].T + world_to_pixel[:, 2]) for ring in layer.rings[index]
+            ]
             if layer.coat >= Coat.WHITE and len(rings) == 1:
                 simple.append(rings[0])
             else:
-                cv2.fillPoly(canvas, rings, colour, cv2.LINE_AA, _SHIFT)
+                cv2.fillPoly(canvas, rings, colour, cv2.LINE_AA, SHIFT)
         for ring in simple:
-            cv2.fillPoly(canvas, [ring], colour, cv2.LINE_AA, _SHIFT)
+            cv2.fillPoly(canvas, [ring], colour, cv2.LINE_AA, SHIFT)
 
 
-def to_fixed_point(points: Floats, world_to_pixel: Floats) -> NDArray[np.int32]:
-    """Points in the sixteenths of a pixel that OpenCV's drawing takes.
-
-    Args:
-        points: (M, 2) metres.
-        world_to_pixel: (2, 3) affine map.
-
-    Returns:
-        (M, 2) integers.
-    """
-    pixels = points @ world_to_pixel[:, :2].T + world_to_pixel[:, 2]
-    return np.asarray(np.rint(np.clip(pixels, -1e6, 1e6) * (1 << _SHIFT)), dtype=np.int32)
+def to_fixed_point(pixels: Floats) -> NDArray[np.int32]:
+    """(..., 2) pixels in the sixteenths that OpenCV's drawing takes."""
+    return np.asarray(np.rint(np.clip(pixels, -1e6, 1e6) * (1 << SHIFT)), dtype=np.int32)
 
 
 def _world_window(canvas: NDArray[np.uint8], world_to_pixel: Floats) -> Floats:

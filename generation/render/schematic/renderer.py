@@ -13,7 +13,7 @@ from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.machine.storage import content_seed
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
-from generation.render.contract import Images
+from generation.render.contract import Images, require_frames
 from generation.render.schematic import surroundings
 from generation.render.schematic.atmosphere import ATMOSPHERES, Atmosphere
 from generation.render.schematic.backdrop import Backdrop, Skyline
@@ -64,10 +64,7 @@ class SchematicRenderer:
         Raises:
             InputError: If a frame is not in the scene.
         """
-        count = len(scene.timestamps_us)
-        for frame in frames:
-            if not 0 <= frame < count:
-                raise InputError(f"{scene.name} has frames 0 to {count - 1}, there is no frame {frame} to render")
+        require_frames(scene, frames)
         if not len(frames):
             return
         cv2.setNumThreads(1)

@@ -5,10 +5,12 @@ import functools
 import numpy as np
 
 from benchmark.geometry import Floats
-from generation.render.schematic.drafting import Draft, Quad, Role, Shape
+from generation.render.schematic.drafting import Quad, Role, Shape, SolidDraft
 
 
-def _lamps(draft: Draft, faces: dict[str, Quad], *, layer: int, heights: tuple[float, float, float, float]) -> None:
+def _lamps(
+    draft: SolidDraft, faces: dict[str, Quad], *, layer: int, heights: tuple[float, float, float, float]
+) -> None:
     """Head lamps on the front, tail lamps on the rear; heights are v ranges on the two faces."""
     for u in ((0.03, 0.26), (0.74, 0.97)):
         draft.decal(faces["front"], u, heights[:2], Role.HEAD_LAMP, layer=layer, detail_px=4.0)
@@ -21,7 +23,7 @@ def _lamps(draft: Draft, faces: dict[str, Quad], *, layer: int, heights: tuple[f
 
 def _car(cabin: tuple[float, float], inset: tuple[float, float, float], *, bonnet_drop: float, belt: float) -> Shape:
     """A car: sill and wheels, lower body with lamps, and a cabin with windows."""
-    draft = Draft()
+    draft = SolidDraft()
     draft.box((-0.45, 0.45), (-0.42, 0.42), (0.04, 0.22), Role.RUBBER, layer=0)
     body = draft.box(
         (-0.5, 0.5), (-0.5, 0.5), (0.14, belt), Role.PAINT, layer=1, inset=(0.015, 0.03, 0.03), drop=bonnet_drop
@@ -42,7 +44,7 @@ def _car(cabin: tuple[float, float], inset: tuple[float, float, float], *, bonne
 
 
 def _bus() -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     draft.box((-0.48, 0.48), (-0.42, 0.42), (0.02, 0.12), Role.RUBBER, layer=0)
     body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.09, 1.0), Role.PAINT, layer=1, inset=(0.004, 0.01, 0.03))
     draft.decal(body["front"], (0.05, 0.95), (0.34, 0.86), Role.GLASS, layer=2, detail_px=5.0)
@@ -60,7 +62,7 @@ def _bus() -> Shape:
 
 
 def _truck() -> Shape:
-    draft = Draft(split=0.24)
+    draft = SolidDraft(split=0.24)
     draft.box((-0.49, 0.49), (-0.38, 0.38), (0.08, 0.20), Role.RUBBER, layer=0)
     cargo = draft.box((-0.5, 0.22), (-0.5, 0.5), (0.19, 1.0), Role.CARGO, layer=1)
     draft.decal(cargo["rear"], (0.47, 0.53), (0.04, 0.96), Role.METAL, layer=2)
@@ -81,7 +83,7 @@ def _truck() -> Shape:
 
 
 def _trailer() -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     draft.box((-0.48, 0.48), (-0.38, 0.38), (0.08, 0.28), Role.RUBBER, layer=0)
     body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.26, 1.0), Role.CARGO, layer=1)
     draft.decal(body["rear"], (0.47, 0.53), (0.04, 0.96), Role.METAL, layer=2)
@@ -92,7 +94,7 @@ def _trailer() -> Shape:
 
 
 def _construction() -> Shape:
-    draft = Draft(split=0.1)
+    draft = SolidDraft(split=0.1)
     draft.box((-0.5, 0.1), (-0.5, 0.5), (0.0, 0.28), Role.RUBBER, layer=0)
     draft.box((-0.5, 0.08), (-0.44, 0.44), (0.28, 0.62), Role.ORANGE, layer=1)
     cabin = draft.box((-0.3, 0.05), (-0.34, 0.34), (0.62, 1.0), Role.ORANGE, layer=2, inset=(0.02, 0.02, 0.02))
@@ -105,7 +107,7 @@ def _construction() -> Shape:
 
 def _cycle(*, motor: bool) -> Shape:
     """Two wheels, a frame and a rider, who leans a little forward."""
-    draft = Draft()
+    draft = SolidDraft()
     thick = 0.10 if motor else 0.06
     for x in (-0.33, 0.33):
         draft.box((x - 0.13, x + 0.13), (-thick, thick), (0.02, 0.34), Role.RUBBER, layer=0, inset=(0.03, 0.03, 0.0))
@@ -122,7 +124,7 @@ def _cycle(*, motor: bool) -> Shape:
 
 
 def _pedestrian() -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     for y in (-0.17, 0.17):
         draft.box((-0.18, 0.18), (y - 0.13, y + 0.13), (0.0, 0.48), Role.TROUSERS, layer=0)
     draft.box((-0.24, 0.24), (-0.38, 0.38), (0.45, 0.83), Role.CLOTH, layer=1, inset=(0.03, 0.03, 0.05))
@@ -136,7 +138,7 @@ def _pedestrian() -> Shape:
 
 
 def _cone() -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 0.07), Role.RUBBER, layer=0)
     inset = 0.15
     lower = draft.box((-0.36, 0.36), (-0.36, 0.36), (0.07, 1.0), Role.ORANGE, layer=1, inset=(0.27, 0.27, 0.27))
@@ -146,7 +148,7 @@ def _cone() -> Shape:
 
 
 def _barrier() -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     body = draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), Role.WHITE, layer=0, inset=(0.1, 0.1, 0.05))
     for side in ("front", "rear", "left", "right"):
         for stripe in range(3):
@@ -156,13 +158,13 @@ def _barrier() -> Shape:
 
 
 def _lump(role: Role) -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     draft.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), role, layer=0, inset=(0.08, 0.08, 0.08))
     return draft.shape()
 
 
 def _emergency(base: Shape) -> Shape:
-    draft = Draft()
+    draft = SolidDraft()
     draft.box((-0.14, -0.04), (-0.34, 0.34), (1.0, 1.08), Role.BEACON, layer=8)
     bar = draft.shape()
     joined = {name: np.concatenate([getattr(base, name), getattr(bar, name)]) for name in Shape.__slots__[:-1]}

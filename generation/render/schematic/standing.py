@@ -8,9 +8,9 @@ from benchmark.geometry import Floats
 from generation.render.schematic.atmosphere import Atmosphere
 from generation.render.schematic.facets import Facets
 from generation.render.schematic.ordering import drawing_order
+from generation.render.schematic.painting import SHIFT, to_fixed_point
 from generation.render.schematic.view import NEAR_M, View, clip_near
 
-_SHIFT = 4
 _PART_STEP = 64
 
 
@@ -62,7 +62,7 @@ def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: 
         for pixels in _on_image(view, in_camera)[1]:
             if mask is None:
                 mask = np.full(image.shape[:2], 255, dtype=np.uint8)
-            cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, _SHIFT)
+            cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, SHIFT)
     if mask is not None:
         size = max(3, image.shape[0] // 64 | 1)
         soft = cv2.blur(mask, (size, size))
@@ -95,14 +95,10 @@ def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[ND
     outside = (x < -1).all(axis=1) | (y < -1).all(axis=1)
     outside |= (x > view.camera.width).all(axis=1) | (y > view.camera.height).all(axis=1)
     kept = np.flatnonzero(cut | ((corners_ahead == 4) & ~outside))
-    polygons = list(_fixed(pixels[kept]))
+    polygons = list(to_fixed_point(pixels[kept]))
     for index in np.flatnonzero(cut[kept]).tolist():
-        polygons[index] = _fixed(view.to_pixels(clip_near(in_camera[kept[index]])))
+        polygons[index] = to_fixed_point(view.to_pixels(clip_near(in_camera[kept[index]])))
     return kept, polygons
-
-
-def _fixed(pixels: Floats) -> NDArray[np.int32]:
-    return np.asarray(np.rint(np.clip(pixels, -1e6, 1e6) * (1 << _SHIFT)), dtype=np.int32)
 
 
 def _fill(
@@ -115,6 +111,6 @@ def _fill(
     shades = colours[drawn[starts]].tolist() if starts else []
     for start, stop, shade in zip(starts, [*starts[1:], len(polygons)], shades):
         if stop - start == 1:
-            cv2.fillConvexPoly(image, polygons[start], shade, cv2.LINE_AA, _SHIFT)
+            cv2.fillConvexPoly(image, polygons[start], shade, cv2.LINE_AA, SHIFT)
         else:
-            cv2.fillPoly(image, polygons[start:stop], shade, cv2.LINE_AA, _SHIFT)
+            cv2.fillPoly(image, polygons[start:stop], shade, cv2.LINE_AA, SHIFT)

@@ -8,7 +8,7 @@ from benchmark.geometry import Floats, to_global, wrap_angle
 from benchmark.road_map import as_multipolygon
 from generation.sources.town.curves import headings, joined, resampled, turn, unit
 from generation.sources.town.layout import Node
-from generation.sources.town.network import LANE_WIDTH_M, Arm, Draft, Role, StandingPlace, TownLane
+from generation.sources.town.network import LANE_WIDTH_M, Arm, Draft, Role, StandingPlace, TownLane, strip
 
 RING_RADIUS_M = 15.0
 RING_WIDTH_M = 5.0
@@ -38,16 +38,21 @@ def build_crossing(draft: Draft, node: Node, arms: list[Arm], trims: dict[str, f
     _require_connected(draft, arms)
     radius = 5.5 if any(draft.lanes[arm.incoming[0]].speed_mps < 8.0 for arm in arms) else 8.0
     beams = [_beam(draft, node, arm, trims[arm.road] + 4.0 * radius) for arm in arms]
-    paths = [
-        LineString(lane.line).buffer(0.5 * LANE_WIDTH_M, cap_style="flat")
-        for lane in draft.lanes.values()
-        if lane.road == node.name
-    ]
-    area = shapely.union_all([*beams, *paths]).buffer(radius, quad_segs=16).buffer(-radius, quad_segs=16)
+    area = (
+        shapely.union_all([*beams, *_connector_bands(draft, node)])
+        .buffer(radius, quad_segs=16)
+        .buffer(-radius, quad_segs=16)
+    )
     edges = [_edge(draft, arm) for arm in arms]
     reach = shapely.MultiPoint(np.concatenate([*edges, node.position[None]])).convex_hull.buffer(0.01)
     draft.surfaces[node.name] = max(as_multipolygon(area.intersection(reach)).geoms, key=lambda part: part.area)
     draft.junctions.append(node.name)
+
+
+def _connector_bands(draft: Draft, node: Node) -> list[Polygon]:
+    """The surfaces that the lanes of a junction need."""
+    lanes = (lane for lane in draft.lanes.values() if lane.road == node.name)
+    return [LineString(lane.line).buffer(0.5 * LANE_WIDTH_M, cap_style="flat") for lane in lanes]
 
 
 def _edge(draft: Draft, arm: Arm) -> Floats:
@@ -134,12 +139,7 @@ def build_roundabout(draft: Draft, node: Node, arms: list[Arm]) -> None:
     inner, outer = RING_RADIUS_M - 0.5 * RING_WIDTH_M, RING_RADIUS_M + 0.5 * RING_WIDTH_M + 0.5
     island = center.buffer(inner, quad_segs=32)
     beams = [_beam(draft, node, arm, _reach(draft, node, arm) + 12.0) for arm in arms]
-    paths = [
-        LineString(lane.line).buffer(0.5 * LANE_WIDTH_M, cap_style="flat")
-        for lane in draft.lanes.values()
-        if lane.road == node.name
-    ]
-    area = shapely.union_all([center.buffer(outer, quad_segs=32), *beams, *paths])
+    area = shapely.union_all([center.buffer(outer, quad_segs=32), *beams, *_connector_bands(draft, node)])
     area = area.buffer(6.0, quad_segs=16).buffer(-6.0, quad_segs=16)
     edges = [_edge(draft, arm) for arm in arms]
     reach = shapely.MultiPoint(np.concatenate([*edges, np.array(center.buffer(outer).exterior.coords)])).convex_hull
@@ -163,7 +163,7 @@ def _add_arc(draft: Draft, node: Node, name: str, begin: float, end: float, role
     line = _ring_points(node, begin, end, RING_RADIUS_M)
     half = 0.5 * RING_WIDTH_M
     sides = [_ring_points(node, begin, end, RING_RADIUS_M + side) for side in (half, -half)]
-    surface = Polygon(np.concatenate([sides[0], sides[1][::-1]]))
+    surface = strip(*sides)
     draft.lanes[name] = TownLane(name, line, role, node.name, 0, (name,), _RING_SPEED_MPS, surface)
 
 

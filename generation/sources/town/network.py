@@ -156,13 +156,17 @@ def strip(right: Floats, left: Floats) -> Polygon:
     return Polygon(np.concatenate([right, left[::-1]]))
 
 
+def linked_lanes(draft: Draft, end: int) -> dict[str, tuple[str, ...]]:
+    """Names of the lanes after (``end`` 0) or before (1) each lane, sorted."""
+    found: dict[str, list[str]] = {name: [] for name in draft.lanes}
+    for link in draft.links:
+        found[link[end]].append(link[1 - end])
+    return {name: tuple(sorted(others)) for name, others in found.items()}
+
+
 def map_lanes(draft: Draft) -> dict[str, Lane]:
     """The lanes as the road map holds them, connected both ways; connectors have no polygon, as in nuScenes."""
-    after: dict[str, list[str]] = {name: [] for name in draft.lanes}
-    before: dict[str, list[str]] = {name: [] for name in draft.lanes}
-    for first, second in draft.links:
-        after[first].append(second)
-        before[second].append(first)
+    after, before = linked_lanes(draft, 0), linked_lanes(draft, 1)
     lanes = {}
     for name, lane in draft.lanes.items():
         connector = lane.role not in (Role.ROAD, Role.RING, Role.CAR_PARK)
@@ -171,8 +175,8 @@ def map_lanes(draft: Draft) -> dict[str, Lane]:
             identifier,
             lane.line,
             None if connector else lane.polygon,
-            tuple(draft.prefix + other for other in sorted(after[name])),
-            tuple(draft.prefix + other for other in sorted(before[name])),
+            tuple(draft.prefix + other for other in after[name]),
+            tuple(draft.prefix + other for other in before[name]),
             connector,
         )
     return lanes

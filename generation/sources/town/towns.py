@@ -11,7 +11,16 @@ from benchmark.machine.storage import content_seed
 from benchmark.road_map import RoadMap, as_multipolygon
 from generation.sources.town.junctions import build_car_park, build_crossing, build_roundabout
 from generation.sources.town.layout import CANVAS_M, PLANS, Layout, NodeKind, make_layout
-from generation.sources.town.network import LANE_WIDTH_M, PARKING_WIDTH_M, WALKWAY_WIDTH_M, Arm, Draft, Town, map_lanes
+from generation.sources.town.network import (
+    LANE_WIDTH_M,
+    PARKING_WIDTH_M,
+    WALKWAY_WIDTH_M,
+    Arm,
+    Draft,
+    Town,
+    linked_lanes,
+    map_lanes,
+)
 from generation.sources.town.roads import build_road, half_width, trim_lengths
 
 TOWN_VERSION = "1"
@@ -54,19 +63,12 @@ def build_town(location: str, seed: int) -> Town:
         layout=layout,
         road_map=road_map,
         lanes=draft.lanes,
-        successors=_neighbours(draft, 0),
-        predecessors=_neighbours(draft, 1),
+        successors=linked_lanes(draft, 0),
+        predecessors=linked_lanes(draft, 1),
         crossing_walks=tuple(draft.crossing_walks),
         walks=tuple(draft.walks),
         standing=tuple(draft.standing),
     )
-
-
-def _neighbours(draft: Draft, end: int) -> dict[str, tuple[str, ...]]:
-    found: dict[str, list[str]] = {name: [] for name in draft.lanes}
-    for link in draft.links:
-        found[link[end]].append(link[1 - end])
-    return {name: tuple(sorted(others)) for name, others in found.items()}
 
 
 def _road_map(draft: Draft, layout: Layout, location: str) -> RoadMap:

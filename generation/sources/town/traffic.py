@@ -176,12 +176,8 @@ class LanePoints:
 
 def add_companions(
     world: World, points: LanePoints, legs: list[Leg], rng: np.random.Generator, *, wanted: int, fleet: Fleet = CARS
-) -> int:
-    """Vehicles beside, ahead of and behind the ego at the start, which tend to go where it goes.
-
-    Returns:
-        How many were added.
-    """
+) -> None:
+    """Vehicles beside, ahead of and behind the ego at the start, which tend to go where it goes."""
     assert world.ego_rear is not None
     local = to_local(points.poses[:, :2], world.ego_rear[0])
     turned = np.abs(wrap_angle(points.poses[:, 2] - world.ego_rear[0, 2]))
@@ -192,26 +188,21 @@ def add_companions(
     ego_speed = float(np.hypot(*(world.ego_rear[2, :2] - world.ego_rear[0, :2]))) * FRAME_HZ / 2
     for choice in rng.permutation(choices)[: 5 * wanted].tolist():
         if added >= wanted:
-            break
+            return
         start = Start(points.names[choice], float(points.along[choice]), max(ego_speed, 3.0))
         eagerness = float(rng.uniform(0.85, 1.1))
         added += add_vehicle(world, start, fleet.draw(rng), rng, likes=likes, eagerness=eagerness, change_chance=0.3)
-    return added
 
 
 def add_passing(
     world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int, fleet: Fleet = MIXED
-) -> int:
-    """Vehicles that would be near the ego at some moment of the scene: oncoming, crossing, merging.
-
-    Returns:
-        How many were added.
-    """
+) -> None:
+    """Vehicles that would be near the ego at some moment of the scene: oncoming, crossing, merging."""
     assert world.ego_rear is not None
     added = 0
     for _ in range(attempts):
         if added >= wanted:
-            break
+            return
         frame = int(rng.integers(FRAMES))
         distance = np.hypot(*(points.poses[:, :2] - world.ego_rear[frame, :2]).T)
         choices = np.flatnonzero((distance > 3.0) & (distance < 40.0))
@@ -226,21 +217,16 @@ def add_passing(
         start = Start(lane.name, float(points.along[choice]) - back, speed)
         eagerness = float(rng.uniform(0.8, 1.05))
         added += add_vehicle(world, start, fleet.draw(rng), rng, likes=indifferent, eagerness=eagerness)
-    return added
 
 
-def add_cycles(world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int) -> int:
-    """Cyclists at the right edge of single-lane roads near the ego's way.
-
-    Returns:
-        How many were added.
-    """
+def add_cycles(world: World, points: LanePoints, rng: np.random.Generator, *, wanted: int, attempts: int) -> None:
+    """Cyclists at the right edge of single-lane roads near the ego's way."""
     assert world.ego_rear is not None
     added = 0
     slow = np.full(SECONDS, 0.45)
     for _ in range(attempts):
         if added >= wanted:
-            break
+            return
         frame = int(rng.integers(FRAMES))
         distance = np.hypot(*(points.poses[:, :2] - world.ego_rear[frame, :2]).T)
         choice = int(rng.choice(np.flatnonzero(distance < 45.0)))
@@ -250,4 +236,3 @@ def add_cycles(world: World, points: LanePoints, rng: np.random.Generator, *, wa
         start = Start(lane.name, float(points.along[choice]), 4.0, lateral_m=-1.05)
         body = Fleet((BICYCLE,), (1.0,)).draw(rng)
         added += add_vehicle(world, start, body, rng, likes=indifferent, pace=slow, change_chance=0.0)
-    return added

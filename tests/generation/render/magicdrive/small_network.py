@@ -10,7 +10,19 @@ from generation.render.magicdrive.conditions import Conditions, TextStates
 from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.model import MagicDriveDiT
 
-CONFIG = replace(MagicDriveConfig.tiny(), rounded=False, rows_multiple=1)
+TINY = MagicDriveConfig(
+    hidden=32,
+    heads=2,
+    encoder_heads=2,
+    depth=2,
+    control_depth=1,
+    caption_channels=24,
+    text_tokens=12,
+    box_hidden=16,
+    map_channels=(4, 4, 8, 8),
+)
+"""A network for tests of everything around it; its parts are all there."""
+CONFIG = replace(TINY, rounded=False, rows_multiple=1)
 
 
 RECIPE = WeightsRecipe(

@@ -9,16 +9,15 @@ import sentencepiece
 import torch
 
 from benchmark.scene import Scene
-from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.image_geometry import ImageGeometry, OutputSize
 from generation.render.magicdrive.prompt import PromptLook
 from generation.render.magicdrive.renderer import MagicDriveRenderer, RenderSettings
 from generation.render.magicdrive.sampling import SamplingOptions
 from generation.render.magicdrive.weights import NetworkFiles
 from tests.generation.render.magicdrive.moved_worlds import busy_scene
-from tests.generation.render.magicdrive.small_network import small_network
+from tests.generation.render.magicdrive.small_network import TINY, small_network
 
-CONFIG = MagicDriveConfig.tiny()
+CONFIG = TINY
 SIZE = (24, 48)
 _TEXT = "A driving scene image at boston-seaport. Straight road, day.\nDaytime. rain, night, umbrella, queenstown\n"
 

@@ -10,13 +10,13 @@ from benchmark.errors import InputError
 from benchmark.geometry import transform_matrix
 from generation.render.magicdrive.clip import box_latents, clip_of, latent_frames, padded_frames, trimmed_length
 from generation.render.magicdrive.conditions import Conditions, TextStates
-from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.encoders import pooled_in_time
 from generation.render.magicdrive.model import MagicDriveDiT
 from generation.render.magicdrive.prompt import PromptLook, prompt_of
 from generation.render.magicdrive.sampling import SamplingOptions, first_state, sample
 from generation.render.magicdrive.sensor_frames import SensorFrames, ego_motion
 from tests.generation.render.magicdrive.moved_worlds import busy_scene
+from tests.generation.render.magicdrive.small_network import TINY
 
 TEXT = TextStates(torch.zeros(300, 8), torch.ones(300, dtype=torch.bool))
 
@@ -183,7 +183,7 @@ def test_other_looks_do_not_ask_for_what_they_forbid(look: PromptLook, place: st
 
 @pytest.mark.parametrize("frames", [range(9), range(8), [5]])
 def test_the_network_takes_the_conditions_of_a_scene(frames: range | list[int]) -> None:
-    config = MagicDriveConfig.tiny()
+    config = TINY
     torch.manual_seed(0)
     model = MagicDriveDiT(config).eval()
     clip = clip_of(busy_scene(9 / 12), frames, height=48, width=80)

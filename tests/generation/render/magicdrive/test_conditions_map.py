@@ -14,7 +14,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.road_map import RoadMap
 from generation.nuscenes_writer.expansion import map_expansion
 from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
-from generation.render.magicdrive.bev_map import MAP_CHANNELS, bev_map, clip_maps
+from generation.render.magicdrive.bev_map import MAP_CHANNELS, MapLayers, clip_maps
 from generation.render.magicdrive.clip import clip_of
 from generation.sources.town import town_scene
 from tests.generation.render.magicdrive.moved_worlds import busy_scene
@@ -58,7 +58,7 @@ def test_every_channel_is_the_devkits(tmp_path: Path, monkeypatch: pytest.Monkey
     path = written(tmp_path, busy_scene().road_map)
     pose = np.array([61.3, 196.8, np.deg2rad(turn_deg)])
     found, slow = (
-        bev_map(read_road_map(path), pose),
+        MapLayers(read_road_map(path)).masks(pose),
         devkit_masks(tmp_path, "boston-seaport", pose, monkeypatch),
     )
     assert found.shape == slow.shape == (8, 200, 200)
@@ -73,13 +73,13 @@ def test_the_towns_map_is_the_devkits(tmp_path: Path, monkeypatch: pytest.Monkey
         x, y, yaw = scene.ego.pose[frame]
         pose = np.array([x, y, yaw - np.pi / 2])
         slow = devkit_masks(tmp_path, scene.road_map.location, pose, monkeypatch)
-        assert_alike(bev_map(read_road_map(path), pose), slow)
+        assert_alike(MapLayers(read_road_map(path)).masks(pose), slow)
 
 
 def test_first_index_goes_right_and_second_ahead() -> None:
     road = RoadMap("boston-seaport", shapely.MultiPolygon([shapely.box(20.0, -10.0, 30.0, -5.0)]))
     # The car at the origin looks along +x: lidar x is global -y, lidar y is global +x.
-    mask = bev_map(road, np.array([0.0, 0.0, -np.pi / 2]))[0]
+    mask = MapLayers(road).masks(np.array([0.0, 0.0, -np.pi / 2]))[0]
     right, ahead = np.nonzero(mask)
     assert (right.min(), right.max()) == (110, 120) and (ahead.min(), ahead.max()) == (140, 160)
 
@@ -88,15 +88,15 @@ def test_islands_in_holes_survive() -> None:
     ring = shapely.box(-40, -40, 40, 40).difference(shapely.box(-20, -20, 20, 20))
     island = shapely.box(-5, -5, 5, 5)
     for order in ([ring, island], [island, ring]):
-        mask = bev_map(RoadMap("x", shapely.MultiPolygon(order)), np.zeros(3))[0]
+        mask = MapLayers(RoadMap("x", shapely.MultiPolygon(order))).masks(np.zeros(3))[0]
         assert mask[100, 100] and not mask[75, 75] and mask[40, 40]
 
 
 def test_twice_the_cells_show_the_same() -> None:
     scene = busy_scene(9 / 12)
     pose = np.array([61.3, 196.8, 0.4])
-    fine = bev_map(scene.road_map, pose, cells=400)
-    coarse = bev_map(scene.road_map, pose)
+    fine = MapLayers(scene.road_map).masks(pose, cells=400)
+    coarse = MapLayers(scene.road_map).masks(pose)
     assert abs(fine.mean(axis=(1, 2)) - coarse.mean(axis=(1, 2)))[[0, 2, 4, 7]].max() < 0.01
     assert clip_of(scene, range(9), height=424, width=800).maps.shape == (9, 8, 400, 400)
 

@@ -15,8 +15,9 @@ from generation.render.magicdrive.blocks import CrossViewAttention
 from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.encoders import pooled_in_time
 from generation.render.magicdrive.guidance import null_conditions
+from generation.render.magicdrive.latents import LatentSize, packed_views, unpacked_views
 from generation.render.magicdrive.layers import RotaryFrequencies, rounded_to_bfloat16
-from generation.render.magicdrive.model import Encoded, LatentSize, packed_views, unpacked_views
+from generation.render.magicdrive.model import Encoded
 from generation.render.magicdrive.position import PatchEmbedding, fourier, grid_embedding
 from tests.generation.render.magicdrive.small_network import (
     CONFIG,

@@ -9,21 +9,22 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from generation.render.magicdrive.conditions import TextStates
 from generation.render.magicdrive.config import MagicDriveConfig
-from generation.render.magicdrive.cost import Clip, operations
-from generation.render.magicdrive.model import LatentSize, MagicDriveDiT
+from generation.render.magicdrive.cost import Workload, operations
+from generation.render.magicdrive.latents import LatentSize
+from generation.render.magicdrive.model import MagicDriveDiT
 from tests.generation.render.magicdrive.small_network import CONFIG, noise, random_conditions, small_network
 
 
-def published(height: int, width: int, rows_multiple: int, map_cells: int) -> Clip:
+def published(height: int, width: int, rows_multiple: int, map_cells: int) -> Workload:
     """A scene of the specification: 61 latent frames, some 60 boxes; its prompts have some 30 tokens."""
-    return Clip(241, LatentSize.of(241, height, width, rows_multiple), 32, 60, (map_cells, map_cells))
+    return Workload(241, LatentSize.of(241, height, width, rows_multiple), 32, 60, (map_cells, map_cells))
 
 
 @pytest.mark.parametrize(
     ("clip", "petaflop"),
     [(published(224, 400, 4, 200), 36.5), (published(224, 400, 1, 200), 32.0), (published(424, 800, 4, 400), 139.0)],
 )
-def test_the_specification_counts_the_same(clip: Clip, petaflop: float) -> None:
+def test_the_specification_counts_the_same(clip: Workload, petaflop: float) -> None:
     count = operations(MagicDriveConfig.full(), clip, as_published=True)
     assert count.scene(30, as_published=True) / 1e15 == pytest.approx(petaflop, rel=0.01)
 
@@ -49,7 +50,7 @@ def test_the_formula_is_what_the_network_computes(frames: int, multiple: int) ->
     network = small_network(config)
     conditions = random_conditions(config, frames=frames, boxes=3, rows=6, columns=10, words=4)
     size = network.size_of(conditions, multiple)
-    expected = operations(config, Clip(frames, size, 5, 3, (48, 80)))
+    expected = operations(config, Workload(frames, size, 5, 3, (48, 80)))
     # The fast attention of processors is not counted.
     with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as encoding:
         encoded = network.encode(conditions, rows_multiple=multiple)

@@ -16,7 +16,7 @@ SCORED: Final = slice(1, 13)
 
 
 @dataclass(frozen=True, slots=True)
-class PlanningFrame:
+class ScoredFrame:
     """What the score of a file's candidates is made of; B candidates, S frames.
 
     Attributes:
@@ -34,7 +34,7 @@ class PlanningFrame:
     affine: Floats
 
 
-def read_planning_frame(stored: GoldenArrays) -> PlanningFrame:
+def read_scored_frame(stored: GoldenArrays) -> ScoredFrame:
     """Inputs of the score.
 
     Args:
@@ -63,7 +63,7 @@ def read_planning_frame(stored: GoldenArrays) -> PlanningFrame:
     around = Surroundings(boxes, valid, boxes[:, ego, :2], _raster(stored, affine))
     size = np.array([length, width])
     own = np.concatenate([center[..., :2], np.broadcast_to(size, (*center.shape[:2], 2)), center[..., 2:]], axis=-1)
-    return PlanningFrame(center, size, own, around, affine)
+    return ScoredFrame(center, size, own, around, affine)
 
 
 def _raster(stored: GoldenArrays, affine: Floats) -> DrivableRaster:
