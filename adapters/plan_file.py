@@ -27,7 +27,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.planner_versions import PLANS_SHA256
-from benchmark.records.run import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.plan_rows import known_native
 from benchmark.truth import SampleTruth

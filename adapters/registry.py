@@ -14,7 +14,7 @@ from adapters.models import MODELS, published_as
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
-from benchmark.records.run import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import facts_of
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.machine.storage import read_kept_json, write_bytes, write_json
-from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.transfer import transfer
 from benchmark.records.ablation import AblationReport
 from benchmark.records.run import RunRecord

@@ -6,21 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.geometry import Bools
-from benchmark.metrics.disagreement import CAUSES, EXACT, RUNGS, any_contact, before_mask, compared
+from benchmark.metrics.disagreement import EXACT, any_contact, before_mask, compared
 from benchmark.protocols import Outcomes
 from benchmark.records.run import RunRecord, outcomes_of
-
-__all__ = [
-    "CAUSES",
-    "EXACT",
-    "RUNGS",
-    "Confusion",
-    "ProtocolComparison",
-    "comparisons",
-    "confusion",
-    "sample_confusion",
-    "step_confusion",
-]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,7 @@ from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.run_schema import (
-    CAUSES,
     SCHEMA,
-    DataFacts,
-    DiagnosisRow,
-    OutcomeRow,
-    PlannerFacts,
-    PlanRow,
     ProtocolSummary,
     RateRow,
     RunFacts,
@@ -35,30 +29,6 @@ from benchmark.records.run_schema import (
     Summary,
 )
 from benchmark.records.store import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_each, read_files, replace_files, validated
-
-__all__ = [
-    "CAUSES",
-    "SCHEMA",
-    "DataFacts",
-    "DiagnosisRow",
-    "OutcomeRow",
-    "PlanRow",
-    "PlannerFacts",
-    "ProtocolSummary",
-    "RateRow",
-    "RunFacts",
-    "RunRecord",
-    "SampleRow",
-    "SceneFacts",
-    "Summary",
-    "find_records",
-    "load_record",
-    "outcomes_of",
-    "protocol_of",
-    "scene_failures",
-    "summarise",
-    "write_record",
-]
 
 _Read = TypeVar("_Read", bound=Stored)
 

@@ -15,7 +15,7 @@ from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
-from benchmark.records.run import SampleRow
+from benchmark.records.run_schema import SampleRow
 from benchmark.truth import SampleTruth
 
 

@@ -20,7 +20,7 @@ from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
 from benchmark.planning import Forecasts, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.protocols import PROTOCOLS
-from benchmark.records.run import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256, parts_of
 from benchmark.scene import Scene
 

@@ -9,7 +9,8 @@ from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
 from benchmark.protocols import protocol
-from benchmark.records.run import SCHEMA, RunRecord, SampleRow, load_record, summarise, write_record
+from benchmark.records.run import RunRecord, load_record, summarise, write_record
+from benchmark.records.run_schema import SCHEMA, SampleRow
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.judging import judge
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
-from benchmark.records.run import PlannerFacts, SampleRow
+from benchmark.records.run_schema import PlannerFacts, SampleRow
 from benchmark.runs.judging import judge
 from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.protocols import PROTOCOLS
-from benchmark.records.run import ProtocolSummary, RunRecord, SampleRow, load_record, summarise
+from benchmark.records.run import RunRecord, load_record, summarise
+from benchmark.records.run_schema import ProtocolSummary, SampleRow
 from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import judged_anew, record_directories, require_same_data
 

@@ -15,7 +15,8 @@ from matplotlib.ticker import MaxNLocator
 from benchmark.constants import HORIZON_STEPS
 from benchmark.drawing.lettering import drawable
 from benchmark.drawing.plots import new_figure, picture
-from benchmark.metrics.confusion import EXACT, comparisons
+from benchmark.metrics.confusion import comparisons
+from benchmark.metrics.disagreement import EXACT
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
 from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
 

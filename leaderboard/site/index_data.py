@@ -7,7 +7,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from benchmark.machine.storage import file_name
-from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.disagreement import EXACT
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets

@@ -4,7 +4,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from benchmark.records.run import ProtocolSummary, RateRow, RunRecord
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import ProtocolSummary, RateRow
 from leaderboard.tables.rows import in_table_order, recordings
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")

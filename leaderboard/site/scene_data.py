@@ -28,8 +28,9 @@ import numpy as np
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.metrics.confusion import EXACT
-from benchmark.records.run import RunRecord, SampleRow
+from benchmark.metrics.disagreement import EXACT
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import SampleRow
 from benchmark.records.scenes import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
 from benchmark.waypoints import points_in_ego
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path

@@ -8,8 +8,9 @@ import numpy as np
 from benchmark.constants import PLAN_STEP_S
 from benchmark.drawing.placing import PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
-from benchmark.metrics.confusion import EXACT
-from benchmark.records.run import OutcomeRow, PlanRow, RunRecord, SampleRow
+from benchmark.metrics.disagreement import EXACT
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import OutcomeRow, PlanRow, SampleRow
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
 
 MODES_SHOWN: Final = 12

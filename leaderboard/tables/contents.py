@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from benchmark.errors import InputError
-from benchmark.metrics.confusion import EXACT
+from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.scores import require_current
 from benchmark.metrics.transfer import TransferMatrix, transfer
 from benchmark.records.ablation import AblationReport

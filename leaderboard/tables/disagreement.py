@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from benchmark.metrics.confusion import CAUSES, EXACT, RUNGS, Confusion, ProtocolComparison, comparisons
+from benchmark.metrics.confusion import Confusion, ProtocolComparison, comparisons
+from benchmark.metrics.disagreement import CAUSES, EXACT, RUNGS
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, number, record_name
 from benchmark.report.table import Table, table_of

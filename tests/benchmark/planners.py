@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records.run import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts
 
 AHEAD = np.column_stack([4.0 * np.arange(1, 7), np.zeros(6)])
 

@@ -8,7 +8,8 @@ import numpy as np
 from PIL import Image
 
 from benchmark.machine.storage import file_sha256, write_bytes, write_json
-from benchmark.records.run import DataFacts, RunRecord
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import (
     CAMERA_GRID,
     SCHEMA,

@@ -4,16 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmark.protocols import PROTOCOLS
-from benchmark.records.run import (
-    DataFacts,
-    OutcomeRow,
-    PlannerFacts,
-    RunFacts,
-    RunRecord,
-    SampleRow,
-    SceneFacts,
-    summarise,
-)
+from benchmark.records.run import RunRecord, summarise
+from benchmark.records.run_schema import DataFacts, OutcomeRow, PlannerFacts, RunFacts, SampleRow, SceneFacts
 from tests.benchmark.records.test_run import row
 
 CLEAN, HIT, LATE = "......", "xxxxxx", ".....x"

@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS
-from benchmark.records.run import SampleRow, find_records, load_record, protocol_of, scene_failures, summarise
+from benchmark.records.run import find_records, load_record, protocol_of, scene_failures, summarise
+from benchmark.records.run_schema import SampleRow
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records.run import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import facts_of
 
 

@@ -7,7 +7,8 @@ import matplotlib as mpl
 import pytest
 from matplotlib.image import imread
 
-from benchmark.records.run import RunRecord, SceneFacts
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import SceneFacts
 from leaderboard.figures.charts import data_set_figures, disagreement_figure, manoeuvre_figure, rates_over_horizon
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 from benchmark.errors import InputError
-from benchmark.records.run import DataFacts
+from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import RefinementTrace, Sheet, Sheets, StoredSheet, TraceFrame
 from leaderboard.figures.refinement import most_improved, quartiles, refinement_figure, refinement_figures
 

@@ -15,8 +15,7 @@ import numpy as np
 from benchmark.machine.storage import content_key, content_seed, file_sha256, token, write_json
 from benchmark.machine.workspace import Workspace
 from benchmark.planning import PlanFrame
-from benchmark.records.run import PlannerFacts
-from benchmark.records.run_schema import DataFacts
+from benchmark.records.run_schema import DataFacts, PlannerFacts
 from benchmark.records.scenes import (
     CAMERA_GRID,
     SCHEMA,
