@@ -310,26 +310,27 @@ def load_record(directory: Path) -> RunRecord:
     return RunRecord(directory, run, rows, summary)
 
 
-def find_records(root: Path) -> list[RunRecord]:
-    """Every record below a folder.
+def find_records(*roots: Path) -> list[RunRecord]:
+    """Every record below folders, each once.
 
     Args:
-        root: Where to look.
+        roots: Where to look.
 
     Returns:
-        Records by their path.
+        Records by the order of the folders, then by their path.
 
     Raises:
-        InputError: If the folder does not exist or a record in it is damaged.
+        InputError: If a folder does not exist or a record in it is damaged.
     """
-    if not root.is_dir():
-        raise InputError(
-            f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
-        )
-    found = []
-    for path in sorted(root.rglob(RUN_FILE)):
-        try:
-            found.append(load_record(path.parent))
-        except InputError as damage:
-            raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
-    return found
+    found: dict[Path, RunRecord] = {}
+    for root in roots:
+        if not root.is_dir():
+            raise InputError(
+                f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
+            )
+        for path in sorted(root.rglob(RUN_FILE)):
+            try:
+                found[path.parent.resolve()] = load_record(path.parent)
+            except InputError as damage:
+                raise InputError(f"{damage}; or delete or move {path.parent} to do without this record") from damage
+    return list(found.values())
