@@ -25,6 +25,41 @@ if TYPE_CHECKING:
     from generation.build.surrogate import PlannerUnderTest
     from generation.render.contract import Renderer
 
+    # What the public face hands on of other packages.
+    from adapters.checkpoints.anchor_files import write_anchors as write_anchors
+    from adapters.checkpoints.arrival import fetch_weights as fetch_weights, import_weights as import_weights
+    from adapters.checkpoints.listing import known_weights as known_weights
+    from adapters.plan_file import plan_file_factory as plan_file_factory
+    from adapters.training.ego_status import train_ego_status as train_ego_status
+    from adapters.training.planners import (
+        PlannerTraining as PlannerTraining,
+        judge_again as judge_again,
+        train_planner as train_planner,
+    )
+    from generation.build.ablation import ablate as ablate
+    from generation.build.settings import BuildSettings as BuildSettings
+    from generation.build.split import build_split as build_split
+    from generation.diffusion.training.card import train_trajectory_model as train_trajectory_model
+    from generation.diffusion.training.loop import TrainingConfig as TrainingConfig
+    from generation.render.magicdrive.command import magicdrive_renderer as magicdrive_renderer
+    from generation.render.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
+    from generation.render.pictures import write_pictures as write_pictures
+    from generation.search.hyperparameters import HyperParameters as HyperParameters
+    from generation.search.presets import hyper_parameters as hyper_parameters, trajectory_model as trajectory_model
+    from generation.sources.importing import ImportSettings as ImportSettings, import_scenarionet as import_scenarionet
+    from generation.sources.mini import TownSettings as TownSettings, build_town as build_town
+    from leaderboard.figures.heat_map import write_heat_map as write_heat_map
+    from leaderboard.films.film import FilmSettings as FilmSettings
+    from leaderboard.films.filming import write_films as write_films
+    from leaderboard.tables.collision import run_tables as run_tables
+    from leaderboard.tables.disagreement import disagreement_table as disagreement_table
+    from leaderboard.tables.quality import quality_tables as quality_tables
+    from leaderboard.tables.transfer import (
+        agreement_table as agreement_table,
+        transfer_matrices as transfer_matrices,
+        transfer_table as transfer_table,
+    )
+
 OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""
 DEFAULT_IMAGE_SIZE = (448, 256)
@@ -120,7 +155,7 @@ def schematic_renderer(size: tuple[int, int] = DEFAULT_IMAGE_SIZE) -> "Renderer"
     return SchematicRenderer(*size)
 
 
-def planner(
+def load_planner(
     name: str,
     checkpoint: Path | None = None,
     *,
@@ -175,7 +210,7 @@ def planner_under_test(
     from adapters.models import MODELS
     from generation.build.surrogate import PlannerUnderTest
 
-    factory = planner(name, checkpoint, data=data, seed=seed)
+    factory = load_planner(name, checkpoint, data=data, seed=seed)
     return PlannerUnderTest(factory, images=name not in MODELS or not MODELS[name].blind, workers=worker_count(workers))
 
 

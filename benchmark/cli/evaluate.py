@@ -83,7 +83,7 @@ def eval_command(
     dataset = api.open_split(source, split, out, workers=workers)
     settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=api.worker_count(workers))
     factories: list[PlannerFactory] = [
-        api.planner(name, checkpoint, data=data, seed=seed, device=device, precision=precision) for name in model
+        api.load_planner(name, checkpoint, data=data, seed=seed, device=device, precision=precision) for name in model
     ]
     if plans is not None:
         from adapters.plan_file import plan_file_factory

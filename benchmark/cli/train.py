@@ -23,12 +23,12 @@ def train_denoiser_command(
     seed: SeedOption = 0,
 ) -> None:
     """Train the trajectory model and describe it; the same command resumes."""
-    from generation.diffusion.training.card import train_described
+    from generation.diffusion.training.card import train_trajectory_model
     from generation.diffusion.training.loop import TrainingConfig
 
     default = TrainingConfig(tracks=tracks, out=out, seed=seed)
     checking = default.held_out if held_out is None else name_list(held_out) or ()
-    weights, card = train_described(replace(default, steps=steps or default.steps, held_out=checking))
+    weights, card = train_trajectory_model(replace(default, steps=steps or default.steps, held_out=checking))
     typer.echo(f"{weights}, {card}")
 
 

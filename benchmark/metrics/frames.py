@@ -30,7 +30,9 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
     frame = pd.DataFrame(of_rows, columns=["scene", "sample", "index", "status"])
     planned = (frame["status"] == "ok").to_numpy()
     columns: dict[str, Floats] = {}
-    for name in record.run.protocols:
+    for name in dict.fromkeys([*PROTOCOLS, *record.run.protocols]):
+        if name not in record.run.protocols:
+            continue
         require_current(record, name)
         outcomes = outcomes_of(record.rows, name)
         values = PROTOCOLS[name].sample_values(outcomes)

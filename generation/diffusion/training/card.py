@@ -69,7 +69,7 @@ that the model never saw, tracks them with the physics simulator, and writes thi
 """
 
 
-def train_described(config: TrainingConfig) -> tuple[Path, Path]:
+def train_trajectory_model(config: TrainingConfig) -> tuple[Path, Path]:
     """Train the trajectory model, draw its bank and describe it; the same call resumes.
 
     Args:
