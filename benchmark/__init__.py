@@ -1,3 +1,180 @@
-"""The harness: scenes and data sets, protocols and metrics, runs and their records, the command line."""
+"""The harness, and the Python face of all four packages: every command has its function here (docs/python.md).
+
+Names are looked up when they are asked for, so that ``import benchmark`` answers at once and a missing extra breaks
+only what needs it.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any, Final
 
 __version__ = "0.1.0"
+_DEFINED_IN: Final = {
+    "benchmark.datasets.roots": ["DataSet"],
+    "benchmark.machine.workspace": ["Workspace"],
+    "benchmark.scene": ["Scene"],
+    "benchmark.errors": ["InputError"],
+    "benchmark.api": [
+        "open_data",
+        "open_split",
+        "load_planner",
+        "schematic_renderer",
+        "planner_under_test",
+        "write_sheets",
+        "write_leaderboard",
+        "stale_leaderboard",
+        "verify",
+    ],
+    "generation.render.pictures": ["write_pictures"],
+    "generation.render.magicdrive.condition_pictures": ["write_condition_pictures"],
+    "generation.sources.importing": ["ImportSettings", "import_scenarionet"],
+    "generation.sources.mini": ["TownSettings", "build_town"],
+    "benchmark.planning": [
+        "Planner",
+        "PrivilegedPlanner",
+        "SceneInfo",
+        "Observation",
+        "Command",
+        "Plan",
+        "PlanFrame",
+        "Forecasts",
+    ],
+    "adapters.plan_file": ["plan_file_factory"],
+    "benchmark.evaluation": ["evaluate", "EvalSettings"],
+    "benchmark.protocols": ["PROTOCOLS"],
+    "benchmark.records.run": ["RunRecord", "load_record", "find_records"],
+    "benchmark.metrics.frames": ["samples_frame"],
+    "benchmark.runs.rescoring": ["rescore", "rescore_all"],
+    "benchmark.runs.submissions": ["check_submission"],
+    "benchmark.metrics.transfer": ["transfer"],
+    "leaderboard.tables.transfer": ["transfer_matrices", "transfer_table", "agreement_table"],
+    "leaderboard.tables.collision": ["run_tables"],
+    "leaderboard.tables.disagreement": ["disagreement_table"],
+    "leaderboard.figures.heat_map": ["write_heat_map"],
+    "generation.build.settings": ["BuildSettings"],
+    "generation.search.hyperparameters": ["HyperParameters"],
+    "generation.search.presets": ["hyper_parameters", "trajectory_model"],
+    "generation.render.magicdrive.command": ["magicdrive_renderer"],
+    "generation.build.ablation": ["ablate"],
+    "benchmark.sheets.writing": ["SheetSettings"],
+    "leaderboard.films.filming": ["write_films"],
+    "leaderboard.films.film": ["FilmSettings"],
+    "benchmark.quality.measure": ["measure_quality", "QualitySettings"],
+    "leaderboard.tables.quality": ["quality_tables"],
+    "generation.diffusion.training.card": ["train_trajectory_model"],
+    "adapters.training.planners": ["train_planner", "judge_again", "PlannerTraining"],
+    "adapters.training.ego_status": ["train_ego_status"],
+    "adapters.checkpoints.listing": ["known_weights"],
+    "adapters.checkpoints.arrival": ["import_weights", "fetch_weights"],
+    "adapters.checkpoints.anchor_files": ["write_anchors"],
+    "benchmark.cli.demonstration": ["demo", "full_demo", "stale_demo"],
+}
+_RENAMED: Final = {
+    "data_contents": "benchmark.datasets.contents:contents",
+    "data_statistics": "benchmark.datasets.statistics:statistics",
+    "check_data": "benchmark.datasets.integrity.check:check_tables",
+    "explain_protocols": "benchmark.protocols.explain.pictures:explain",
+    "generate": "generation.build.split:build_split",
+    "QualityDefinition": "benchmark.quality.definition:Definition",
+    "TrajectoryTraining": "generation.diffusion.training.loop:TrainingConfig",
+    "doctor": "benchmark.machine.environment:checks",
+}
+_FACE: Final = {name: f"{module}:{name}" for module, names in _DEFINED_IN.items() for name in names} | _RENAMED
+"""Where each name of the face is defined; what comes of other packages has its types from `benchmark.api`."""
+
+if TYPE_CHECKING:
+    from benchmark.api import (
+        BuildSettings as BuildSettings,
+        FilmSettings as FilmSettings,
+        HyperParameters as HyperParameters,
+        ImportSettings as ImportSettings,
+        PlannerTraining as PlannerTraining,
+        TownSettings as TownSettings,
+        TrainingConfig as _TrajectoryTraining,
+        ablate as ablate,
+        agreement_table as agreement_table,
+        build_town as build_town,
+        disagreement_table as disagreement_table,
+        fetch_weights as fetch_weights,
+        build_split as _generate,
+        hyper_parameters as hyper_parameters,
+        import_scenarionet as import_scenarionet,
+        import_weights as import_weights,
+        judge_again as judge_again,
+        known_weights as known_weights,
+        load_planner as load_planner,
+        magicdrive_renderer as magicdrive_renderer,
+        open_data as open_data,
+        open_split as open_split,
+        plan_file_factory as plan_file_factory,
+        planner_under_test as planner_under_test,
+        quality_tables as quality_tables,
+        run_tables as run_tables,
+        schematic_renderer as schematic_renderer,
+        stale_leaderboard as stale_leaderboard,
+        train_ego_status as train_ego_status,
+        train_planner as train_planner,
+        train_trajectory_model as train_trajectory_model,
+        trajectory_model as trajectory_model,
+        transfer_matrices as transfer_matrices,
+        transfer_table as transfer_table,
+        verify as verify,
+        write_anchors as write_anchors,
+        write_condition_pictures as write_condition_pictures,
+        write_films as write_films,
+        write_heat_map as write_heat_map,
+        write_leaderboard as write_leaderboard,
+        write_pictures as write_pictures,
+        write_sheets as write_sheets,
+    )
+    from benchmark.cli.demonstration import demo as demo, full_demo as full_demo, stale_demo as stale_demo
+    from benchmark.datasets.contents import contents as _data_contents
+    from benchmark.datasets.integrity.check import check_tables as _check_data
+    from benchmark.datasets.roots import DataSet as DataSet
+    from benchmark.datasets.statistics import statistics as _data_statistics
+    from benchmark.errors import InputError as InputError
+    from benchmark.evaluation import EvalSettings as EvalSettings, evaluate as evaluate
+    from benchmark.machine.environment import checks as _doctor
+    from benchmark.machine.workspace import Workspace as Workspace
+    from benchmark.metrics.frames import samples_frame as samples_frame
+    from benchmark.metrics.transfer import transfer as transfer
+    from benchmark.planning import (
+        Command as Command,
+        Forecasts as Forecasts,
+        Observation as Observation,
+        Plan as Plan,
+        PlanFrame as PlanFrame,
+        Planner as Planner,
+        PrivilegedPlanner as PrivilegedPlanner,
+        SceneInfo as SceneInfo,
+    )
+    from benchmark.protocols import PROTOCOLS as PROTOCOLS
+    from benchmark.protocols.explain.pictures import explain as _explain_protocols
+    from benchmark.quality.definition import Definition as _QualityDefinition
+    from benchmark.quality.measure import QualitySettings as QualitySettings, measure_quality as measure_quality
+    from benchmark.records.run import RunRecord as RunRecord, find_records as find_records, load_record as load_record
+    from benchmark.runs.rescoring import rescore as rescore, rescore_all as rescore_all
+    from benchmark.runs.submissions import check_submission as check_submission
+    from benchmark.scene import Scene as Scene
+    from benchmark.sheets.writing import SheetSettings as SheetSettings
+
+    QualityDefinition = _QualityDefinition
+    TrajectoryTraining = _TrajectoryTraining
+    check_data = _check_data
+    data_contents = _data_contents
+    data_statistics = _data_statistics
+    doctor = _doctor
+    explain_protocols = _explain_protocols
+    generate = _generate
+else:
+    __all__ = ("__version__", *_FACE)
+
+    def __getattr__(name: str) -> Any:
+        if name not in _FACE:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        module, _, attribute = _FACE[name].partition(":")
+        found = getattr(importlib.import_module(module), attribute)
+        globals()[name] = found
+        return found
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_FACE})

@@ -6,21 +6,59 @@ and a missing extra breaks only what needs it.
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Final
 
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
     from benchmark.machine.workspace import Workspace
+    from benchmark.records.ablation import AblationReport
+    from benchmark.records.quality import QualityRecord
     from benchmark.records.run import RunRecord
+    from benchmark.records.scenes import Sheets
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
-    from generation.build.report import BuildReport
-    from generation.build.settings import BuildSettings
+    from benchmark.verification.checks import Check
     from generation.build.surrogate import PlannerUnderTest
     from generation.render.contract import Renderer
+
+    # What the public face hands on of other packages.
+    from adapters.checkpoints.anchor_files import write_anchors as write_anchors
+    from adapters.checkpoints.arrival import fetch_weights as fetch_weights, import_weights as import_weights
+    from adapters.checkpoints.listing import known_weights as known_weights
+    from adapters.plan_file import plan_file_factory as plan_file_factory
+    from adapters.training.ego_status import train_ego_status as train_ego_status
+    from adapters.training.planners import (
+        PlannerTraining as PlannerTraining,
+        judge_again as judge_again,
+        train_planner as train_planner,
+    )
+    from generation.build.ablation import ablate as ablate
+    from generation.build.settings import BuildSettings as BuildSettings
+    from generation.build.split import build_split as build_split
+    from generation.diffusion.training.card import train_trajectory_model as train_trajectory_model
+    from generation.diffusion.training.loop import TrainingConfig as TrainingConfig
+    from generation.render.magicdrive.command import magicdrive_renderer as magicdrive_renderer
+    from generation.render.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
+    from generation.render.pictures import write_pictures as write_pictures
+    from generation.search.hyperparameters import HyperParameters as HyperParameters
+    from generation.search.presets import hyper_parameters as hyper_parameters, trajectory_model as trajectory_model
+    from generation.sources.importing import ImportSettings as ImportSettings, import_scenarionet as import_scenarionet
+    from generation.sources.mini import TownSettings as TownSettings, build_town as build_town
+    from leaderboard.figures.heat_map import write_heat_map as write_heat_map
+    from leaderboard.films.film import FilmSettings as FilmSettings
+    from leaderboard.films.filming import write_films as write_films
+    from leaderboard.tables.collision import run_tables as run_tables
+    from leaderboard.tables.disagreement import disagreement_table as disagreement_table
+    from leaderboard.tables.quality import quality_tables as quality_tables
+    from leaderboard.tables.transfer import (
+        agreement_table as agreement_table,
+        transfer_matrices as transfer_matrices,
+        transfer_table as transfer_table,
+    )
 
 OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""
@@ -98,6 +136,7 @@ def open_split(source: "DataSet", split: str, out: Path = OUT, *, workers: int =
     def build() -> None:
         from benchmark.machine.workers import LocalProcesses
         from generation.build.settings import BuildSettings
+        from generation.build.split import build_split
 
         tell(f"generating split {split} of the embedded data set (once, some minutes)")
         target = workspace(out).split_root(source.name, split)
@@ -109,32 +148,6 @@ def open_split(source: "DataSet", split: str, out: Path = OUT, *, workers: int =
     return workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
 
 
-def build_split(source: "DataSet", split: str, settings: "BuildSettings") -> "BuildReport":
-    """Build a split, adv or val-r, from recorded scenes; work that is done already is found and kept.
-
-    Args:
-        source: The recorded scenes.
-        split: ``adv`` or ``val-r``.
-        settings: What to build and where.
-
-    Returns:
-        What was tried, kept and discarded, and why.
-
-    Raises:
-        InputError: If the split cannot be generated, or the settings contradict each other or the data.
-    """
-    from generation.build.split import build_split as build
-
-    require_generated(split)
-    return build(source, cast(Literal["adv", "val-r"], split), settings)
-
-
-def require_generated(split: str) -> None:
-    """Raise `InputError` for a split that cannot be generated."""
-    if split not in ("adv", "val-r"):
-        raise InputError(f"cannot generate split {split!r}; the splits that can be generated are val-r and adv")
-
-
 def schematic_renderer(size: tuple[int, int] = DEFAULT_IMAGE_SIZE) -> "Renderer":
     """The renderer that needs no network; ``size`` is width and height in pixels."""
     from generation.render.schematic import SchematicRenderer
@@ -142,28 +155,44 @@ def schematic_renderer(size: tuple[int, int] = DEFAULT_IMAGE_SIZE) -> "Renderer"
     return SchematicRenderer(*size)
 
 
-def records_below(out: Path = OUT, folders: "Sequence[Path] | None" = None) -> "list[RunRecord]":
-    """Every record below folders (by default ``<out>/runs``), each once."""
-    from benchmark.records.run import find_records
+def load_planner(
+    name: str,
+    checkpoint: Path | None = None,
+    *,
+    data: str | Path = "mini",
+    seed: int = 0,
+    device: str | None = None,
+    precision: str | None = None,
+) -> "NamedPlanner":
+    """A planner by name, for `benchmark.evaluate`.
 
-    found = [record for folder in folders or [workspace(out).run_root()] for record in find_records(folder)]
-    return list({record.directory.resolve(): record for record in found}.values())
+    Args:
+        name: Planner name or ``package.module:Class``.
+        checkpoint: Its weights, if not its own.
+        data: What it will drive on: on ``mini`` a miniature runs where the full model has no weights, and says so.
+        seed: For planners that take one.
+        device: Where a network runs: cpu, cuda, cuda:1; the first GPU by default, if there is one.
+        precision: Of a network: float32 or bfloat16.
 
+    Returns:
+        What builds it in any process.
 
-def model_on(data: str | Path, name: str, checkpoint: Path | None = None) -> str:
-    """The model that runs: on the embedded data a miniature, where the full one has no weights."""
+    Raises:
+        InputError: If the planner is unknown or cannot be built.
+    """
     from adapters.checkpoints.loading import stand_in
+    from adapters.registry import planner_factory
 
     chosen = stand_in(name, checkpoint, str(data))
     if chosen != name:
         tell(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
-    return chosen
+    return planner_factory(chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
 
 
 def planner_under_test(
     name: str, checkpoint: Path | None = None, *, data: str | Path = "mini", seed: int = 0, workers: int = 0
 ) -> "PlannerUnderTest":
-    """A planner that decides about generated scenes.
+    """A planner that decides about generated scenes: the surrogate of a build, or who drives in an ablation.
 
     Args:
         name: Planner name or ``package.module:Class``.
@@ -179,10 +208,9 @@ def planner_under_test(
         InputError: If the planner is unknown or cannot be built.
     """
     from adapters.models import MODELS
-    from adapters.registry import planner_factory
     from generation.build.surrogate import PlannerUnderTest
 
-    factory = planner_factory(model_on(data, name, checkpoint), checkpoint=checkpoint, seed=seed)
+    factory = load_planner(name, checkpoint, data=data, seed=seed)
     return PlannerUnderTest(factory, images=name not in MODELS or not MODELS[name].blind, workers=worker_count(workers))
 
 
@@ -206,3 +234,99 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
     from generation.nuscenes_writer.plan import STATE_FOLDER
 
     return write(dataset, split, root, settings, runtime=kept_runtime(dataset.root / STATE_FOLDER))
+
+
+def write_leaderboard(
+    out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
+) -> list[Path]:
+    """Write tables, figures and site from everything that an output folder holds.
+
+    Args:
+        out: The output folder: run records, scene sheets, video quality, ablation studies.
+        to: Folder of the leaderboard; ``<out>/leaderboard`` by default.
+        records: Folders of run records, if not ``<out>/runs``.
+        site: Whether to write the site too.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: If there is nothing to show, records cannot stand in one table, or files cannot be written.
+    """
+    from leaderboard.build import write_leaderboard as write
+
+    found, quality, sheets, ablations = _shown(out, records)
+    return write(found, to or out / "leaderboard", quality, sheets, ablations, site=site)
+
+
+def stale_leaderboard(
+    out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
+) -> list[str]:
+    """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
+    from leaderboard.build import stale_files
+
+    found, quality, sheets, ablations = _shown(out, records)
+    return stale_files(found, to or out / "leaderboard", quality, sheets, ablations, site=site)
+
+
+def _shown(
+    out: Path, folders: "Sequence[Path] | None"
+) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport]]":
+    """What a leaderboard is made from; without run records it may be made from the rest."""
+    from benchmark.records.ablation import find_ablations
+    from benchmark.records.quality import find_quality
+    from benchmark.records.run import find_records
+    from benchmark.records.scenes import find_sheets
+
+    space = workspace(out)
+    quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
+    ablations = find_ablations(space.out / "ablation")
+    no_runs = bool(quality or sheets.splits or ablations) and folders is None and not space.run_root().exists()
+    return [] if no_runs else find_records(*(folders or [space.run_root()])), quality, sheets, ablations
+
+
+def verify(what: str, golden: Path | None = None, model: str | None = None) -> "list[Check]":
+    """Compare numerics with golden numbers (docs/verify.md).
+
+    Args:
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols`` or ``model``.
+        golden: Folder of golden numbers; the built-in set by default, which ``model`` does not have.
+        model: With ``model``: which one.
+
+    Returns:
+        One check for each quantity.
+
+    Raises:
+        InputError: If there is nothing of that name to compare, or the golden numbers cannot be used.
+    """
+    if what == "model":
+        return _verify_model(model, golden)
+    if model is not None:
+        raise InputError("--model belongs to verify model; leave it out")
+    from benchmark.protocols.verification import verify_protocols
+    from generation.verification.denoiser import verify_denoiser
+    from generation.verification.physics import verify_physics
+    from generation.verification.scoring import verify_scoring
+
+    known: Final = {
+        "physics": verify_physics,
+        "scoring": verify_scoring,
+        "denoiser": verify_denoiser,
+        "protocols": verify_protocols,
+    }
+    if what not in known:
+        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)} and model")
+    return known[what](golden)
+
+
+def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
+    from adapters.verification.models import verified_models, verify_model
+    from generation.verification.magicdrive import verify_magicdrive
+
+    known = (*verified_models(), "magicdrive")
+    if model not in known:
+        missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
+        raise InputError(f"{missing}; known are {', '.join(known)}")
+    if golden is None:
+        raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
+    return verify_magicdrive(golden) if model == "magicdrive" else verify_model(model, golden)

@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from torch import Tensor
 
@@ -51,6 +51,19 @@ class ImportedWeights:
     provenance: Provenance
     tensors: int
     parameters: int
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        facts = self.provenance.model_dump(mode="json")
+        return {"path": str(self.path), "tensors": self.tensors, "parameters": self.parameters, **facts}
+
+    def sentence(self) -> str:
+        """The same in words."""
+        known = self.provenance
+        return (
+            f"{self.path}: {known.model}, {self.tensors} tensors, {self.parameters / 1e6:.1f} M numbers, "
+            f"pixel values {known.normalisation} (said by: {known.normalisation_from})"
+        )
 
 
 def import_checkpoint(

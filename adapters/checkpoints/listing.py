@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adapters.checkpoints.cache import Provenance, cached_weights
+from adapters.checkpoints.cache import Provenance, cached_weights, weights_folder
 from benchmark.weights.catalogue import CHECKPOINTS, FOLDERS, PublishedWeights
 from benchmark.weights.folders import kept_folder
 
@@ -78,18 +78,18 @@ class KnownWeights:
 
 
 def known_weights(
-    cache: Path, entries: Sequence[PublishedWeights] = (*CHECKPOINTS, *FOLDERS)
+    cache: Path | None = None, entries: Sequence[PublishedWeights] = (*CHECKPOINTS, *FOLDERS)
 ) -> tuple[KnownWeights, ...]:
     """Published weights and what is here of them.
 
     Args:
-        cache: Folder of weights.
+        cache: Folder of weights; the user's by default.
         entries: Those to look for.
 
     Returns:
         One for each entry.
     """
-    return tuple(KnownWeights(entry, _imported(entry, cache)) for entry in entries)
+    return tuple(KnownWeights(entry, _imported(entry, cache or weights_folder())) for entry in entries)
 
 
 def _imported(weights: PublishedWeights, cache: Path) -> dict[Path, Provenance | None]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -71,7 +72,6 @@ def eval_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run planners on a split, write run records, and print the table."""
-    from adapters.registry import planner_factory
     from benchmark.evaluation import EvalSettings, evaluate
 
     if not model and plans is None:
@@ -83,10 +83,7 @@ def eval_command(
     dataset = api.open_split(source, split, out, workers=workers)
     settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=api.worker_count(workers))
     factories: list[PlannerFactory] = [
-        planner_factory(
-            api.model_on(data, name, checkpoint), checkpoint=checkpoint, seed=seed, device=device, precision=precision
-        )
-        for name in model
+        api.load_planner(name, checkpoint, data=data, seed=seed, device=device, precision=precision) for name in model
     ]
     if plans is not None:
         from adapters.plan_file import plan_file_factory
@@ -113,16 +110,13 @@ def rescore_command(
     json_output: JsonOption = False,
 ) -> None:
     """Judge the stored plans of run records anew under every protocol, without running a planner."""
-    from benchmark.protocols import PROTOCOLS
     from benchmark.runs.rescoring import rescore_all
 
     source = api.open_data(data, tables=tables, workers=workers)
     space = api.workspace(out)
     folders = records or [space.run_root()]
     results = [
-        result
-        for folder in folders
-        for result in rescore_all(folder, lambda split: space.open_split(source, split), source.name, tuple(PROTOCOLS))
+        result for folder in folders for result in rescore_all(folder, partial(space.open_split, source), source.name)
     ]
     if json_output:
         print_json([{"directory": str(result.directory), "says": result.sentence} for result in results])
@@ -142,27 +136,19 @@ def transfer_command(
     json_output: JsonOption = False,
 ) -> None:
     """Who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
-    from benchmark.metrics.transfer import transfer
-    from benchmark.records.planner_versions import labelled
+    from benchmark.records.run import find_records
     from leaderboard.figures.heat_map import write_heat_map
-    from leaderboard.tables.rows import in_table_order
-    from leaderboard.tables.transfer import agreement_table, transfer_table
+    from leaderboard.tables.transfer import agreement_table, transfer_matrices, transfer_table
 
-    known = [record for record in labelled(api.records_below(out, records)) if record.run.split == split]
-    found = [record for record in known if record.covers_split]
+    folders = records or [api.workspace(out).run_root()]
+    known = find_records(*folders)
     for record in known:
-        if not record.covers_split:
+        if record.run.split == split and not record.covers_split:
             typer.echo(f"left out: {record.directory} holds a part of the split only", err=True)
-    names = sorted({record.run.data.name for record in found})
-    wanted = [data] if data is not None else names
-    matrices = {
-        name: transfer(in_table_order([r for r in found if r.run.data.name == name]), protocol=protocol)
-        for name in wanted
-        if name in names
-    }
+    matrices = transfer_matrices(known, split, protocol=protocol, data=data)
     if not matrices:
         raise InputError(
-            f"no complete run records of split {split!r} below {', '.join(map(str, records or [out / 'runs']))}"
+            f"no complete run records of split {split!r} below {', '.join(map(str, folders))}"
             f"{'' if data is None else f' for data set {data!r}'}; run challenger-bench eval --split {split} first"
         )
     if figure is not None:
@@ -251,7 +237,7 @@ def _show_runs(
     json_output: bool,
 ) -> None:
     """Print the tables of runs; a run that failed on samples is an error unless allowed, and then said."""
-    from leaderboard.tables.collision import collision_table, native_table
+    from leaderboard.tables.collision import run_tables
 
     partial = [record for record in records if not record.complete]
     if json_output:
@@ -260,11 +246,8 @@ def _show_runs(
             for r in records
         ]
         print_json(rows)
-    shown = records if allow_partial else [record for record in records if record.complete]
-    if not json_output and shown:
-        own = any(record.run.planner.native_protocol for record in shown)
-        for name in protocols or (("exact", "native") if own else ("exact",)):
-            table = native_table(data_name, shown) if name == "native" else collision_table(data_name, name, shown)
+    else:
+        for table in run_tables(data_name, records, protocols, allow_partial=allow_partial):
             typer.echo(table.plain())
     for record in partial:
         typer.echo(

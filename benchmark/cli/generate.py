@@ -1,8 +1,7 @@
 """Commands that make scenes: ``generate`` and ``ablate``."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -54,8 +53,6 @@ from benchmark.errors import InputError
 if TYPE_CHECKING:
     from generation.build.report import BuildReport
     from generation.render.contract import Renderer
-    from generation.search.definition import PriorFactory
-    from generation.search.hyperparameters import HyperParameters
 
 
 def generate_command(
@@ -108,11 +105,12 @@ def generate_command(
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from generation.build.settings import BuildSettings
-    from generation.build.split import source_scenes
+    from generation.build.split import build_split, require_generated, source_scenes
+    from generation.search.presets import hyper_parameters, trajectory_model
 
-    api.require_generated(split)
+    require_generated(split)
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
-    hyper = _hyper_parameters(preset, shortcuts, changes)
+    hyper = hyper_parameters(preset.value, shortcuts, changes or ())
     if surrogate is None and surrogate_checkpoint is not None:
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
     under_test = None
@@ -144,7 +142,7 @@ def generate_command(
     settings = BuildSettings(
         out=api.workspace(out).split_root(source.name, split),
         hyper=hyper,
-        prior=_prior(preset, denoiser, device, calls, dropout=dropout),
+        prior=trajectory_model(preset.value, denoiser, device, calls=calls, dropout=dropout),
         source_split=source_split,
         scenes=name_list(scenes),
         limit=limit,
@@ -165,7 +163,7 @@ def generate_command(
     )
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    _tell(api.build_split(source, split, settings), profile=profile, json_output=json_output)
+    _tell(build_split(source, split, settings), profile=profile, json_output=json_output)
 
 
 def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:
@@ -207,15 +205,16 @@ def ablate_command(
     from benchmark.machine.storage import file_name
     from generation.build.ablation import ablate, ablation_estimate
     from generation.build.settings import BuildSettings
+    from generation.search.presets import hyper_parameters, trajectory_model
 
     planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
-    hyper = _hyper_parameters(preset, {"candidate_limit": vehicles, "candidates": candidates}, changes)
+    hyper = hyper_parameters(preset.value, {"candidate_limit": vehicles, "candidates": candidates}, changes or ())
     drawing, place = api.schematic_renderer(image_size(size)), executor_of(executor, address, workers)
     source = api.open_data(data, tables=tables, workers=workers)
     settings = BuildSettings(
         out=out / "ablation" / source.name / file_name(planner.factory.facts.name),
         hyper=hyper,
-        prior=_prior(preset, denoiser, device, None, dropout=False),
+        prior=trajectory_model(preset.value, denoiser, device),
         source_split=source_split,
         scenes=name_list(scenes),
         limit=limit,
@@ -233,22 +232,3 @@ def ablate_command(
         print_json(report.model_dump(mode="json", by_alias=True))
     else:
         typer.echo(report.table().plain(), nl=False)
-
-
-def _hyper_parameters(preset: Preset, shortcuts: dict[str, Any], changes: list[str] | None) -> "HyperParameters":
-    """Settings of the search: the preset, options that name one setting, and changes by text, each over the last."""
-    from generation.search.hyperparameters import HyperParameters
-
-    start = HyperParameters.paper() if preset is Preset.PAPER else HyperParameters()
-    return replace(start, **{name: value for name, value in shortcuts.items() if value is not None}).changed(
-        changes or []
-    )
-
-
-def _prior(preset: Preset, weights: Path | None, device: str, calls: int | None, *, dropout: bool) -> "PriorFactory":
-    """The trajectory model; with the paper's preset nothing that it draws is drawn again."""
-    from generation.diffusion.prior import SamplerSettings
-    from generation.search.definition import PackagedPrior
-
-    literal = preset is Preset.PAPER
-    return PackagedPrior(weights, device, SamplerSettings(mutation_steps=calls, drivable=not literal, dropout=dropout))

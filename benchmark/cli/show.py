@@ -1,8 +1,7 @@
 """Commands that show results: ``sheets``, ``film`` and ``leaderboard``."""
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -26,9 +25,6 @@ from benchmark.cli.options import (
     name_list,
     print_json,
 )
-
-if TYPE_CHECKING:
-    pass
 
 leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
 
@@ -80,24 +76,15 @@ def leaderboard_command(
     """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
     if context.invoked_subcommand is not None:
         return
-    from benchmark.records.ablation import find_ablations
-    from benchmark.records.quality import find_quality
-    from benchmark.records.scenes import find_sheets
-    from leaderboard.build import stale_files, write_leaderboard
-
-    space, folder = api.workspace(out), to or out / "leaderboard"
-    quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
-    ablations = find_ablations(space.out / "ablation")
-    no_runs = bool(quality or sheets.splits or ablations) and records is None and not space.run_root().exists()
-    found = [] if no_runs else api.records_below(out, records)
+    folder = to or out / "leaderboard"
     if check:
-        stale = stale_files(found, folder, quality, sheets, ablations, site=site)
+        stale = api.stale_leaderboard(out, folder, records, site=site)
         if json_output:
             print_json({"stale": stale})
         else:
             typer.echo("\n".join(stale) or f"{folder} is current")
         raise typer.Exit(1 if stale else 0)
-    written = write_leaderboard(found, folder, quality, sheets, ablations, site=site)
+    written = api.write_leaderboard(out, folder, records, site=site)
     if json_output:
         print_json({"files": [str(path) for path in written]})
     else:
@@ -154,24 +141,28 @@ def film_command(
     json_output: JsonOption = False,
 ) -> None:
     """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
+    from benchmark.machine.workers import progress
     from benchmark.protocols import protocol as known_protocol
     from leaderboard.films.film import FilmLayout, FilmSettings
-    from leaderboard.films.filming import FilmFormat, planner_folder, sheet_folders, write_film
+    from leaderboard.films.filming import FilmFormat, write_films
 
     judge = protocol if protocol == "native" else known_protocol(protocol).name
-    shown, target, space = FilmLayout(layout.value), FilmFormat(form.value), api.workspace(out)
-    settings = FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates)
-    folders = sheet_folders(space.sheet_root(), data, split, name_list(scenes))[:limit]
-    plans = api.records_below(out, records or [planner_folder(space.run_root(), data, split)]) if model else []
+    shown, space = FilmLayout(layout.value), api.workspace(out)
     films = []
-    for folder in folders:
-        films.append(str(write_film(folder, plans, model or [], to, target, settings, watch=_watch)))
+    for film in write_films(
+        space.sheet_root(),
+        records or space.run_root(),
+        data,
+        split,
+        to,
+        model or (),
+        scenes=name_list(scenes),
+        limit=limit,
+        form=FilmFormat(form.value),
+        settings=FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates),
+        watch=lambda frames, total, label: progress(frames, total=total, label=label),
+    ):
+        films.append(str(film))
         typer.echo(films[-1], err=json_output)
     if json_output:
         print_json({"films": films})
-
-
-def _watch(items: Iterable[Any], total: int, label: str) -> Iterable[Any]:
-    from benchmark.machine.workers import progress
-
-    return progress(items, total=total, label=label)

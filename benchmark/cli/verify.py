@@ -1,17 +1,12 @@
 """Commands that check numerics and the machine: ``verify`` and ``doctor``."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from benchmark import api
 from benchmark.cli.options import JsonOption, OutOption, Verifiable, print_json
-from benchmark.errors import InputError
-
-if TYPE_CHECKING:
-    from benchmark.verification.checks import Check
 
 
 def verify_command(
@@ -23,12 +18,7 @@ def verify_command(
     """Compare numerics with golden numbers; exit code 1 if any differ by more than they may."""
     from benchmark.verification.checks import report
 
-    if what is Verifiable.MODEL:
-        checks = _verify_model(model, golden)
-    elif model is not None:
-        raise InputError("--model belongs to verify model; leave it out")
-    else:
-        checks = _numerics(what)(golden)
+    checks = api.verify(what.value, golden, model)
     if json_output:
         print_json([check.as_json() for check in checks])
     else:
@@ -47,35 +37,3 @@ def doctor_command(out: OutOption = api.OUT, json_output: JsonOption = False) ->
         for check in found:
             typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
     raise typer.Exit(0 if all(check.ok for check in found) else 1)
-
-
-def _numerics(what: Verifiable) -> "Callable[[Path | None], list[Check]]":
-    """What compares physics, scoring, denoiser or protocols with golden numbers, or with the built-in ones."""
-    if what is Verifiable.PHYSICS:
-        from generation.verification.physics import verify_physics
-
-        return verify_physics
-    if what is Verifiable.SCORING:
-        from generation.verification.scoring import verify_scoring
-
-        return verify_scoring
-    if what is Verifiable.DENOISER:
-        from generation.verification.denoiser import verify_denoiser
-
-        return verify_denoiser
-    from benchmark.protocols.verification import verify_protocols
-
-    return verify_protocols
-
-
-def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
-    from adapters.verification.models import verified_models, verify_model
-    from generation.verification.magicdrive import verify_magicdrive
-
-    known = (*verified_models(), "magicdrive")
-    if model not in known:
-        missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
-        raise InputError(f"{missing}; known are {', '.join(known)}")
-    if golden is None:
-        raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
-    return verify_magicdrive(golden) if model == "magicdrive" else verify_model(model, golden)

@@ -17,8 +17,8 @@ from benchmark.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from adapters.checkpoints.arrival import KeptWeights
     from adapters.checkpoints.importing import ImportedWeights
-    from benchmark.weights.catalogue import PublishedWeights
 
 app = typer.Typer(help="Official weights of the native models.", no_args_is_help=True)
 
@@ -26,10 +26,9 @@ app = typer.Typer(help="Official weights of the native models.", no_args_is_help
 @app.command("list")
 def weights_list_command(json_output: JsonOption = False) -> None:
     """Official files, where to get them, and what has been imported."""
-    from adapters.checkpoints.cache import weights_folder
     from adapters.checkpoints.listing import known_weights
 
-    known = known_weights(weights_folder())
+    known = known_weights()
     if json_output:
         print_json([entry.as_json() for entry in known])
         return
@@ -48,15 +47,9 @@ def weights_import_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check an official checkpoint without running anything in it, and keep its weights."""
-    from adapters.checkpoints.importing import import_checkpoint
-    from benchmark.weights.folders import import_folder, weights_at
+    from adapters.checkpoints.arrival import import_weights
 
-    published = weights_at(path, model)
-    if published is not None:
-        _tell_kept(published, import_folder(published, path), json_output=json_output)
-        return
-    found = import_checkpoint(path, model, normalisation=normalisation, anchors=anchors)
-    _tell_imported(found, json_output=json_output)
+    _tell(import_weights(path, model, normalisation=normalisation, anchors=anchors), json_output=json_output)
 
 
 @app.command("fetch")
@@ -66,17 +59,9 @@ def weights_fetch_command(
     json_output: JsonOption = False,
 ) -> None:
     """Fetch an official file, or a folder of published weights, from the internet and import it."""
-    from adapters.checkpoints.cache import weights_folder
-    from adapters.checkpoints.importing import fetch_checkpoint
-    from benchmark.weights.catalogue import FOLDERS, checkpoint_of
-    from benchmark.weights.folders import fetch_folder
+    from adapters.checkpoints.arrival import fetch_weights
 
-    published = next((entry for entry in FOLDERS if entry.name == name), None)
-    if published is not None:
-        _tell_kept(published, fetch_folder(published), json_output=json_output)
-        return
-    found = fetch_checkpoint(checkpoint_of(name), weights_folder(), normalisation=normalisation)
-    _tell_imported(found, json_output=json_output)
+    _tell(fetch_weights(name, normalisation=normalisation), json_output=json_output)
 
 
 @app.command("anchors")
@@ -101,19 +86,8 @@ def weights_anchors_command(
     typer.echo(f"{made['path']}: anchors of {model} from {counts}")
 
 
-def _tell_kept(weights: "PublishedWeights", folder: Path, *, json_output: bool) -> None:
+def _tell(found: "ImportedWeights | KeptWeights", *, json_output: bool) -> None:
     if json_output:
-        print_json({"model": weights.name, "path": str(folder)})
+        print_json(found.as_json())
     else:
-        typer.echo(f"{folder}: {weights.name}, for {weights.used_by}")
-
-
-def _tell_imported(found: "ImportedWeights", *, json_output: bool) -> None:
-    facts = found.provenance.model_dump(mode="json")
-    if json_output:
-        print_json({"path": str(found.path), "tensors": found.tensors, "parameters": found.parameters, **facts})
-        return
-    typer.echo(
-        f"{found.path}: {found.provenance.model}, {found.tensors} tensors, {found.parameters / 1e6:.1f} M numbers, "
-        f"pixel values {found.provenance.normalisation} (said by: {found.provenance.normalisation_from})"
-    )
+        typer.echo(found.sentence())

@@ -282,21 +282,25 @@ def load_record(directory: Path) -> RunRecord:
     return RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
 
 
-def find_records(root: Path) -> list[RunRecord]:
-    """Every record below a folder.
+def find_records(*roots: Path) -> list[RunRecord]:
+    """Every record below folders, each once.
 
     Args:
-        root: Where to look.
+        roots: Where to look.
 
     Returns:
-        Records by their path.
+        Records by the order of the folders, then by their path.
 
     Raises:
-        InputError: If the folder does not exist or a record in it is damaged.
+        InputError: If a folder does not exist or a record in it is damaged.
     """
-    if not root.is_dir():
-        raise InputError(
-            f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
-        )
-    places = (path.parent for path in sorted(root.rglob(RUN_FILE)))
-    return read_each(places, load_record, instead=" to do without this record")
+    found: dict[Path, RunRecord] = {}
+    for root in roots:
+        if not root.is_dir():
+            raise InputError(
+                f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
+            )
+        places = (path.parent for path in sorted(root.rglob(RUN_FILE)))
+        for record in read_each(places, load_record, instead=" to do without this record"):
+            found[record.directory.resolve()] = record
+    return list(found.values())

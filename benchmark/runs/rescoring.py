@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
-from benchmark.protocols import protocol
+from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
 from benchmark.records.run_schema import SCHEMA, SampleRow
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
@@ -38,7 +38,7 @@ class Rescored:
     failed: bool = False
 
 
-def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]) -> RunRecord:
+def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str] | None = None) -> RunRecord:
     """Judge the plans of a record anew.
 
     Plans, errors, the planner and the environment that it ran in stay; everything else is computed from them and from
@@ -47,7 +47,7 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
     Args:
         record_directory: Run directory; a replacement that was stopped half-way is finished first.
         data: The data set that the planner ran on.
-        protocols: Who judges; the record holds these and no others afterwards.
+        protocols: Who judges, all that are known by default; the record holds these and no others afterwards.
 
     Returns:
         The record.
@@ -55,11 +55,11 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
     Raises:
         InputError: If the record is damaged or cannot be written, a protocol is unknown, or the data is another.
     """
-    return _rescore(record_directory, lambda _: data, protocols)[0]
+    return _rescore(record_directory, lambda _: data, tuple(PROTOCOLS) if protocols is None else protocols)[0]
 
 
 def rescore_all(
-    root: Path, open_split: Callable[[str], "DataSet"], data_name: str, protocols: Sequence[str]
+    root: Path, open_split: Callable[[str], "DataSet"], data_name: str, protocols: Sequence[str] | None = None
 ) -> Iterator[Rescored]:
     """Judge all records below a folder anew; one that cannot be does not stop the others.
 
@@ -67,7 +67,7 @@ def rescore_all(
         root: Where to look.
         open_split: Opens the data set that holds a split; asked once for each split.
         data_name: Name of the data set; records of others are left alone.
-        protocols: Who judges.
+        protocols: Who judges; all that are known by default.
 
     Yields:
         What became of each record, by path.
@@ -79,6 +79,7 @@ def rescore_all(
         raise InputError(
             f"there is no folder {root}; run challenger-bench eval first, or name the right one with --out"
         )
+    protocols = tuple(PROTOCOLS) if protocols is None else protocols
     for name in protocols:
         protocol(name)
     opened: dict[str, DataSet] = {}

@@ -6,11 +6,11 @@ Every step is resumable and gives the same bytes for any executor.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer
+from benchmark.machine.workspace import GENERATED_SPLITS
 from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
@@ -26,8 +26,6 @@ from generation.search.chains import Chain, SearchResult, first_units, search_ch
 from generation.search.definition import Search
 from generation.search.eligibility import not_tried_together
 
-Split = Literal["adv", "val-r"]
-
 
 class NothingSurvivedError(InputError):
     """No adversarial scene came out of a build.
@@ -41,7 +39,7 @@ class NothingSurvivedError(InputError):
         self.report = report
 
 
-def build_split(source: DataSet, split: Split, settings: BuildSettings) -> BuildReport:
+def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildReport:
     """Build one split of a benchmark from recorded scenes.
 
     Args:
@@ -54,14 +52,13 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
         ``candidates.jsonl``, in the output root.
 
     Raises:
-        InputError: If a scene is unknown, nothing survives, another command is writing there, or the output cannot be
-            written.
+        InputError: If the split is another, a scene is unknown, nothing survives, another command is writing there, or
+            the output cannot be written.
     """
+    require_generated(split)
     names = source_scenes(source, settings)
     if split == "val-r":
         return _build_originals(source, names, settings)
-    if split != "adv":
-        raise InputError(f"cannot build split {split!r}, choose adv or val-r")
     without_map = [name for name in names if not source.has_map(name)]
     if without_map:
         raise InputError(
@@ -80,6 +77,12 @@ def build_split(source: DataSet, split: Split, settings: BuildSettings) -> Build
         return _counted(source, search, names, settings)
     with only_writer(settings.out):
         return _build_adversarial(source, search, names, settings)
+
+
+def require_generated(split: str) -> None:
+    """Raise `InputError` for a split that cannot be generated."""
+    if split not in GENERATED_SPLITS:
+        raise InputError(f"cannot generate split {split!r}; the splits that can be generated are val-r and adv")
 
 
 def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:

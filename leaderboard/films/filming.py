@@ -1,6 +1,6 @@
 """Films of scenes on disk: from the sheets and run records of a workspace to files."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -9,7 +9,7 @@ from benchmark.drawing.canvas import png
 from benchmark.drawing.lettering import Picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
-from benchmark.records.run import RunRecord
+from benchmark.records.run import RunRecord, find_records
 from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, read_sheet, scene_folder, split_folder
 from leaderboard.films.encoding import animated_webp, require_webm, webm
 from leaderboard.films.film import Film, FilmSettings
@@ -65,6 +65,48 @@ def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | Non
         if not (folder / SHEET_FILE).is_file():
             raise InputError(f"scene {scene} of split {split} of {data_name} has no sheet at {folder}; {make}")
     return folders
+
+
+def write_films(
+    sheets: Path,
+    runs: Path | Sequence[Path],
+    data: str,
+    split: str,
+    to: Path,
+    models: Sequence[str] = (),
+    *,
+    scenes: Sequence[str] | None = None,
+    limit: int | None = None,
+    form: FilmFormat = FilmFormat.WEBM,
+    settings: FilmSettings | None = None,
+    watch: Watch = lambda frames, _total, _label: frames,
+) -> Iterator[Path]:
+    """Film scenes one after the other.
+
+    Args:
+        sheets: Folder of all sheets.
+        runs: Folder of all run records, or the folders of those that have the planners' plans.
+        data: Name or root of the data set.
+        split: Its split.
+        to: Folder to write to.
+        models: Planners to show, as tables name them.
+        scenes: Scene names; all that have a sheet by default.
+        limit: Only the first so many of them.
+        form: What is written.
+        settings: How films are made.
+        watch: Shows how far the work is.
+
+    Yields:
+        What was written of each scene (`write_film`).
+
+    Raises:
+        InputError: If a scene has no sheet, there are no records, or as `write_film` does.
+    """
+    folders = sheet_folders(sheets, data, split, scenes)[:limit]
+    places = [planner_folder(runs, data, split)] if isinstance(runs, Path) else runs
+    records = find_records(*places) if models else []
+    for folder in folders:
+        yield write_film(folder, records, models, to, form, settings or FilmSettings(), watch=watch)
 
 
 def write_film(

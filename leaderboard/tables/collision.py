@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Sequence
 
+from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
 from benchmark.published import TABLE_1_SOURCE
-from benchmark.records.run import RunRecord
+from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.published import is_variant, published_cells, published_rate
@@ -77,6 +78,30 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
         ),
         names_protocol=True,
     )
+
+
+def run_tables(
+    data_name: str, records: Sequence[RunRecord], protocols: Sequence[str] | None = None, *, allow_partial: bool = False
+) -> list[Table]:
+    """The tables that ``challenger-bench eval`` prints.
+
+    Args:
+        data_name: Name of the data set, for the titles.
+        records: Runs on this data set.
+        protocols: Protocols, or ``native``; by default ``exact``, and ``native`` where a planner has one of its own.
+        allow_partial: Whether runs count in which the planner failed on samples; their rates leave those out.
+
+    Returns:
+        One table for each protocol; none if there are no runs to show.
+    """
+    shown = records if allow_partial else [record for record in records if record.complete]
+    own = any(record.run.planner.native_protocol for record in shown)
+    names = protocols or ((EXACT, NATIVE) if own else (EXACT,))
+    return [
+        native_table(data_name, shown) if name == NATIVE else collision_table(data_name, name, shown)
+        for name in names
+        if shown
+    ]
 
 
 def increase_over(baseline: float | None, rate: float | None) -> float | None:

@@ -1,11 +1,40 @@
 """Transfer tables: who else fails the scenes that one planner fails, and how far that is more than chance."""
 
+from collections.abc import Sequence
+
+from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import Rate
-from benchmark.metrics.transfer import Agreement, TransferMatrix
-from benchmark.records.run import NATIVE
+from benchmark.metrics.transfer import Agreement, TransferMatrix, transfer
+from benchmark.records.planner_versions import labelled
+from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, interval, named_record
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, judges, marked
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, in_table_order, judges, marked
+
+
+def transfer_matrices(
+    records: Sequence[RunRecord], split: str, *, protocol: str = EXACT, data: str | None = None
+) -> dict[str, TransferMatrix]:
+    """Transfer matrices of a split from whatever records there are; those of a part of the split are left out.
+
+    Args:
+        records: Of any planners, splits and data sets.
+        split: The split.
+        protocol: Whose verdicts count; ``native`` takes those of each planner's own repository.
+        data: Only the data set of this name.
+
+    Returns:
+        A matrix for each data set that has records of the whole split, by its name; planners in the order of tables.
+
+    Raises:
+        InputError: If records of one data set cannot be compared (`benchmark.metrics.transfer.transfer`).
+    """
+    of_split = [record for record in labelled(records) if record.run.split == split and record.covers_split]
+    return {
+        name: transfer(in_table_order([each for each in of_split if each.run.data.name == name]), protocol=protocol)
+        for name in sorted({record.run.data.name for record in of_split})
+        if data in (None, name)
+    }
 
 
 def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:

@@ -18,7 +18,7 @@ from adapters.checkpoints.loading import planner_of, stand_in
 from adapters.models import MODELS, baselines, miniature, miniatures, published_as, published_models, resolve
 from adapters.registry import planner, planner_factory
 from adapters.training.plan_figures import Images, shown
-from benchmark.api import model_on
+from benchmark.api import load_planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -222,7 +222,7 @@ def test_a_miniature_is_a_value() -> None:
 
 
 def test_the_command_says_which_model_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert model_on(EMBEDDED, "vad", None) == "vad-mini"
+    assert load_planner("vad", data=EMBEDDED).name == "vad-mini"
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("there are no weights for vad: vad-mini runs in its place")
-    assert model_on(EMBEDDED, "vad-mini", None) == "vad-mini" and capsys.readouterr().err == ""
+    assert load_planner("vad-mini", data=EMBEDDED).name == "vad-mini" and capsys.readouterr().err == ""

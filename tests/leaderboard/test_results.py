@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.cli.demo import _results_from
+from benchmark.cli.demonstration import stale_demo
 from benchmark.machine.storage import read_json
 from benchmark.records.run import RunRecord
 from leaderboard.results import NUMBERS, PAGE, stale_results, write_results
@@ -77,4 +77,4 @@ def test_checking_without_full_is_wrong_use_and_nothing_there_is_stale(tmp_path:
 
 
 def test_the_results_in_the_documentation_are_current() -> None:
-    assert stale_results(RESULTS, _results_from()) == []
+    assert stale_demo(RESULTS) == []

@@ -1,0 +1,152 @@
+"""What ``demo`` does, for Python too (`benchmark.demo`, `benchmark.full_demo`): all four packages in one story."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from benchmark import api
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from benchmark.datasets.roots import DataSet
+    from benchmark.records.run import RunRecord
+    from generation.build.report import BuildReport
+
+RESULTS = Path("docs/results")
+"""Folder of the page of measured results and its numbers."""
+FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES = 3, 5
+"""Of each recorded scene in ``demo --full``: most variants in ``adv``, and most vehicles tried for the ablation."""
+
+
+def demo(
+    out: Path = api.OUT, *, town_scenes: int = 4, workers: int = 0, say: "Callable[[str], None]" = api.tell
+) -> "tuple[BuildReport, list[RunRecord]]":
+    """The whole story on a small embedded town: generate, evaluate, sheets, leaderboard.
+
+    Args:
+        out: Folder for everything that is made; the leaderboard is in ``<out>/leaderboard``.
+        town_scenes: Scenes of the town.
+        workers: Processes; 0 takes all processors.
+        say: Told what is being done.
+
+    Returns:
+        What was generated, and the records of the built-in planners on ``val`` and ``adv``.
+
+    Raises:
+        InputError: If nothing adversarial comes out, or the disk refuses.
+    """
+    from benchmark.datasets.roots import open_data as open_root
+    from benchmark.machine.workers import LocalProcesses
+    from benchmark.records.run import find_records
+    from benchmark.records.scenes import find_sheets
+    from benchmark.sheets.writing import SheetSettings
+    from generation.build.settings import BuildSettings
+    from generation.build.split import build_split
+    from generation.search.hyperparameters import HyperParameters
+    from generation.sources.mini import TownSettings, build_town
+    from leaderboard.build import write_leaderboard
+
+    space, processes = api.workspace(out), api.worker_count(workers)
+    say(f"1/4 building {town_scenes} scenes of the embedded town")
+    town = build_town(out / "data" / "demo" / "val", TownSettings(val_scenes=town_scenes), workers=processes)
+    source = open_root(town, name="demo")
+    settings = BuildSettings(
+        out=space.split_root("demo", "adv"),
+        hyper=HyperParameters(candidates=64, candidate_limit=5),
+        per_scene=1,
+        renderer=api.schematic_renderer(),
+        frames="keyframes",
+        executor=LocalProcesses(processes),
+        keep_rounds=True,
+    )
+    say("2/4 generating adversarial scenes")
+    report = build_split(source, "adv", settings)
+    say(report.summary())
+    say("3/4 evaluating planners on val and adv")
+    records = []
+    for split in ("val", "adv"):
+        dataset = api.open_split(source, split, out, workers=workers)
+        records += _evaluate_built_in(dataset, split, out, processes)
+        api.write_sheets(dataset, split, space.sheet_root(), SheetSettings(workers=processes, rounds=split == "adv"))
+    say("4/4 writing the leaderboard")
+    write_leaderboard(find_records(space.run_root()), out / "leaderboard", sheets=find_sheets(space.sheet_root()))
+    return report, records
+
+
+def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int) -> "list[RunRecord]":
+    """Records of the baselines and of the miniatures."""
+    from adapters.models import baselines, miniatures
+    from adapters.registry import planner_factory
+    from benchmark.evaluation import EvalSettings, evaluate
+
+    records = []
+    for name in (*baselines(), *miniatures()):
+        api.tell(f"{name} on {split}")
+        settings = EvalSettings(workers=processes)
+        records.append(evaluate(dataset, split, planner_factory(name), api.workspace(out).run_root(), settings))
+    return records
+
+
+def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> list[Path]:
+    """Measure what docs/results shows: all splits of mini, all built-in planners, the ablation.
+
+    Args:
+        out: Folder for everything that is made.
+        to: Folder of the page and its numbers.
+        workers: Processes; 0 takes all processors.
+
+    Returns:
+        The page and its numbers.
+
+    Raises:
+        InputError: If something cannot be built, run or written.
+    """
+    from benchmark.machine.workers import LocalProcesses
+    from benchmark.machine.workspace import EMBEDDED
+    from generation.build.ablation import ablate
+    from generation.build.settings import BuildSettings
+    from generation.search.hyperparameters import HyperParameters
+    from leaderboard.results import write_results
+
+    made_from, source, processes = _results_from(), api.open_data(EMBEDDED, workers=workers), api.worker_count(workers)
+    records = []
+    for split in ("val", "val-r", "adv"):
+        # Planners see key frames only; the others would take most of the time.
+        dataset = api.open_split(source, split, out, workers=workers, frames="keyframes", per_scene=FULL_DEMO_PER_SCENE)
+        records += _evaluate_built_in(dataset, split, out, processes)
+    driver = api.planner_under_test("uniad-mini", data=EMBEDDED, workers=workers)
+    settings = BuildSettings(
+        out=out / "ablation" / source.name / driver.factory.facts.name,
+        hyper=HyperParameters(candidate_limit=FULL_DEMO_VEHICLES),
+        renderer=api.schematic_renderer(),
+        frames="keyframes",
+        executor=LocalProcesses(processes),
+    )
+    api.tell(f"ablation with {driver.factory.facts.name}")
+    return write_results(source.name, records, [ablate(source, driver, settings)], made_from, to)
+
+
+def stale_demo(to: Path = RESULTS) -> list[str]:
+    """Why the results of `full_demo` are not what would be measured now: one sentence a reason, none if current."""
+    from leaderboard.results import stale_results
+
+    return stale_results(to, _results_from())
+
+
+def _results_from() -> dict[str, Any]:
+    """What the measured results depend on: weights, town, search and protocols."""
+    from adapters.models import miniatures
+    from benchmark.machine.storage import file_sha256
+    from benchmark.protocols import PROTOCOLS
+    from generation.search.adversary import ALGORITHM_VERSION
+    from generation.search.definition import PackagedPrior
+    from generation.search.hyperparameters import HyperParameters
+    from generation.sources.mini import TownSettings
+
+    return {
+        "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
+        "town": TownSettings().folder_name("mini"),
+        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES],
+        "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
+        "protocols": {name: definition.version for name, definition in PROTOCOLS.items()},
+    }

@@ -1,0 +1,57 @@
+"""The settings that a search starts from: this project's, or nothing of the search that the paper does not name."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+from generation.diffusion.prior import SamplerSettings
+from generation.search.definition import PackagedPrior
+from generation.search.hyperparameters import HyperParameters
+
+Preset = Literal["default", "paper"]
+
+
+def hyper_parameters(
+    preset: Preset = "default", settings: Mapping[str, Any] | None = None, changes: Sequence[str] = ()
+) -> HyperParameters:
+    """Settings of the search: the preset, settings by name, and changes by text, each over the last.
+
+    Args:
+        preset: ``default``, or ``paper``.
+        settings: Values of single settings; ``None`` leaves a setting as it is.
+        changes: ``name=value`` (`HyperParameters.changed`).
+
+    Returns:
+        The settings.
+
+    Raises:
+        InputError: If a change names no setting or its value does not fit.
+    """
+    start = HyperParameters.paper() if preset == "paper" else HyperParameters()
+    given = {name: value for name, value in (settings or {}).items() if value is not None}
+    return replace(start, **given).changed(changes)
+
+
+def trajectory_model(
+    preset: Preset = "default",
+    weights: Path | None = None,
+    device: str = "cpu",
+    *,
+    calls: int | None = None,
+    dropout: bool = False,
+) -> PackagedPrior:
+    """The trajectory model that proposes candidates; with the paper's preset nothing that it draws is drawn again.
+
+    Args:
+        preset: ``default``, or ``paper``.
+        weights: Of another model than the packaged one.
+        device: Where it runs.
+        calls: Most network calls of a mutation; the reference has one a noise level.
+        dropout: Sample with dropout on, as the reference code does by an omission.
+
+    Returns:
+        What makes the model in each process.
+    """
+    sampler = SamplerSettings(mutation_steps=calls, drivable=preset != "paper", dropout=dropout)
+    return PackagedPrior(weights, device, sampler)

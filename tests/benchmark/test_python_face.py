@@ -1,0 +1,126 @@
+"""The public face: every name, every command, and the examples of the documentation."""
+
+import ast
+import doctest
+import importlib
+import pkgutil
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+import benchmark
+from benchmark.cli.app import app
+from generation.sources.mini import TownSettings
+
+NAMES: tuple[str, ...] = vars(benchmark)["__all__"]
+ROOT = Path(__file__).resolve().parents[2]
+FUNCTION_OF = {
+    "generate": "generate",
+    "ablate": "ablate",
+    "eval": "evaluate",
+    "rescore": "rescore_all",
+    "transfer": "transfer_matrices",
+    "quality": "measure_quality",
+    "sheets": "write_sheets",
+    "film": "write_films",
+    "verify": "verify",
+    "demo": "demo",
+    "doctor": "doctor",
+    "data info": "data_contents",
+    "data stats": "data_statistics",
+    "data show": "write_pictures",
+    "data check": "check_data",
+    "data import": "import_scenarionet",
+    "data build": "build_town",
+    "train denoiser": "train_trajectory_model",
+    "train planner": "train_planner",
+    "train judge": "judge_again",
+    "train ego-status": "train_ego_status",
+    "weights list": "known_weights",
+    "weights import": "import_weights",
+    "weights fetch": "fetch_weights",
+    "weights anchors": "write_anchors",
+    "leaderboard": "write_leaderboard",
+    "leaderboard submit-check": "check_submission",
+}
+
+
+def commands(command: Any, name: str = "") -> Iterator[str]:
+    """Names of all commands that can be given, groups that do something themselves included."""
+    parts = getattr(command, "commands", {})
+    if name and (not parts or getattr(command, "invoke_without_command", False)):
+        yield name
+    for part, inner in parts.items():
+        yield from commands(inner, f"{name} {part}".strip())
+
+
+def test_every_command_has_its_function() -> None:
+    assert set(commands(typer.main.get_command(app))) == set(FUNCTION_OF)
+    page = (ROOT / "docs" / "python.md").read_text()
+    for function in FUNCTION_OF.values():
+        assert callable(getattr(benchmark, function)) and f"`{function}`" in page
+
+
+def test_every_name_is_there_listed_and_documented() -> None:
+    assert len(set(NAMES)) == len(NAMES) > 60
+    assert set(NAMES) <= set(dir(benchmark))
+    for name in NAMES:
+        assert getattr(benchmark, name).__doc__, name
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = getattr(benchmark, "nothing")  # noqa: B009 - for type checkers there is no such name
+
+
+def test_no_name_is_that_of_a_submodule() -> None:
+    # Importing the submodule would put it in the place of the name.
+    assert not {module.name for module in pkgutil.iter_modules(benchmark.__path__)} & set(NAMES)
+
+
+def test_type_checkers_know_where_every_name_is_defined() -> None:
+    typed = imported_for_types(ROOT / "benchmark" / "__init__.py")
+    assert set(typed) == set(NAMES) - {"__version__"}
+    handed_on = imported_for_types(ROOT / "benchmark" / "api.py")
+    for name, place in typed.items():
+        module, original = handed_on.get(place[1], place) if place[0] == "benchmark.api" else place
+        assert getattr(benchmark, name) is getattr(importlib.import_module(module), original)
+
+
+def imported_for_types(path: Path) -> dict[str, tuple[str, str]]:
+    tree = ast.parse(path.read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    imported = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    found = {alias.asname: (str(node.module), alias.name) for node in imported for alias in node.names if alias.asname}
+    # What another package calls otherwise is imported under a private name and assigned.
+    return {name.removeprefix("_"): place for name, place in found.items()}
+
+
+def test_importing_it_is_light_and_a_star_imports_every_name() -> None:
+    program = (
+        "import sys, benchmark; assert not {'numpy', 'pydantic', 'typer', 'torch'} & set(sys.modules); "
+        "from benchmark import *; assert evaluate is benchmark.evaluate and InputError"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
+def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny = partial(TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
+    monkeypatch.setattr("generation.sources.mini.TownSettings", tiny)
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(>>>.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    assert blocks
+    test = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, page, page, 0)
+    said: list[str] = []
+    assert doctest.DocTestRunner().run(test, out=said.append).failed == 0, "".join(said)
