@@ -79,18 +79,18 @@ class BoxPoints(nn.Module):
         """Place the points.
 
         Args:
-            features: (N, C).
-            boxes: (N, 11).
+            features: (..., N, C).
+            boxes: (..., N, 11).
 
         Returns:
-            (N, P, 3) metres: the centre, six near the faces, then those that are learned.
+            (..., N, P, 3) metres: the centre, six near the faces, then those that are learned.
         """
         learned = self.learnable_fc(features).float().unflatten(-1, (-1, 3)).sigmoid() - 0.5
-        shares = torch.cat([self.fix_scale.expand(len(boxes), -1, -1), learned], 1)
-        along, across, up = (shares * boxes[:, None, 3:6].exp()).unbind(-1)
-        sine, cosine = boxes[:, None, 6], boxes[:, None, 7]
+        shares = torch.cat([self.fix_scale.expand(*boxes.shape[:-1], -1, -1), learned], -2)
+        along, across, up = (shares * boxes[..., None, 3:6].exp()).unbind(-1)
+        sine, cosine = boxes[..., None, 6], boxes[..., None, 7]
         turned = torch.stack([cosine * along - sine * across, sine * along + cosine * across, up], -1)
-        return turned + boxes[:, None, :3]
+        return turned + boxes[..., None, :3]
 
 
 class BoxSampling(CameraSampling):
@@ -106,7 +106,7 @@ class BoxSampling(CameraSampling):
         self.weights_fc = nn.Linear(channels, levels * points * config.heads)
 
     def forward(self, features: Tensor, boxes: Tensor, embeddings: Tensor, cameras: CameraFeatures) -> Tensor:
-        """(N, C) features, (N, 11) boxes and (N, C) embeddings to (N, 2 C): what was sampled, and the features."""
+        """(..., N, C), (..., N, 11) boxes, (..., N, C) embeddings to (..., N, 2 C): what was sampled, and features."""
         sampled = self.sample(features + embeddings, self.kps_generator(features, boxes), cameras)
         return torch.cat([sampled, features], -1)
 
@@ -121,20 +121,20 @@ class BoxRefinement(nn.Module):
         self.quality_layers = class_branch(config.channels, BOX_QUALITIES)
 
     def forward(
-        self, features: Tensor, boxes: Tensor, embeddings: Tensor, interval_s: float
+        self, features: Tensor, boxes: Tensor, embeddings: Tensor, interval_s: Tensor | float
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """Refine.
 
         Args:
-            features: (N, C).
-            boxes: (N, 11).
-            embeddings: (N, C) of the boxes.
+            features: (..., N, C).
+            boxes: (..., N, 11).
+            embeddings: (..., N, C) of the boxes.
             interval_s: By which changes of velocity are divided.
 
         Returns:
-            (N, 11) boxes, (N, classes) logits, (N, 2) qualities.
+            (..., N, 11) boxes, (..., N, classes) logits, (..., N, 2) qualities.
         """
         tokens = features + embeddings
         changes = self.layers(tokens).float()
-        refined = torch.cat([changes[:, :8] + boxes[:, :8], changes[:, 8:] / interval_s + boxes[:, 8:]], -1)
+        refined = torch.cat([changes[..., :8] + boxes[..., :8], changes[..., 8:] / interval_s + boxes[..., 8:]], -1)
         return refined, self.cls_layers(features).float(), self.quality_layers(tokens).float()

@@ -13,7 +13,7 @@ from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import BOX_CODE, BoxEncoder, BoxRefinement, BoxSampling, carry_boxes
 from adapters.networks.sparse.branches import FeedForward, decoupled_attention
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S, KeyframeMotion
+from adapters.networks.sparse.keyframe_pose import USUAL_INTERVAL_S, RigidMotion
 from adapters.networks.sparse.lines import LineEncoder, LineRefinement, LineSampling, carry_lines
 
 PAST: Final = "attention to the past"
@@ -91,8 +91,13 @@ class Remembered:
 
 
 def most_certain(scores: Tensor, count: int) -> Tensor:
-    """(N,) to the rows of the `count` greatest, falling; of equals the first comes first, on every device."""
-    return scores.sort(descending=True, stable=True).indices[:count]
+    """(..., N) to the rows of the `count` greatest, falling; of equals the first comes first, on every device."""
+    return scores.sort(descending=True, stable=True).indices[..., :count]
+
+
+def rows_of(tokens: Tensor, rows: Tensor) -> Tensor:
+    """(..., N, D) tokens and (..., K) rows to (..., K, D)."""
+    return tokens.gather(-2, rows[..., None].expand(*rows.shape, tokens.shape[-1]))
 
 
 class HandleScale(nn.Module):
@@ -119,6 +124,8 @@ class InstanceBank(nn.Module):
 class SparseDecoder(nn.Module, ABC):
     """Instances look at the past, at each other and at images, and are refined, stage after stage.
 
+    Where the cameras are of B key frames side by side, all tensors have a leading B.
+
     Attributes:
         remembered: How many instances the next frame gets.
         operations: What each of `layers` does.
@@ -134,7 +141,7 @@ class SparseDecoder(nn.Module, ABC):
         self.remembered, self.operations = remembered, operations
 
     @abstractmethod
-    def carry(self, anchors: Tensor, motion: KeyframeMotion) -> Tensor:
+    def carry(self, anchors: Tensor, motion: RigidMotion) -> Tensor:
         """Places of a remembered frame, seen from the present one."""
 
     @abstractmethod
@@ -144,9 +151,11 @@ class SparseDecoder(nn.Module, ABC):
         """Attention to `key`, features and embeddings, or without it, as on the first frame, to each other."""
 
     def forward(
-        self, cameras: CameraFeatures, past: Remembered | None, motion: KeyframeMotion | None
+        self, cameras: CameraFeatures, past: Remembered | None, motion: RigidMotion | None
     ) -> tuple[Decoded, Remembered]:
-        """Decode one key frame.
+        """Decode a key frame.
+
+        Gradients stop between stages, at the places of instances: each stage learns how to correct what it is given.
 
         Args:
             cameras: What they saw.
@@ -156,8 +165,9 @@ class SparseDecoder(nn.Module, ABC):
         Returns:
             The instances, and what to remember of them.
         """
-        anchors: Tensor = self.instance_bank.anchor
-        features: Tensor = self.instance_bank.instance_feature
+        frames = cameras.projections.shape[:-3]
+        anchors: Tensor = self.instance_bank.anchor.expand(*frames, -1, -1)
+        features: Tensor = self.instance_bank.instance_feature.expand(*frames, -1, -1)
         embeddings: Tensor = self.anchor_encoder(anchors)
         interval_s = motion.interval_s if motion else USUAL_INTERVAL_S
         carried = replace(past, anchors=self.carry(past.anchors, motion)) if past and motion else None
@@ -172,16 +182,16 @@ class SparseDecoder(nn.Module, ABC):
             elif operation == SAMPLE:
                 features = layer(features, anchors, embeddings, cameras)
             elif operation == REFINE:
-                anchors, logits, qualities = layer(features, anchors, embeddings, interval_s)
-                stages.append(Stage(anchors, logits, qualities))
+                stages.append(Stage(*layer(features, anchors, embeddings, interval_s)))
+                anchors = stages[-1].anchors.detach()
                 if len(stages) == 1 and fresh:
-                    rows = most_certain(logits.amax(-1), len(anchors) - self.remembered)
-                    features = torch.cat([fresh.features, features[rows]])
-                    anchors = torch.cat([fresh.anchors, anchors[rows]])
+                    rows = most_certain(stages[0].logits.detach().amax(-1), anchors.shape[-2] - self.remembered)
+                    features = torch.cat([fresh.features, rows_of(features, rows)], -2)
+                    anchors = torch.cat([fresh.anchors, rows_of(anchors, rows)], -2)
                 embeddings = self.anchor_encoder(anchors)
                 if len(stages) > 1 and key:
                     # Also where the first rows are not what is remembered: the published models do so.
-                    key = (key[0], embeddings[: self.remembered])
+                    key = (key[0], embeddings[..., : self.remembered, :])
             else:
                 features = layer(features)
         decoded = Decoded(tuple(stages), features, embeddings)
@@ -196,15 +206,16 @@ class SparseDecoder(nn.Module, ABC):
             rows: (K,) which instances; the most certain ones by default.
 
         Returns:
-            These, with a confidence that falls slowly where an instance is not seen.
+            These, with a confidence that falls slowly where an instance is not seen; nothing is learned through them.
         """
-        confidence = decoded.scores
+        confidence = decoded.scores.detach()
         if past:
-            kept = torch.maximum(past.confidence * DECAY, confidence[: self.remembered])
-            confidence = torch.cat([kept, confidence[self.remembered :]])
+            kept = torch.maximum(past.confidence * DECAY, confidence[..., : self.remembered])
+            confidence = torch.cat([kept, confidence[..., self.remembered :]], -1)
         if rows is None:
             rows = most_certain(confidence, self.remembered)
-        return Remembered(decoded.features[rows], decoded.anchors[rows], confidence[rows], rows)
+        features, anchors = decoded.features.detach(), decoded.anchors.detach()
+        return Remembered(rows_of(features, rows), rows_of(anchors, rows), confidence.gather(-1, rows), rows)
 
 
 class BoxDecoder(SparseDecoder):
@@ -227,7 +238,7 @@ class BoxDecoder(SparseDecoder):
         self.fc_before = nn.Linear(channels, 2 * channels, bias=False)
         self.fc_after = nn.Linear(2 * channels, channels, bias=False)
 
-    def carry(self, anchors: Tensor, motion: KeyframeMotion) -> Tensor:
+    def carry(self, anchors: Tensor, motion: RigidMotion) -> Tensor:
         """(..., 11) boxes, moved on with their velocities."""
         return carry_boxes(anchors, motion, motion.seconds)
 
@@ -256,7 +267,7 @@ class LineDecoder(SparseDecoder):
         }
         self.layers = nn.ModuleList([make[operation]() for operation in self.operations])
 
-    def carry(self, anchors: Tensor, motion: KeyframeMotion) -> Tensor:
+    def carry(self, anchors: Tensor, motion: RigidMotion) -> Tensor:
         """(..., 2 P) lines."""
         return carry_lines(anchors, motion)
 

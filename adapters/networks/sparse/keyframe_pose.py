@@ -29,13 +29,25 @@ class KeyframePose:
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
-    """From lidar frame to lidar frame.
+    """From remembered frames to present ones, of one clip or of several side by side.
 
     Attributes:
         now_T_then: (..., 4, 4) float32, lidar frame of the remembered frame to that of the present one.
+        seconds: In between; a tensor where there are several.
     """
 
     now_T_then: Tensor
+    seconds: Tensor | float
+
+    @property
+    def fresh(self) -> bool:
+        """Whether memory is recent enough to be used."""
+        return True
+
+    @property
+    def interval_s(self) -> Tensor | float:
+        """By which predicted changes of speed are divided."""
+        return self.seconds
 
     def move(self, points: Tensor) -> Tensor:
         """(..., D) points with D = 2 or 3 coordinates, seen from the present lidar frame."""

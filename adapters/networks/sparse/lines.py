@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from adapters.networks.sparse.aggregation import CameraFeatures, CameraSampling, camera_encoder
 from adapters.networks.sparse.branches import class_branch, correction_branch, encoder
 from adapters.networks.sparse.config import SparseConfig
-from adapters.networks.sparse.keyframe_pose import KeyframeMotion
+from adapters.networks.sparse.keyframe_pose import RigidMotion
 
 GROUND_Z_M = -1.84023
 """In the lidar frame."""
@@ -17,9 +17,9 @@ HEIGHTS_M = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Above the ground, at which images are sampled over points on it."""
 
 
-def carry_lines(lines: Tensor, motion: KeyframeMotion) -> Tensor:
-    """(..., 2 P) lines of a remembered frame, seen from the present one."""
-    return motion.move(lines.reshape(*lines.shape[:-1], -1, 2)).flatten(-2)
+def carry_lines(lines: Tensor, motion: RigidMotion) -> Tensor:
+    """(..., N, 2 P) lines of a remembered frame, seen from the present one."""
+    return motion.move(lines.reshape(*lines.shape[:-2], -1, 2)).view_as(lines)
 
 
 def at_heights(ground: Tensor) -> Tensor:
@@ -60,15 +60,15 @@ class LinePoints(nn.Module):
         """Place the points.
 
         Args:
-            features: (N, C).
-            lines: (N, 2 P).
+            features: (..., N, C).
+            lines: (..., N, 2 P).
 
         Returns:
-            (N, P * heights * samples, 3) metres.
+            (..., N, P * heights * samples, 3) metres.
         """
-        offsets = self.learnable_fc(features).float().view(-1, *self.shape)
-        ground = lines.view(-1, self.shape[0], 1, 1, 2) + offsets
-        return at_heights(ground).flatten(1, 3)
+        offsets = self.learnable_fc(features).float().view(*features.shape[:-1], *self.shape)
+        ground = lines.view(*lines.shape[:-1], self.shape[0], 1, 1, 2) + offsets
+        return at_heights(ground).flatten(-4, -2)
 
 
 class LineSampling(CameraSampling):
@@ -84,7 +84,7 @@ class LineSampling(CameraSampling):
         self.weights_fc = nn.Linear(channels, levels * samples * config.heads)
 
     def forward(self, features: Tensor, lines: Tensor, embeddings: Tensor, cameras: CameraFeatures) -> Tensor:
-        """(N, C) features, (N, 2 P) lines and (N, C) embeddings to (N, 2 C): what was sampled, and the features."""
+        """(..., N, C), (..., N, 2 P) lines, (..., N, C) embeddings to (..., N, 2 C): what was sampled, and features."""
         sampled = self.sample(features + embeddings, self.kps_generator(features, lines), cameras)
         return torch.cat([sampled, features], -1)
 
@@ -98,18 +98,18 @@ class LineRefinement(nn.Module):
         self.cls_layers = class_branch(config.channels, config.map_classes)
 
     def forward(
-        self, features: Tensor, lines: Tensor, embeddings: Tensor, interval_s: float
+        self, features: Tensor, lines: Tensor, embeddings: Tensor, interval_s: Tensor | float
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """Refine; time does not matter to lines.
 
         Args:
-            features: (N, C).
-            lines: (N, 2 P).
-            embeddings: (N, C) of the lines.
+            features: (..., N, C).
+            lines: (..., N, 2 P).
+            embeddings: (..., N, C) of the lines.
             interval_s: Not used.
 
         Returns:
-            (N, 2 P) lines, (N, classes) logits, and nothing about their quality.
+            (..., N, 2 P) lines, (..., N, classes) logits, and nothing about their quality.
         """
         refined = self.layers(features + embeddings).float() + lines
         return refined, self.cls_layers(features).float(), None

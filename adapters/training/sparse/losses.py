@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.networks.sparse.decoder import Stage
+from adapters.networks.sparse.decoder import Decoded, Stage
 from adapters.networks.sparse.queue import FORWARD_SPEED
 from adapters.training.losses import (
     Matches,
@@ -21,7 +21,6 @@ from adapters.training.losses import (
     query_class_loss,
     winners,
 )
-from adapters.training.sparse.decoder import Learned
 from adapters.training.sparse.targets import Targets
 
 BOX_WEIGHTS: Final = (2.0, 2.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 0.5, 0.0)
@@ -121,7 +120,7 @@ def summed(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 
 
 def decoder_losses(
-    agents: Sequence[Learned], lines: Sequence[Learned], targets: Targets
+    agents: Sequence[Decoded], lines: Sequence[Decoded], targets: Targets
 ) -> tuple[dict[str, Tensor], Matches]:
     """Losses of both decoders.
 
@@ -140,7 +139,7 @@ def decoder_losses(
     return found, boxes[-1][1]
 
 
-def _joined(decoded: Sequence[Learned]) -> list[Stage]:
+def _joined(decoded: Sequence[Decoded]) -> list[Stage]:
     stages = zip(*(each.stages for each in decoded), strict=True)
     return [
         Stage(

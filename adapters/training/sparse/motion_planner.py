@@ -7,13 +7,12 @@ from torch import Tensor
 
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import carry_boxes
-from adapters.networks.sparse.decoder import Remembered
+from adapters.networks.sparse.decoder import Decoded, Remembered, rows_of
 from adapters.networks.sparse.diffusion import BLOCKS, DiffusionPlanner, PlanContext
 from adapters.networks.sparse.motion_planner import Planner
 from adapters.networks.sparse.noise_schedule import TIMESTEPS
 from adapters.networks.sparse.queue import FORWARD_SPEED, SURE, VELOCITY, VELOCITY_Y
-from adapters.training.sparse.decoder import Learned
-from adapters.training.sparse.views import KeyframeMotions, rows_of
+from adapters.training.sparse.keyframe_motions import KeyframeMotions
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +77,7 @@ class Interacted:
 
 
 def queued(
-    planner: Planner, agents: Learned, front: Tensor, past: QueueLeft | None, motions: KeyframeMotions | None
+    planner: Planner, agents: Decoded, front: Tensor, past: QueueLeft | None, motions: KeyframeMotions | None
 ) -> LearnedQueue:
     """Add key frames to what is remembered.
 
@@ -114,7 +113,7 @@ def queued(
     )
 
 
-def _followed(past: QueueLeft, agents: Learned, motions: KeyframeMotions) -> LearnedQueue:
+def _followed(past: QueueLeft, agents: Decoded, motions: KeyframeMotions) -> LearnedQueue:
     """The past in the order of the present agents: the first of them are those that were remembered."""
     batch, count = agents.features.shape[:2]
     remembered = past.kept.rows
@@ -133,7 +132,12 @@ def _followed(past: QueueLeft, agents: Learned, motions: KeyframeMotions) -> Lea
 
 
 def interacted(
-    planner: Planner, box_encoder: torch.nn.Module, agents: Learned, lines: Learned, queue: LearnedQueue
+    planner: Planner,
+    box_encoder: torch.nn.Module,
+    agents: Decoded,
+    lines: Decoded,
+    queue: LearnedQueue,
+    kept: Remembered,
 ) -> Interacted:
     """Agents and the egos look at their past, at the most certain agents and at the maps.
 
@@ -143,6 +147,7 @@ def interacted(
         agents: Of B key frames.
         lines: Of the same.
         queue: With these frames as the last.
+        kept: Agents that the next frames know again.
 
     Returns:
         Their tokens.
@@ -162,7 +167,7 @@ def interacted(
     status: Tensor = planner.refinement.plan_status_branch(tokens[:, -1])
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
     after = LearnedQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)
-    left = QueueLeft(after, agents.kept, agents.scores.detach(), status.detach())
+    left = QueueLeft(after, kept, agents.scores.detach(), status.detach())
     return Interacted(tokens, embeddings[:, -1:], watched, status, left)
 
 

@@ -9,14 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from adapters.networks.sparse.aggregation import CameraFeatures
-from adapters.networks.sparse.decoder import Decoded, Stage
+from adapters.networks.sparse.decoder import Decoded, Remembered, Stage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
 from adapters.networks.sparse.keyframe_pose import KeyframePose
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.phases import Phase
-from adapters.training.sparse.decoder import Learned
+from adapters.training.sparse.keyframe_motions import KeyframeMotions
 from adapters.training.sparse.losses import (
     decoder_losses,
     forecast_losses,
@@ -26,7 +26,6 @@ from adapters.training.sparse.losses import (
 )
 from adapters.training.sparse.motion_planner import Cleaned, Interacted, denoised, interacted, queued
 from adapters.training.sparse.targets import Targets
-from adapters.training.sparse.views import KeyframeMotions
 from adapters.training.trainer import Recipe
 from benchmark.machine.storage import content_seed
 
@@ -47,12 +46,14 @@ class Seen:
     Attributes:
         agents: Boxes.
         lines: Map elements.
+        kept: What to remember of boxes and of map elements.
         planned: Tokens of agents and the ego.
         cleaned: Of the diffusion planner.
     """
 
-    agents: Learned
-    lines: Learned
+    agents: Decoded
+    lines: Decoded
+    kept: tuple[Remembered, Remembered]
     planned: Interacted
     cleaned: tuple[Cleaned, ...]
 
@@ -161,14 +162,16 @@ class SparseObjective:
             poses = [KeyframePose(frame.timestamp_s, frame.global_T_lidar, frame.scene) for frame in present]
             motions = KeyframeMotions.between(before, poses, device) if before else None
             past = found[-1] if found else None
-            agents = Learned.decoded(head.det_head, views, past.agents.kept if past else None, motions)
-            lines = Learned.decoded(head.map_head, views, past.lines.kept if past else None, motions)
+            old_agents, old_lines = past.kept if past else (None, None)
+            agents, kept = head.det_head(views, old_agents, motions)
+            lines, kept_lines = head.map_head(views, old_lines, motions)
             left = past.planned.left if past else None
             front = maps[-1][rows].unflatten(0, (batch, config.cameras))[:, 0]
             queue = queued(head.motion_plan_head, agents, front, left, motions)
-            planned = interacted(head.motion_plan_head, head.det_head.anchor_encoder, agents, lines, queue)
+            planned = interacted(head.motion_plan_head, head.det_head.anchor_encoder, agents, lines, queue, kept)
             commands = targets.commands[start : start + batch]
-            found.append(Seen(agents, lines, planned, self._cleaned(views, planned, commands, present)))
+            cleaned = self._cleaned(views, planned, commands, present)
+            found.append(Seen(agents, lines, (kept, kept_lines), planned, cleaned))
             before = poses
         return found
 
@@ -210,7 +213,7 @@ def _generator(frame: TrainingFrame, purpose: str) -> torch.Generator:
     return torch.Generator().manual_seed(content_seed("sparse lesson", purpose, frame.scene, frame.index))
 
 
-def _flattened(agents: Sequence[Learned]) -> Stage:
+def _flattened(agents: Sequence[Decoded]) -> Stage:
     """The last stages of several key frames, (F * N, ...)."""
     anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
     return Stage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)

@@ -19,7 +19,7 @@ class KeyframeMotions(RigidMotion):
     """From the key frames before to the present ones, with (B, 1, 4, 4) matrices.
 
     Attributes:
-        seconds: (B, 1, 1), the usual interval where nothing else is known (`KeyframeMotion.interval_s`).
+        seconds: (B, 1, 1), all of them fresh; the usual interval in the place of none (`KeyframeMotion.interval_s`).
     """
 
     seconds: Tensor
@@ -35,12 +35,3 @@ class KeyframeMotions(RigidMotion):
     def ego_velocity(self) -> Tensor:
         """(B, 1, 2) m/s, how the origins of the lidar frames have moved, seen from the present ones."""
         return -self.now_T_then[..., :2, 3] / self.seconds
-
-    def carry_lines(self, lines: Tensor) -> Tensor:
-        """(B, N, 2 P) lines of the key frames before, seen from the present ones."""
-        return self.move(lines.reshape(len(lines), -1, 2)).view_as(lines)
-
-
-def rows_of(tokens: Tensor, rows: Tensor) -> Tensor:
-    """(B, N, D) tokens and (B, K) rows to (B, K, D)."""
-    return tokens.gather(1, rows[..., None].expand(-1, -1, tokens.shape[-1]))
