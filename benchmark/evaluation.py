@@ -95,7 +95,7 @@ def evaluate(
         split: Which of its splits.
         planner: A planner, or a factory, which is what more than one process needs.
         out: Folder of run directories.
-        settings: See `EvalSettings`.
+        settings: Which scenes, judged by whom, in how many processes.
         reopen: Opens the data set in another process; by default from its root, version and name.
 
     Returns:

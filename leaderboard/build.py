@@ -67,7 +67,7 @@ def leaderboard_files(
     """The leaderboard's files without the site.
 
     Args:
-        records: See `leaderboard_tables`; none only if there is anything else.
+        records: Run records of any data sets, splits and planners; none only if there is anything else.
         quality: Records of video quality.
         sheets: Scene sheets: statistics, manoeuvres, search and runtime are made from them.
         ablations: Ablation studies.
@@ -167,7 +167,7 @@ def write_leaderboard(
     """Write the leaderboard; what an earlier one had and the records no longer give is removed.
 
     Args:
-        records: See `leaderboard_tables`.
+        records: Run records of any data sets, splits and planners.
         folder: Where to.
         quality: Records of video quality.
         sheets: Scene sheets.
@@ -205,7 +205,7 @@ def stale_files(
     """Files of a leaderboard that differ from what the records say.
 
     Args:
-        records: See `leaderboard_tables`.
+        records: Run records of any data sets, splits and planners.
         folder: A leaderboard written earlier.
         quality: Records of video quality.
         sheets: Scene sheets.

@@ -51,7 +51,7 @@ def write_results(
     Raises:
         InputError: If they cannot be written.
     """
-    tables = [*results_tables(data_name, records), *ablation_tables(ablations).get(data_name, ())]
+    tables = [*_results_tables(data_name, records), *ablation_tables(ablations).get(data_name, ())]
     page = "\n".join([_HEAD, *(table.markdown() for table in tables)]).encode()
     numbers = {
         "made_from": made_from,
@@ -64,19 +64,8 @@ def write_results(
     return [folder / PAGE, folder / NUMBERS]
 
 
-def results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
-    """The tables of the page: collisions, what changes between splits, transfer, diagnosis.
-
-    Args:
-        data_name: Name of the data set.
-        records: Of all planners and splits.
-
-    Returns:
-        The tables, in the order in which they are read.
-
-    Raises:
-        InputError: If records cannot be compared.
-    """
+def _results_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table]:
+    """The tables of the page in reading order: collisions, what changes between splits, transfer, diagnosis."""
     tables: list[Table | None] = [
         collision_table(data_name, EXACT, records),
         native_table(data_name, records),

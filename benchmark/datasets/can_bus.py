@@ -145,7 +145,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
     """Ego motion at a frame.
 
     Velocity, acceleration and yaw rate are measured where a CAN message of the last half second exists, else fitted
-    to the poses of the last second (`derived_motion`).
+    to the poses of the last second (`_derived_motion`).
 
     Args:
         ego: Recorded motion; only frames up to ``frame`` are looked at.
@@ -164,7 +164,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
     else:
         first = max(frame + 1 - _FIT_FRAMES, 0)
         seconds = (timestamps_us[first : frame + 1] - now_us) * 1e-6
-        velocity, acceleration, yaw_rate = derived_motion(ego.pose[first : frame + 1], seconds)
+        velocity, acceleration, yaw_rate = _derived_motion(ego.pose[first : frame + 1], seconds)
     return EgoState(
         pose=pose,
         position=ego.position[frame],
@@ -178,18 +178,12 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
     )
 
 
-def derived_motion(poses: Floats, seconds: Floats) -> tuple[Floats, Floats, float]:
+def _derived_motion(poses: Floats, seconds: Floats) -> tuple[Floats, Floats, float]:
     """Velocity, acceleration and yaw rate at the last of some poses, by least squares.
 
-    A rear axle moves along the heading, so the distance driven is fitted by a parabola and the heading by a line.
-
-    Args:
-        poses: (H, 3) planar poses of the rear axle, oldest first.
-        seconds: (H,) their times, the last one 0.
-
-    Returns:
-        (2,) m/s and (2,) m/s^2 in the frame of the last pose, and rad/s. A single pose tells no motion: zeros. Fewer
-        than seven tell no longitudinal acceleration.
+    A rear axle moves along the heading, so the distance driven is fitted by a parabola and the heading by a line. From
+    (H, 3) planar poses, oldest first, and their times, the last one 0, to (2,) m/s and (2,) m/s^2 in the frame of the
+    last pose, and rad/s. A single pose tells no motion: zeros. Fewer than seven tell no longitudinal acceleration.
     """
     if len(poses) < 2:
         return np.zeros(2), np.zeros(2), 0.0

@@ -54,15 +54,15 @@ class SceneByScene(OpenTables):
         self._kept: tuple[str, Any] = ("", None)
 
     def rows(self, table: str) -> list[Row]:
-        """See `OpenTables`."""
+        """Rows of the table ``scene`` or ``log``."""
         return self._tables.shared[table]
 
     def keyframe_images(self) -> Iterable[str]:
-        """See `OpenTables`."""
+        """File names of the camera keyframes of all scenes."""
         return self._tables.keyframe_images
 
     def of_scene(self, scene: Row) -> Any:
-        """See `OpenTables`."""
+        """``NuScenes`` of the devkit with the rows of this scene alone."""
         token = scene["token"]
         if self._kept[0] != token:
             self._kept = ("", None)
@@ -81,17 +81,17 @@ class AllScenes(OpenTables):
         self._nusc = nusc
 
     def rows(self, table: str) -> list[Row]:
-        """See `OpenTables`."""
+        """Rows of the table ``scene`` or ``log``."""
         rows: list[Row] = getattr(self._nusc, table)
         return rows
 
     def keyframe_images(self) -> Iterable[str]:
-        """See `OpenTables`."""
+        """File names of the camera keyframes of all scenes."""
         rows = self._nusc.sample_data
         return (row["filename"] for row in rows if row["is_key_frame"] and row["sensor_modality"] == "camera")
 
     def of_scene(self, scene: Row) -> Any:
-        """See `OpenTables`."""
+        """``NuScenes`` of the devkit with all rows."""
         return self._nusc
 
 

@@ -67,19 +67,34 @@ def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
     Raises:
         InputError: If a calibration makes no sense or a file name leaves the root.
     """
-    views = {}
-    for row in _camera_rows(nusc, sample):
-        camera = _camera(nusc, row)
-        pose = nusc.get("ego_pose", row["ego_pose_token"])
-        path = file_inside(root, row)
-        views[camera.name] = CameraView(
-            camera=camera,
-            path=path,
-            timestamp_us=round(row["timestamp"]),
-            global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
-            load=partial(load_image, path),
-        )
-    return views
+    views = (view_of(nusc, root, row, _camera(nusc, row)) for row in _camera_rows(nusc, sample))
+    return {view.camera.name: view for view in views}
+
+
+def view_of(nusc: Any, root: Path, row: Row, camera: Camera) -> CameraView:
+    """One image.
+
+    Args:
+        nusc: ``NuScenes`` of the devkit.
+        root: Data set root.
+        row: Row of the sample_data table.
+        camera: Its camera.
+
+    Returns:
+        The view; its file is opened only when it is loaded.
+
+    Raises:
+        InputError: If the file name leaves the root.
+    """
+    pose = nusc.get("ego_pose", row["ego_pose_token"])
+    path = file_inside(root, row)
+    return CameraView(
+        camera=camera,
+        path=path,
+        timestamp_us=round(row["timestamp"]),
+        global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
+        load=partial(load_image, path),
+    )
 
 
 def file_inside(root: Path, row: Row) -> Path:

@@ -60,19 +60,8 @@ def samples_of_scene(nusc: Any, scene: Row) -> list[Row]:
     return samples
 
 
-def keyframe_row(nusc: Any, sample: Row) -> Row:
-    """The sample_data row that carries a sample's ego pose: LIDAR_TOP, or the first camera where there is none.
-
-    Args:
-        nusc: ``NuScenes`` of the devkit.
-        sample: Row of the sample table.
-
-    Returns:
-        Row of the sample_data table.
-
-    Raises:
-        InputError: If the sample has neither.
-    """
+def _keyframe_row(nusc: Any, sample: Row) -> Row:
+    """The sample_data row that carries a sample's ego pose: LIDAR_TOP, or the first camera where there is none."""
     channels = sample["data"]
     if LIDAR_NAME in channels:
         return _row(nusc, channels[LIDAR_NAME])
@@ -128,7 +117,7 @@ def _rows_between(nusc: Any, samples: list[Row]) -> list[Row]:
     """Rows of the pose-carrying channel from keyframe to keyframe; sweeps that are out of line are left out."""
     rows: list[Row] = []
     for sample, following in pairwise(samples):
-        row, last = keyframe_row(nusc, sample), keyframe_row(nusc, following)
+        row, last = _keyframe_row(nusc, sample), _keyframe_row(nusc, following)
         between: list[Row] = []
         sweep = row
         while sweep["next"] and sweep["next"] != last["token"]:
@@ -141,7 +130,7 @@ def _rows_between(nusc: Any, samples: list[Row]) -> list[Row]:
                 break
             between.append(sweep)
         rows += [row, *(between if sweep["next"] else [])]
-    rows.append(keyframe_row(nusc, samples[-1]))
+    rows.append(_keyframe_row(nusc, samples[-1]))
     return rows
 
 

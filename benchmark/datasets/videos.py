@@ -1,15 +1,13 @@
 """All camera images of a scene, keyframes and the sweeps between them, as one video a camera."""
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmark.datasets.sensors import file_inside, load_image, read_views
+from benchmark.datasets.sensors import read_views, view_of
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
-from benchmark.geometry import transform_matrix
 from benchmark.planning import CameraView
 
 
@@ -55,16 +53,6 @@ def _sweeps(nusc: Any, root: Path, token: str, keyframe: CameraView) -> list[Cam
         row = nusc.get("sample_data", row["next"])
         if row["is_key_frame"]:
             return found
-        pose = nusc.get("ego_pose", row["ego_pose_token"])
-        path = file_inside(root, row)
-        found.append(
-            CameraView(
-                camera=keyframe.camera,
-                path=path,
-                timestamp_us=round(row["timestamp"]),
-                global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
-                load=partial(load_image, path),
-            )
-        )
+        found.append(view_of(nusc, root, row, keyframe.camera))
     # No keyframe follows although there is a later sample: the chain is broken, and its rows belong nowhere.
     return []

@@ -123,7 +123,7 @@ def verdict_of(row: SampleRow, protocol: str) -> Verdict:
     """
     if row.status == "failed":
         return Verdict(None, "the planner failed", "failed", counted=False)
-    seconds = contact_seconds(row, protocol)
+    seconds = _contact_seconds(row, protocol)
     counted = row.outcomes[protocol].counted
     tail = "" if counted else ", not counted"
     if seconds is None:
@@ -134,19 +134,8 @@ def verdict_of(row: SampleRow, protocol: str) -> Verdict:
     return Verdict(True, f"collides {when}{cause}{tail}", f"contact {seconds:.1f} s", counted)
 
 
-def contact_seconds(row: SampleRow, protocol: str) -> float | None:
-    """When a plan first touches something: to a tenth of a second under ``exact``, else the end of the step.
-
-    Args:
-        row: The sample; the planner did not fail on it.
-        protocol: Who judges.
-
-    Returns:
-        Seconds after the sample, or ``None`` where it touches nothing.
-
-    Raises:
-        InputError: If the protocol did not judge it.
-    """
+def _contact_seconds(row: SampleRow, protocol: str) -> float | None:
+    """When a plan first touches something: to a tenth of a second under ``exact``, else the end of the step."""
     if protocol not in row.outcomes:
         raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
     outcome = row.outcomes[protocol]
@@ -178,7 +167,7 @@ def plan_overlay(
     verdict, plan = verdict_of(row, protocol), placed_plan(row, ego_pose(sheet, keyframe))
     contact = None
     if plan is not None and verdict.collides:
-        seconds = contact_seconds(row, protocol)
+        seconds = _contact_seconds(row, protocol)
         assert seconds is not None
         hit = row.outcomes[protocol].facts.get("hit")
         contact = _contact(sheet, keyframe, plan, seconds, hit if isinstance(hit, str) else None)

@@ -27,7 +27,7 @@ _MIN_FREE_BYTES = 2 * 10**9
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class MachineCheck:
     """One finding of ``challenger-bench doctor``.
 
     Attributes:
@@ -52,7 +52,7 @@ def package_versions() -> dict[str, str | None]:
     return versions
 
 
-def cpu_model() -> str:
+def _cpu_model() -> str:
     """Name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -79,10 +79,10 @@ def source_state() -> dict[str, Any]:
 
 def facts() -> dict[str, Any]:
     """What a run record says about where it ran; nothing that changes between two runs on the same machine."""
-    return {"packages": package_versions(), "hardware": {"cpu": cpu_model()}, "source": source_state()}
+    return {"packages": package_versions(), "hardware": {"cpu": _cpu_model()}, "source": source_state()}
 
 
-def checks(folder: Path) -> list[Check]:
+def checks(folder: Path) -> list[MachineCheck]:
     """Everything that ``challenger-bench doctor`` looks at.
 
     Args:
@@ -93,7 +93,7 @@ def checks(folder: Path) -> list[Check]:
     """
     return [
         _numpy_version(),
-        linear_algebra(),
+        _linear_algebra(),
         _threads(),
         _importable("nuscenes", "nuscenes-devkit", "data sets cannot be read"),
         _importable("cv2", "opencv-python-headless", "images cannot be read or drawn"),
@@ -102,14 +102,11 @@ def checks(folder: Path) -> list[Check]:
     ]
 
 
-def linear_algebra() -> Check:
+def _linear_algebra() -> MachineCheck:
     """Solve, multiply and decompose matrices whose answers are known in closed form.
 
     NumPy 1.23 with some OpenBLAS builds returns wrong inverses and products on recent server processors without any
     error; such numbers must never reach a table.
-
-    Returns:
-        The finding.
     """
     size = 64
     index = np.arange(1, size + 1)
@@ -127,8 +124,8 @@ def linear_algebra() -> Check:
     }
     worst = max(errors, key=lambda name: errors[name])
     if errors[worst] < 1e-9:
-        return Check("linear algebra", True, f"matrix results are right to {errors[worst]:.0e}")
-    return Check(
+        return MachineCheck("linear algebra", True, f"matrix results are right to {errors[worst]:.0e}")
+    return MachineCheck(
         "linear algebra",
         False,
         f"NumPy's {worst} is wrong by {errors[worst]:.1e} on this processor; install another NumPy build "
@@ -136,11 +133,11 @@ def linear_algebra() -> Check:
     )
 
 
-def _numpy_version() -> Check:
+def _numpy_version() -> MachineCheck:
     version = tuple(int(part) for part in np.__version__.split(".")[:2])
     if version >= OLDEST_NUMPY:
-        return Check("numpy", True, f"NumPy {np.__version__}")
-    return Check(
+        return MachineCheck("numpy", True, f"NumPy {np.__version__}")
+    return MachineCheck(
         "numpy",
         False,
         f"NumPy {np.__version__} has builds that compute wrong matrix products on recent processors; install 1.26 "
@@ -148,22 +145,26 @@ def _numpy_version() -> Check:
     )
 
 
-def _threads() -> Check:
+def _threads() -> MachineCheck:
     import torch
 
-    return Check("torch", True, f"PyTorch {torch.__version__}, {torch.get_num_threads()} threads until work starts")
+    return MachineCheck(
+        "torch", True, f"PyTorch {torch.__version__}, {torch.get_num_threads()} threads until work starts"
+    )
 
 
-def _importable(module: str, distribution: str, consequence: str) -> Check:
+def _importable(module: str, distribution: str, consequence: str) -> MachineCheck:
     if importlib.util.find_spec(module) is not None:
-        return Check(distribution, True, f"{distribution} {importlib.metadata.version(distribution)}")
-    return Check(distribution, False, f"{distribution} is missing, so {consequence}; pip install {distribution}")
+        return MachineCheck(distribution, True, f"{distribution} {importlib.metadata.version(distribution)}")
+    return MachineCheck(distribution, False, f"{distribution} is missing, so {consequence}; pip install {distribution}")
 
 
-def _disk_space(folder: Path) -> Check:
+def _disk_space(folder: Path) -> MachineCheck:
     existing = next(place for place in (folder, *folder.resolve().parents) if place.exists())
     free = shutil.disk_usage(existing).free
     sentence = f"{free / 1e9:.1f} GB free for {folder}"
     if free < _MIN_FREE_BYTES:
-        return Check("disk", False, f"{sentence}; generated data sets need a few GB, choose another place with --out")
-    return Check("disk", True, sentence)
+        return MachineCheck(
+            "disk", False, f"{sentence}; generated data sets need a few GB, choose another place with --out"
+        )
+    return MachineCheck("disk", True, sentence)

@@ -55,7 +55,7 @@ class RayCluster:
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
     ) -> Iterator[Result]:
-        """See `Executor.map`.
+        """Apply a function to items and give the results in the order of the items.
 
         Raises:
             InputError: If Ray is not installed, the cluster cannot be joined, a node has other code, or units are lost

@@ -87,7 +87,7 @@ class LocalProcesses:
     def map(
         self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
     ) -> Iterator[Result]:
-        """See `Executor.map`.
+        """Apply a function to items and give the results in the order of the items.
 
         Raises:
             InputError: If ``workers`` is not positive, or a worker process is killed.

@@ -88,17 +88,11 @@ def occupied(polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Se
     return found
 
 
-def may_reach(boxes: Floats, place_of: NDArray[np.int64], cells: Sequence[Cells], rows: Floats) -> Bools:
-    """A cheap test that leaves few polygons to compute: whether a box could cover any of the cells.
+def _may_reach(boxes: Floats, place_of: NDArray[np.int64], cells: Sequence[Cells], rows: Floats) -> Bools:
+    """A cheap test that leaves few polygons to compute: whether each of (N, 5) boxes could cover any of the cells.
 
-    Args:
-        boxes: (N, 5) boxes.
-        place_of: (N,) which of P places (a sample at a step) a box belongs to.
-        cells: Groups of cells to look at, each (P, C, 2), row first.
-        rows: (N,) row on which the box's centre lies, not rounded.
-
-    Returns:
-        (N,) verdicts, True too often but never False where `occupied` finds a cell.
+    ``rows`` are those on which the boxes' centres lie, not rounded; the rest is as for `occupied`. True too often, but
+    never False where `occupied` finds a cell.
     """
     # Half the diagonal, and a cell for the roundings of corner and outline.
     reach = 0.5 * np.hypot(boxes[:, 2], boxes[:, 3]) / CELL_M + 1.0
@@ -210,7 +204,7 @@ class RasterProtocol(ABC):
         boxes = self.drawn_boxes(stacked, objects, steps)
         groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, truncated(point)[..., None, :])]
         rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
-        near = may_reach(boxes, place_of, groups, rows)
+        near = _may_reach(boxes, place_of, groups, rows)
         found = occupied(self.drawn_polygons(boxes[near]), place_of[near], groups)
         on_plan, on_recorded, at_point = (hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found)
         return Outcomes(

@@ -69,7 +69,7 @@ class BoxMasks:
     definition: Definition
 
     def masks(self, video: CameraVideo) -> list[FrameMasks]:
-        """See `MaskMaker`."""
+        """Masks of one video, as `MaskMaker` promises."""
         found = []
         for frame, boxes in enumerate(video.boxes):
             height, width = video.frames[frame].shape[:2]
@@ -102,7 +102,7 @@ class TrackedMasks:
     detector: Detector | None = None
 
     def masks(self, video: CameraVideo) -> list[FrameMasks]:
-        """See `MaskMaker`."""
+        """Masks of one video, as `MaskMaker` promises."""
         visible = [_in_view(video.visible(frame), self.definition.min_mask_px) for frame in range(len(video.frames))]
         prompts = [self._prompts(video, frame, parts) for frame, parts in enumerate(visible)]
         instances = sorted({name for frame in prompts for name in frame})

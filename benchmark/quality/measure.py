@@ -87,7 +87,7 @@ def measure_quality(
         data: The data set.
         split: Which of its splits.
         out: Folder of quality records.
-        settings: See `QualitySettings`.
+        settings: What is measured of which scenes, with which weights and device.
         reopen: Opens the data set in another process; by default from its root, version and name.
 
     Returns:
@@ -117,7 +117,7 @@ def measure_quality(
     libraries = {"torch": torch.__version__, "transformers": transformers_version()}
     identity = content_key(QUALITY_SCHEMA, fingerprint, definition.as_json(), contents, device.type, libraries)
     part = () if len(chosen) == len(every) else chosen
-    directory = quality_directory(out, data.name, split, definition, part)
+    directory = _quality_directory(out, data.name, split, definition, part)
     keys = {name: content_key(identity, name, _image_sizes(data, name, definition)) for name in chosen}
     job = _Job(directory, definition, folders, settings.device, keys)
     described = {
@@ -139,19 +139,8 @@ def measure_quality(
     return record
 
 
-def quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:
-    """Directory of a record: another definition or another part of the scenes has another one.
-
-    Args:
-        out: Folder of quality records.
-        data_name: Name of the data set.
-        split: Name of the split.
-        definition: What is measured.
-        part: Scenes, if not the whole split is scored.
-
-    Returns:
-        The directory.
-    """
+def _quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:
+    """Directory of a record: another definition or another part of the scenes has another one."""
     usual = definition == Definition(masks=definition.masks) and not part
     suffix = "" if usual else f"-{content_key(definition.as_json(), list(part))[:8]}"
     return out / file_name(data_name) / file_name(split) / f"{definition.masks}{suffix}"
@@ -163,7 +152,7 @@ def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
     Args:
         data: The data set.
         split: Which of its splits.
-        settings: See `QualitySettings`.
+        settings: What is measured of which scenes, with which weights and device.
 
     Returns:
         Sentences.

@@ -103,27 +103,14 @@ def score_scene(data: "DataSet", name: str, definition: Definition, networks: Ne
     rows: list[VideoRow] = []
     with single_precision():
         for camera, views in videos.items():
-            video = camera_video(scene, camera, views, definition)
+            video = _camera_video(scene, camera, views, definition)
             subjects += _subjects(scene, video, networks)
             rows.append(_whole_frames(name, video, views, definition, networks.imaging))
     return SceneRows(scene=name, subjects=subjects, videos=rows)
 
 
-def camera_video(scene: "Scene", camera: str, views: "Sequence[CameraView]", definition: Definition) -> CameraVideo:
-    """Read one camera's images and project the vehicles into them.
-
-    Args:
-        scene: The scene.
-        camera: Camera name.
-        views: Its images in time order.
-        definition: Size of frames, categories, which files.
-
-    Returns:
-        The video.
-
-    Raises:
-        InputError: If an image is missing or broken, or does not fit the camera or the other images.
-    """
+def _camera_video(scene: "Scene", camera: str, views: "Sequence[CameraView]", definition: Definition) -> CameraVideo:
+    """Read one camera's images in time order and project the vehicles into them."""
     frames: list[NDArray[np.uint8]] = []
     boxes = []
     for view in views:

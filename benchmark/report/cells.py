@@ -99,9 +99,9 @@ class Origin:
     """Where numbers come from; makes their cells.
 
     Attributes:
-        protocol: See `Cell`.
-        record: See `Cell`.
-        source: See `Cell`.
+        protocol: Protocol of the verdicts behind them, or ``None`` where they rest on none.
+        record: Content id, planner and split of the records behind them.
+        source: Where they are quoted from, if they are not ours.
     """
 
     protocol: str | None = None

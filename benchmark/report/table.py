@@ -177,7 +177,7 @@ def table_of(
     """A table of texts and of numbers that bring their facts.
 
     Args:
-        name: See `Table`, as for all that follow.
+        name: File stem.
         title: One line above the table.
         columns: Column heads.
         rows: Text, or a number as its cell shows it.

@@ -53,8 +53,8 @@ def outside_identity(definition: Anything) -> Anything:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Definition:
-    """A top-level name of a module.
+class Dependency:
+    """A top-level name of a module that plans depend on.
 
     Attributes:
         module: The module.
@@ -81,7 +81,7 @@ def code_sha256(planner_class: type, *, made_by: str | None = None, parts: froze
 
 def dependencies_of(
     planner_class: type, *, made_by: str | None = None, parts: frozenset[type] = frozenset()
-) -> tuple[Definition, ...]:
+) -> tuple[Dependency, ...]:
     """What `code_sha256` is the hash of.
 
     Args:
@@ -113,7 +113,7 @@ def parts_of(planner: Any) -> frozenset[type]:
 @cache
 def _identity(
     planner_class: type, made_by: str | None, parts: frozenset[type]
-) -> tuple[str | None, tuple[Definition, ...]]:
+) -> tuple[str | None, tuple[Dependency, ...]]:
     file = source_of(planner_class)
     if file is None:
         return None, ()
@@ -140,14 +140,14 @@ class _Reach:
     """
 
     def __init__(self, files: ModuleFiles) -> None:
-        self.found: set[Definition] = set()
+        self.found: set[Dependency] = set()
         self._files = files
-        self._waiting: list[Definition] = []
+        self._waiting: list[Dependency] = []
 
     def start(self, module: str, qualname: str) -> None:
         """Reach a definition; all of its module if it is not at the top level there."""
         for each in self._defined(module, (qualname.partition(".")[0],)):
-            if isinstance(each, Definition):
+            if isinstance(each, Dependency):
                 self._reach(each)
         while self._waiting:
             self._expand(self._waiting.pop())
@@ -156,7 +156,7 @@ class _Reach:
         """What was found, without modules: name, what it says, and what the names in it stand for."""
         return sorted(self._entry(each) for each in self.found if self._text(each))
 
-    def _entry(self, found: Definition) -> list[Any]:
+    def _entry(self, found: Dependency) -> list[Any]:
         source = self._source(found.module)
         stand_for = set()
         for used in source.read(found.name).uses:
@@ -165,7 +165,7 @@ class _Reach:
                 stand_for.add((used[0], said))
         return [found.name, self._text(found), sorted(map(list, stand_for))]
 
-    def _text(self, found: Definition) -> str:
+    def _text(self, found: Dependency) -> str:
         source = self._source(found.module)
         if found.name in source.outside:
             return ""
@@ -178,7 +178,7 @@ class _Reach:
             raise LookupError(module)
         return source
 
-    def _reach(self, found: Definition) -> None:
+    def _reach(self, found: Dependency) -> None:
         if found not in self.found and found.name not in self._source(found.module).outside:
             self.found.add(found)
             self._waiting.append(found)
@@ -190,17 +190,17 @@ class _Reach:
             for each in self._whole(".".join(parts[:end])):
                 self._reach(each)
 
-    def _whole(self, module: str) -> list[Definition]:
+    def _whole(self, module: str) -> list[Dependency]:
         source = self._files.source(module)
-        return [] if source is None else [Definition(module, name) for name in list(source.definitions)]
+        return [] if source is None else [Dependency(module, name) for name in list(source.definitions)]
 
-    def _expand(self, found: Definition) -> None:
+    def _expand(self, found: Dependency) -> None:
         source = self._source(found.module)
         reading = source.read(found.name)
         if top_package(found.module) not in OURS:
             self._reach_module(found.module)
         else:
-            self._reach(Definition(found.module, ON_IMPORT))
+            self._reach(Dependency(found.module, ON_IMPORT))
         for module in reading.modules:
             if top_package(module) not in OURS and self._files.follows(module):
                 self._reach_module(module)
@@ -209,21 +209,21 @@ class _Reach:
         if any(_LISTS_MODULES & set(used) for used in reading.uses):
             meant += [each for module in self._files.within(source.package) for each in self._whole(module)]
         for each in meant:
-            if isinstance(each, Definition):
+            if isinstance(each, Dependency):
                 self._reach(each)
 
-    def _meant(self, source: SourceFile, found: Definition, used: tuple[str, ...]) -> Iterator[Definition | str]:
+    def _meant(self, source: SourceFile, found: Dependency, used: tuple[str, ...]) -> Iterator[Dependency | str]:
         """What a name with its attributes stands for in a definition: ours or a stranger's, or text for a library's."""
         name, rest = used[0], used[1:]
         if name in source.definitions and name != ON_IMPORT:
-            yield Definition(found.module, name)
+            yield Dependency(found.module, name)
         own = source.read(found.name).imports.get(name, set())
         for each in own | source.imports.get(name, set()):
             yield from self._imported(each, rest)
 
     def _imported(
         self, made: Import, rest: tuple[str, ...], seen: frozenset[tuple[str, str]] = frozenset()
-    ) -> Iterator[Definition | str]:
+    ) -> Iterator[Dependency | str]:
         if not self._files.follows(made.module):
             yield ".".join([made.module, *([made.name] if made.name else []), *rest])
         else:
@@ -231,7 +231,7 @@ class _Reach:
 
     def _defined(
         self, module: str, path: tuple[str, ...], seen: frozenset[tuple[str, str]] = frozenset()
-    ) -> Iterator[Definition | str]:
+    ) -> Iterator[Dependency | str]:
         """Where a name of a module is defined, by the steps that Python takes; all of the module if that is unclear."""
         source = self._files.source(module)
         if not path or (source is not None and (module, path[0]) in seen):
@@ -239,7 +239,7 @@ class _Reach:
             return
         name, rest = path[0], path[1:]
         if source is not None and name in source.definitions:
-            yield Definition(module, name)
+            yield Dependency(module, name)
         elif source is not None and name in source.imports:
             for each in source.imports[name]:
                 yield from self._imported(each, rest, seen | {(module, name)})
@@ -250,7 +250,7 @@ class _Reach:
         else:
             yield from self._whole(module)
 
-    def _named(self, text: str, package: str) -> Iterator[Definition | str]:
+    def _named(self, text: str, package: str) -> Iterator[Dependency | str]:
         """Modules that a text names."""
         if prefix := _PREFIX.fullmatch(text):
             for module in self._files.within(prefix[1]):

@@ -73,8 +73,8 @@ class Job:
         root: Folder of all sheets.
         facts: Of the data set.
         split: One of its splits.
-        pictures: See `SheetSettings`.
-        cell_width_px: Likewise.
+        pictures: Which frames have pictures: ``all``, ``keyframes`` or ``none``.
+        cell_width_px: Width of one camera in a picture.
     """
 
     root: Path

@@ -25,7 +25,7 @@ def ego_of(scene: Scene, origin: Point) -> SheetEgo:
 
     Args:
         scene: The scene.
-        origin: See `origin_of`.
+        origin: (x, y) that positions are relative to, global frame.
 
     Returns:
         One pose a frame, centimetres and milliradians.
@@ -46,7 +46,7 @@ def agents_of(scene: Scene, origin: Point) -> tuple[SheetAgent, ...]:
 
     Args:
         scene: The scene.
-        origin: See `origin_of`.
+        origin: (x, y) that positions are relative to, global frame.
 
     Returns:
         In the order of the scene, adversaries last. An agent's values go from the first frame in which it is near to

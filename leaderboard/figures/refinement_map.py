@@ -30,10 +30,10 @@ class MapView:
 
     Attributes:
         pose: (3,) its pose now, in the sheet's metres.
-        left: Edge, metres in the adversary's frame.
-        right: Likewise.
-        bottom: Likewise.
-        top: Likewise.
+        left: Edge behind it, metres in its frame, as for all four.
+        right: Edge ahead.
+        bottom: Edge to its right.
+        top: Edge to its left.
     """
 
     pose: Floats

@@ -97,13 +97,13 @@ class Panel:
             corner = left, top + (place % rows) * row_px
             _draw_track(image, self._sheet, track, frame, corner, (each_px, row_px))
         judges = ", ".join(dict.fromkeys(track.protocol for track in self._tracks))
-        words = f"one cell a sample; × is a plan that collides within 3 s (protocol {one_line(judges)})"
+        words = f"one cell a sample; × is a plan that collides within 3 s (protocol {_one_line(judges)})"
         words = fitted(words, image.shape[1] - 2 * _EDGE_PX, size_px=11)
         write_text(image, words, (_EDGE_PX, foot + 12.0), size_px=11, colour=FAINT_INK)
         return top + rows * row_px
 
     def _draw_description(self, image: Picture, top: int) -> int:
-        words = fitted(one_line(self._sheet.description), image.shape[1] - 2 * _EDGE_PX, size_px=13)
+        words = fitted(_one_line(self._sheet.description), image.shape[1] - 2 * _EDGE_PX, size_px=13)
         if words:
             write_text(image, words, (_EDGE_PX, top + 12.0), size_px=13, colour=FAINT_INK)
         return top + 30
@@ -152,7 +152,7 @@ def adversary_gap(sheet: Sheet) -> Floats:
     return gaps
 
 
-def one_line(text: str) -> str:
+def _one_line(text: str) -> str:
     """Text of any length on one line, without characters that cannot be drawn."""
     return " ".join("".join(each if each.isprintable() else " " for each in text).split())
 

@@ -137,12 +137,12 @@ class _Origins:
 
     @property
     def found(self) -> list[list[int]]:
-        """See the class."""
+        """For each origin the places of its facts among the words."""
         return [list(origin) for origin in self._origins]
 
     @property
     def words(self) -> list[str]:
-        """See the class."""
+        """Texts, each once."""
         return list(self._words)
 
     def cell(self, cell: Cell | None) -> dict[str, Any] | None:

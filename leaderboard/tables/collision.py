@@ -9,16 +9,7 @@ from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.published import is_variant, published_cells, published_rate
-from leaderboard.tables.rows import (
-    FEW_NOTE,
-    FEW_SCENES,
-    PRIVILEGED_NOTE,
-    completeness_notes,
-    in_table_order,
-    recordings,
-    row_name,
-    stale_notes,
-)
+from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
 RATES_NOTE = (
     "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
@@ -219,16 +210,13 @@ def _notes(
             "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
             "average without that exclusion; masked: how many colliding steps it removed."
         )
-    if any(record.run.planner.privileged for record in records):
-        notes.append(PRIVILEGED_NOTE)
-    if any(recordings(record) < FEW_SCENES for record in records):
-        notes.append(FEW_NOTE)
+    told = []
     for record in records:
         judge, who = judge_of(record), f"{record.planner} on {record.run.split}"
         if judge not in record.summary.protocols:
-            notes.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
-        notes += stale_notes(record, (judge,))
-    return [*notes, *completeness_notes(records)]
+            told.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
+        told += stale_notes(record, (judge,))
+    return [*notes, *run_notes(records, told)]
 
 
 def _paper_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_paper: bool) -> list[str]:

@@ -14,16 +14,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import CAUSES, SampleRow
 from benchmark.report.cells import Cell, Origin, Shown, origin_of
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.rows import (
-    FEW_NOTE,
-    FEW_SCENES,
-    PRIVILEGED_NOTE,
-    completeness_notes,
-    in_table_order,
-    recordings,
-    row_name,
-    stale_notes,
-)
+from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
 _RULE: Final = (
     "Misforecasting: the plan is clear of the planner's own forecast of what it hits. Misplanning: it hits that "
@@ -201,13 +192,10 @@ def _manoeuvres(run: _Run) -> dict[str, set[str]]:
 
 def _notes(runs: Sequence[_Run]) -> tuple[str, ...]:
     notes = [_RULE, "Brackets: 95 % bootstrap interval over recorded scenes with collisions."]
-    if any(run.record.run.planner.privileged for run in runs):
-        notes.append(PRIVILEGED_NOTE)
-    if any(recordings(run.record) < FEW_SCENES for run in runs):
-        notes.append(FEW_NOTE)
+    told = []
     for run in runs:
         if not run.diagnosed:
             where = f"{run.record.planner} on {run.record.run.split}"
-            notes.append(f"{where}: no diagnoses in this record; run challenger-bench rescore.")
-        notes += stale_notes(run.record, (EXACT,))
-    return (*notes, *completeness_notes([run.record for run in runs]))
+            told.append(f"{where}: no diagnoses in this record; run challenger-bench rescore.")
+        told += stale_notes(run.record, (EXACT,))
+    return (*notes, *run_notes([run.record for run in runs], told))

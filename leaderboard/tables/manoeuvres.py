@@ -4,7 +4,7 @@ from benchmark.records.scenes import Sheets, SplitSheet
 from benchmark.records.statistics import ManoeuvreRow
 from benchmark.report.cells import PERCENT, UNDEFINED, Shown
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.statistics import origin_of, splits_by_data_set
+from leaderboard.tables.statistics import by_data_set, origin_of
 
 PAPER_NOTE = (
     "The paper names cut-ins, sudden lane changes, tailgating, blocking and blind-spot intrusions, and junctions, "
@@ -21,11 +21,9 @@ def manoeuvre_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
     Returns:
         Tables by name of the data set.
     """
-    found = {
-        name: tuple(_table(name, split) for split in splits if split.statistics.labelled)
-        for name, splits in splits_by_data_set(sheets).items()
-    }
-    return {name: tables for name, tables in found.items() if tables}
+    return by_data_set(
+        sheets, lambda name, splits: [_table(name, split) for split in splits if split.statistics.labelled]
+    )
 
 
 def _table(data_name: str, split: SplitSheet) -> Table:

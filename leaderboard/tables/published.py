@@ -138,7 +138,7 @@ def published_rate(record: RunRecord, judge: str) -> PublishedRate | None:
     Returns:
         The row of the model of that name on the split of that name, if the paper quotes the same protocol.
     """
-    model = model_of(record)
+    model = _model_of(record)
     data_set = DATA_SET_OF_SPLIT.get(record.run.split)
     return next(
         (row for row in TABLE_1 if (row.model, row.data_set, row.protocol) == (model, data_set, judge)),
@@ -151,10 +151,10 @@ def is_variant(record: RunRecord, judge: str) -> bool:
     planner = record.run.planner
     stems = {row.model.lower() for row in TABLE_1 if row.protocol == judge}
     alike = any(planner.name.lower().startswith(f"{stem}-") for stem in stems)
-    return model_of(record) is None and (alike or (planner.miniature and planner.native_protocol == judge))
+    return _model_of(record) is None and (alike or (planner.miniature and planner.native_protocol == judge))
 
 
-def model_of(record: RunRecord) -> str | None:
+def _model_of(record: RunRecord) -> str | None:
     """The paper's name of a planner that it ran."""
     planner = record.run.planner
     return planner.published_as or (None if planner.miniature else MODEL_OF_PLANNER.get(planner.name.lower()))

@@ -60,6 +60,21 @@ def recordings(record: RunRecord) -> int:
     return len(set(source_of_scenes(record).values()))
 
 
+def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
+    """What has to be said of the runs behind a table.
+
+    Args:
+        records: The runs, in the order of the table.
+        told: Sentences on single runs.
+
+    Returns:
+        Whether any is privileged, whether any has few recorded scenes, ``told``, and what is not whole.
+    """
+    privileged = [PRIVILEGED_NOTE] if any(record.run.planner.privileged for record in records) else []
+    few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
+    return [*privileged, *few, *told, *completeness_notes(records)]
+
+
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
     """What has to be said of runs that are not whole.
 

@@ -8,7 +8,7 @@ from benchmark.records.statistics import RENDERING, Runtime
 from benchmark.report.cells import PERCENT, Shown
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.published import published_seconds
-from leaderboard.tables.statistics import origin_of, splits_by_data_set
+from leaderboard.tables.statistics import by_data_set, origin_of
 
 ALL: Final = "all"
 
@@ -22,11 +22,10 @@ def runtime_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
     Returns:
         Tables by name of the data set.
     """
-    found = {
-        name: tuple(_table(name, split, split.runtime) for split in splits if split.runtime is not None)
-        for name, splits in splits_by_data_set(sheets).items()
-    }
-    return {name: tables for name, tables in found.items() if tables}
+    return by_data_set(
+        sheets,
+        lambda name, splits: [_table(name, split, split.runtime) for split in splits if split.runtime is not None],
+    )
 
 
 def _table(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:

@@ -1,7 +1,7 @@
 """A data set in numbers, how close adversaries come, and what the search discarded and why: from scene sheets."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
 from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
@@ -15,19 +15,23 @@ KEPT = "kept"
 QUANTILES = tuple(Quantiles.model_fields)
 
 
-def splits_by_data_set(sheets: Sheets) -> dict[str, list[SplitSheet]]:
-    """Splits of each data set, the paper's three first.
+def by_data_set(
+    sheets: Sheets, tables: Callable[[str, list[SplitSheet]], Iterable[Table | None]]
+) -> dict[str, tuple[Table, ...]]:
+    """Tables of the splits of each data set, the paper's three first.
 
     Args:
         sheets: All of them.
+        tables: Makes those of a data set, by its name; ``None`` where there is nothing to show.
 
     Returns:
-        By the data set's name, in the order of the names.
+        By the data set's name, in the order of the names; data sets without tables are left out.
     """
-    found: dict[str, list[SplitSheet]] = {}
+    splits: dict[str, list[SplitSheet]] = {}
     for sheet in sorted(sheets.splits.values(), key=lambda sheet: (sheet.data.name, split_place(sheet.split))):
-        found.setdefault(sheet.data.name, []).append(sheet)
-    return found
+        splits.setdefault(sheet.data.name, []).append(sheet)
+    found = {name: tuple(table for table in tables(name, own) if table is not None) for name, own in splits.items()}
+    return {name: made for name, made in found.items() if made}
 
 
 def origin_of(sheet: SplitSheet) -> Origin:
@@ -44,11 +48,11 @@ def statistics_tables(sheets: Sheets) -> dict[str, tuple[Table, ...]]:
     Returns:
         Tables by name of the data set.
     """
-    found = {}
-    for name, splits in splits_by_data_set(sheets).items():
-        tables = [_counts(name, splits), _closeness(name, splits), *(_search(name, split) for split in splits)]
-        found[name] = tuple(table for table in tables if table is not None)
-    return found
+
+    def tables(name: str, splits: Sequence[SplitSheet]) -> list[Table | None]:
+        return [_counts(name, splits), _closeness(name, splits), *(_search(name, split) for split in splits)]
+
+    return by_data_set(sheets, tables)
 
 
 def _counts(data_name: str, splits: Sequence[SplitSheet]) -> Table:

@@ -18,7 +18,7 @@ from adapters.registry import made_by, planner
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.planning import PrivilegedPlanner, SceneInfo
 from benchmark.runs import code_identity
-from benchmark.runs.code_identity import Definition, code_sha256, dependencies_of, parts_of
+from benchmark.runs.code_identity import Dependency, code_sha256, dependencies_of, parts_of
 from generation.sources.mini import TownSettings, build_town
 
 FAMILIES = ("vad", "uniad", "sparse")
@@ -51,7 +51,7 @@ def test_planners_depend_on_their_own_network_and_on_no_training(name: str) -> N
     modules = {each.module for each in dependencies_of(class_of(name), **given(name))}
     assert not [module for module in modules if "training" in module or "verification" in module]
     assert not modules & {"adapters.registry", "benchmark.evaluation", "benchmark.records.run"}
-    assert Definition("adapters.models", "MODELS") not in dependencies_of(class_of(name), **given(name))
+    assert Dependency("adapters.models", "MODELS") not in dependencies_of(class_of(name), **given(name))
     own = [family for family in FAMILIES if f".{family}." in MODELS[name].planner]
     for family in FAMILIES:
         reached = [module for module in modules if module.startswith(f"adapters.networks.{family}.")]
@@ -112,14 +112,14 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> NuScenesData:
 def test_all_that_runs_while_a_planner_plans_is_in_its_identity(town: NuScenesData, name: str) -> None:
     scene = town.scene(town.scene_names("val")[0])
     observations = list(town.observations(scene.name))[:3]
-    ran: set[Definition] = set()
+    ran: set[Dependency] = set()
 
     def note(frame: FrameType, event: str, _: Any) -> None:
         module = frame.f_globals.get("__name__", "")
         # Images are read by the data set, which the planner is given.
         ours = module.startswith(("adapters.", "benchmark.")) and "datasets" not in module
         if ours and event == "call" and frame.f_code.co_filename.endswith(".py"):
-            ran.add(Definition(module, frame.f_code.co_qualname.partition(".")[0]))
+            ran.add(Dependency(module, frame.f_code.co_qualname.partition(".")[0]))
 
     driver = planner(name)
     sys.setprofile(note)

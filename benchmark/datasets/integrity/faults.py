@@ -40,10 +40,10 @@ class FaultList:
 
         Args:
             kind: Two or three words for what the faults of a kind have in common; names them when counted.
-            table: See `Fault`.
-            token: See `Fault`.
-            sentence: See `Fault`.
-            severity: See `Fault`.
+            table: Table or file that it was found in.
+            token: Token of the row, or an empty string.
+            sentence: What is wrong.
+            severity: Whether software crashes on it or computes something wrong.
         """
         self.counts[(kind, table, severity)] += 1
         if self.counts[(kind, table, severity)] <= SHOWN_PER_KIND:

@@ -153,7 +153,7 @@ def contact_instant(truth: SampleTruth, plan_lidar: Floats, step: int) -> int:
 
 
 def waypoint_instant(step: int) -> int:
-    """The instant of a step's waypoint, see `contact_instant`."""
+    """The instant of a step's waypoint, the last of the step, 0 to 29."""
     return (step + 1) * INSTANTS_PER_STEP - 1
 
 
@@ -162,7 +162,7 @@ def objects_at(truth: SampleTruth, instant: int) -> tuple[Floats, list[int]]:
 
     Args:
         truth: What really happened.
-        instant: 0 to 29, see `contact_instant`.
+        instant: 0 to 29, a tenth of a second each.
 
     Returns:
         (N, 5) boxes of those that are there and their numbers in the truth.

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.runs.code_identity import Definition, code_sha256, dependencies_of, parts_of
+from benchmark.runs.code_identity import Dependency, code_sha256, dependencies_of, parts_of
 
 PLANNER = """
 from made_up.net import Net
@@ -240,9 +240,9 @@ def test_a_name_from_a_public_face_leads_to_the_module_that_defines_it(
 def test_the_face_of_this_project_leads_to_what_it_names(load: Callable[..., ModuleType]) -> None:
     planner = "from benchmark.planning import Plan\n\nclass Planner:\n    def reset(self, scene): ...\n"
     found = dependencies_of(load({"made_up/__init__.py": "", "made_up/planner.py": planner}).Planner)
-    assert Definition("benchmark.planning", "Plan") in found and Definition("made_up.planner", "Planner") in found
+    assert Dependency("benchmark.planning", "Plan") in found and Dependency("made_up.planner", "Planner") in found
     # Whatever a planner imports, the harness gives it observations and takes plans.
-    assert Definition("benchmark.planning", "Observation") in found
+    assert Dependency("benchmark.planning", "Observation") in found
     assert not any(each.module.startswith("benchmark.datasets") for each in found)
 
 
@@ -324,7 +324,7 @@ def test_a_class_inside_a_function_counts_with_the_function() -> None:
     class Planner:
         def reset(self, scene: Any) -> None: ...
 
-    assert Definition(__name__, "test_a_class_inside_a_function_counts_with_the_function") in dependencies_of(Planner)
+    assert Dependency(__name__, "test_a_class_inside_a_function_counts_with_the_function") in dependencies_of(Planner)
 
 
 def test_modules_of_this_project_do_nothing_when_they_are_imported() -> None:
