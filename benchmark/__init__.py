@@ -60,7 +60,9 @@ _DEFINED_IN: Final = {
     "leaderboard.films.film": ["FilmSettings"],
     "benchmark.quality.measure": ["measure_quality", "QualitySettings"],
     "leaderboard.tables.quality": ["quality_tables"],
-    "generation.diffusion.training.card": ["train_trajectory_model"],
+    "generation.diffusion.training.loop": ["train_denoiser", "TrainingConfig"],
+    "generation.diffusion.training.card": ["write_model_card"],
+    "generation.diffusion.bank": ["write_bank"],
     "adapters.training.planners": ["train_planner", "judge_again", "PlannerTraining"],
     "adapters.training.ego_status": ["train_ego_status"],
     "adapters.checkpoints.listing": ["known_weights"],
@@ -75,7 +77,6 @@ _RENAMED: Final = {
     "explain_protocols": "benchmark.protocols.explain.pictures:explain",
     "generate": "generation.build.split:build_split",
     "QualityDefinition": "benchmark.quality.definition:Definition",
-    "TrajectoryTraining": "generation.diffusion.training.loop:TrainingConfig",
     "doctor": "benchmark.machine.environment:checks",
 }
 _FACE: Final = {name: f"{module}:{name}" for module, names in _DEFINED_IN.items() for name in names} | _RENAMED
@@ -89,7 +90,7 @@ if TYPE_CHECKING:
         ImportSettings as ImportSettings,
         PlannerTraining as PlannerTraining,
         TownSettings as TownSettings,
-        TrainingConfig as _TrajectoryTraining,
+        TrainingConfig as TrainingConfig,
         ablate as ablate,
         agreement_table as agreement_table,
         build_town as build_town,
@@ -113,16 +114,18 @@ if TYPE_CHECKING:
         stale_leaderboard as stale_leaderboard,
         train_ego_status as train_ego_status,
         train_planner as train_planner,
-        train_trajectory_model as train_trajectory_model,
+        train_denoiser as train_denoiser,
         trajectory_model as trajectory_model,
         transfer_matrices as transfer_matrices,
         transfer_table as transfer_table,
         verify as verify,
         write_anchors as write_anchors,
+        write_bank as write_bank,
         write_condition_pictures as write_condition_pictures,
         write_films as write_films,
         write_heat_map as write_heat_map,
         write_leaderboard as write_leaderboard,
+        write_model_card as write_model_card,
         write_pictures as write_pictures,
         write_sheets as write_sheets,
     )
@@ -158,7 +161,6 @@ if TYPE_CHECKING:
     from benchmark.sheets.writing import SheetSettings as SheetSettings
 
     QualityDefinition = _QualityDefinition
-    TrajectoryTraining = _TrajectoryTraining
     check_data = _check_data
     data_contents = _data_contents
     data_statistics = _data_statistics

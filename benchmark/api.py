@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from generation.build.ablation import ablate as ablate
     from generation.build.settings import BuildSettings as BuildSettings
     from generation.build.split import build_split as build_split
-    from generation.diffusion.training.card import train_trajectory_model as train_trajectory_model
-    from generation.diffusion.training.loop import TrainingConfig as TrainingConfig
+    from generation.diffusion.bank import write_bank as write_bank
+    from generation.diffusion.training.card import write_model_card as write_model_card
+    from generation.diffusion.training.loop import TrainingConfig as TrainingConfig, train_denoiser as train_denoiser
     from generation.render.magicdrive.command import magicdrive_renderer as magicdrive_renderer
     from generation.render.magicdrive.condition_pictures import write_condition_pictures as write_condition_pictures
     from generation.render.pictures import write_pictures as write_pictures

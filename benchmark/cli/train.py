@@ -23,13 +23,15 @@ def train_denoiser_command(
     seed: SeedOption = 0,
 ) -> None:
     """Train the trajectory model and describe it; the same command resumes."""
-    from generation.diffusion.training.card import train_trajectory_model
-    from generation.diffusion.training.loop import TrainingConfig
+    from generation.diffusion.bank import write_bank
+    from generation.diffusion.training.card import write_model_card
+    from generation.diffusion.training.loop import TrainingConfig, train_denoiser
 
     default = TrainingConfig(tracks=tracks, out=out, seed=seed)
     checking = default.held_out if held_out is None else name_list(held_out) or ()
-    weights, card = train_trajectory_model(replace(default, steps=steps or default.steps, held_out=checking))
-    typer.echo(f"{weights}, {card}")
+    weights = train_denoiser(replace(default, steps=steps or default.steps, held_out=checking))
+    write_bank(weights)
+    typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
 
 
 @app.command("planner")

@@ -39,7 +39,7 @@ FUNCTION_OF = {
     "data check": "check_data",
     "data import": "import_scenarionet",
     "data build": "build_town",
-    "train denoiser": "train_trajectory_model",
+    "train denoiser": "train_denoiser",
     "train planner": "train_planner",
     "train judge": "judge_again",
     "train ego-status": "train_ego_status",

@@ -9,8 +9,8 @@ from torch import Tensor
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, write_bytes
 from benchmark.weights.tensors import read_tensors
-from generation.diffusion.bank import bank_beside, write_bank
-from generation.diffusion.training.loop import HELD_OUT_SOURCES, TrainingConfig, train_denoiser
+from generation.diffusion.bank import bank_beside
+from generation.diffusion.training.loop import HELD_OUT_SOURCES
 from generation.diffusion.training.track_sources import find_track_sources
 
 TITLES: Final = {
@@ -67,23 +67,6 @@ NOT_MEASURED: Final = """\
 Not made: `python -m bench.denoiser_card WEIGHTS TRACKS` in a checkout of the project compares the samples with driving
 that the model never saw, tracks them with the physics simulator, and writes this card with the figures.
 """
-
-
-def train_trajectory_model(config: TrainingConfig) -> tuple[Path, Path]:
-    """Train the trajectory model, draw its bank and describe it; the same call resumes.
-
-    Args:
-        config: What to train on and how.
-
-    Returns:
-        The weights file, with its bank beside it, and the card.
-
-    Raises:
-        InputError: If the recordings cannot be used or the files cannot be written.
-    """
-    weights = train_denoiser(config)
-    write_bank(weights)
-    return weights, write_model_card(weights, config.tracks)
 
 
 def write_model_card(weights: Path, tracks: Path, measured: Sequence[str] = (NOT_MEASURED,)) -> Path:
