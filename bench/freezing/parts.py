@@ -135,7 +135,13 @@ def runs(tree: Tree, kind: Kind) -> None:
 def reads(tree: Tree, kind: Kind) -> None:
     """What is read from runs and data sets; the start's records are judged anew by either tree."""
     for protocol in ("exact", "native"):
-        tree.print("transfer", "transfer", "--out", "out2", "--protocol", protocol, "--json")
+        matrices = json.loads(tree.run("transfer", "--out", "out2", "--protocol", protocol, "--json"))
+        # Records are named by their content, identities of code included.
+        found = {
+            name: {what: value for what, value in matrix.items() if what != "records"}
+            for name, matrix in matrices.items()
+        }
+        tree.note("transfer", f"under {protocol}", json.dumps(found))
     roots = ("town", "out2/data/town/adv", "out2/data/town/val-r")
     for what in ("info", "stats", "check"):
         for root in roots if kind.whole or what == "info" else roots[:2]:
@@ -165,7 +171,9 @@ def help_texts(tree: Tree, kind: Kind) -> None:
 def refusals(tree: Tree, kind: Kind) -> None:
     """The sentences with which commands refuse."""
     for refused in REFUSALS:
-        tree.note("refusals", " ".join(refused), tree.refusal(*refused))
+        # A sentence names the module of hyper-parameters, which moves.
+        said = re.sub(r"generation\.[\w.]*hyperparameters", "the hyper-parameters", tree.refusal(*refused))
+        tree.note("refusals", " ".join(refused), said)
 
 
 def verify(tree: Tree, kind: Kind) -> None:
