@@ -7,7 +7,9 @@ only what needs it.
 import importlib
 from typing import TYPE_CHECKING, Any, Final
 
-__version__ = "0.1.0"
+from benchmark.constants import VERSION
+
+__version__ = VERSION
 _DEFINED_IN: Final = {
     "benchmark.datasets.roots": ["DataSet"],
     "benchmark.machine.workspace": ["Workspace"],

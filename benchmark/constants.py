@@ -5,6 +5,8 @@ Lengths are metres, times seconds, frequencies hertz.
 
 from typing import Final
 
+VERSION: Final = "0.1.0"
+"""Of this program."""
 KEYFRAME_HZ: Final = 2
 """Annotated samples per second (nuScenes keyframes)."""
 FRAME_HZ: Final = 12

@@ -23,7 +23,7 @@ from adapters.checkpoints.matching import matched
 from adapters.checkpoints.motion_anchors import anchors_beside, published_beside, with_motion_anchors
 from adapters.models import Model, miniatures, published_model
 from adapters.networks.sparse.anchors import with_anchors
-from benchmark import __version__
+from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, only_writer
 from benchmark.runs.code_identity import outside_identity
@@ -109,7 +109,7 @@ def import_checkpoint(
         licence=official.licence if official else "unknown",
         number_types=tuple(sorted({str(t.dtype).removeprefix("torch.") for t in checkpoint.tensors.values()})),
         anchors_sha256=None if anchors is None else file_sha256(anchors),
-        tool=__version__,
+        tool=VERSION,
     )
     target = weights_path(cache or weights_folder(), provenance)
     write_weights(target, tensors, provenance)

@@ -20,7 +20,7 @@ from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.training.phases import Phase
 from adapters.training.plan_figures import Images, figures, plan_figures
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
-from benchmark import __version__
+from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.machine.environment import source_state
@@ -308,7 +308,7 @@ def _provenance(training: PlannerTraining, store: FrameStore, tensors: Mapping[s
         normalisation_from="training",
         licence="Apache-2.0",
         number_types=tuple(sorted({str(value.dtype).removeprefix("torch.") for value in tensors.values()})),
-        tool=__version__,
+        tool=VERSION,
     )
 
 
@@ -334,5 +334,5 @@ def _facts(
         "sha256": file_sha256(training.out),
         "bytes": training.out.stat().st_size,
         "source": source_state(),
-        "tool": __version__,
+        "tool": VERSION,
     }

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from benchmark import __version__
 from benchmark.cli import data, demo, evaluate, generate, show, train, verify, weights
+from benchmark.constants import VERSION
 from benchmark.errors import InputError
 
 app = typer.Typer(
@@ -68,5 +68,5 @@ def _help(text: str) -> int:
 @app.callback(invoke_without_command=True)
 def _top(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
-        typer.echo(__version__)
+        typer.echo(VERSION)
         raise typer.Exit
