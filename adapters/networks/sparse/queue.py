@@ -11,8 +11,9 @@ from adapters.networks.sparse.config import STRIDE, SparseConfig
 from adapters.networks.sparse.decoder import Decoded
 from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.lines import GROUND_Z_M
+from benchmark.constants import EGO_HEIGHT_M
 
-EGO_SIZE_M = (4.08, 1.73, 1.56)
+EGO_SIZE_M = (4.08, 1.73, EGO_HEIGHT_M)
 """Along, across, upwards."""
 SURE = 0.2
 """Agents that were less certain than this are not followed."""
