@@ -20,8 +20,6 @@ WEBP_QUALITY: Final = 80
 NEAR_PLANE_M: Final = 0.1
 FARTHEST_IN_TIME_S: Final = 0.06
 """A frame between samples has a picture if each camera has an image so near in time; images are 0.083 s apart."""
-_PARALLEL_PX: Final = 1e-9
-"""A segment that moves less along an axis lies beside it; dividing by less could overflow."""
 _LEAST_EDGE_PX: Final = 0.1
 
 
@@ -230,11 +228,12 @@ def cut_at_borders(segment: Floats, width: int, height: int) -> Floats | None:
     start, along = segment[0], segment[1] - segment[0]
     first, last = 0.0, 1.0
     for axis, limit in ((0, width), (1, height)):
-        if abs(along[axis]) < _PARALLEL_PX:
+        if along[axis] == 0:
             if not 0 <= start[axis] <= limit:
                 return None
             continue
-        low, high = sorted((-start[axis] / along[axis], (limit - start[axis]) / along[axis]))
+        with np.errstate(over="ignore"):  # A segment that hardly moves along an axis meets its border at infinity.
+            low, high = sorted((-start[axis] / along[axis], (limit - start[axis]) / along[axis]))
         first, last = max(first, float(low)), min(last, float(high))
     if first > last:
         return None
