@@ -124,7 +124,7 @@ def open_split(source: "DataSet", split: str, out: Path = OUT, *, workers: int =
         split: ``val``, ``val-r``, ``adv``, or a split of the data set's own.
         out: Folder below which generated splits lie.
         workers: Processes that generate a missing split; 0 takes all processors.
-        settings: Further settings of a missing split (`generation.build.split.BuildSettings`).
+        settings: Further settings of a missing split (`generation.build.settings.BuildSettings`).
 
     Returns:
         The source itself, or the generated root that was made from it.
@@ -281,7 +281,7 @@ def _shown(
 
     space = workspace(out)
     quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
-    ablations = find_ablations(space.out / "ablation")
+    ablations = find_ablations(space.ablation_root())
     no_runs = bool(quality or sheets.splits or ablations) and folders is None and not space.run_root().exists()
     return [] if no_runs else find_records(*(folders or [space.run_root()])), quality, sheets, ablations
 

@@ -116,7 +116,7 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
         records += _evaluate_built_in(dataset, split, out, processes)
     driver = api.planner_under_test("uniad-mini", data=EMBEDDED, workers=workers)
     settings = BuildSettings(
-        out=out / "ablation" / source.name / driver.factory.facts.name,
+        out=api.workspace(out).ablation_root() / source.name / driver.factory.facts.name,
         hyper=HyperParameters(candidate_limit=FULL_DEMO_VEHICLES),
         renderer=api.schematic_renderer(),
         frames="keyframes",

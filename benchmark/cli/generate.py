@@ -212,7 +212,7 @@ def ablate_command(
     drawing, place = api.schematic_renderer(image_size(size)), executor_of(executor, address, workers)
     source = api.open_data(data, tables=tables, workers=workers)
     settings = BuildSettings(
-        out=out / "ablation" / source.name / file_name(planner.factory.facts.name),
+        out=api.workspace(out).ablation_root() / source.name / file_name(planner.factory.facts.name),
         hyper=hyper,
         prior=trajectory_model(preset.value, denoiser, device),
         source_split=source_split,

@@ -48,6 +48,10 @@ class Workspace:
         """Folder of all scene sheets."""
         return self.out / "sheets"
 
+    def ablation_root(self) -> Path:
+        """Folder of all ablation studies."""
+        return self.out / "ablation"
+
     def rendering_root(self) -> Path:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
         return self.out / "rendering"
