@@ -76,7 +76,8 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
         ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres
         if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
         judge), ``contact`` (seconds to each protocol's first contact, or null), ``cause``, ``reason``, ``hit`` and
-        ``l2`` (metres at the six steps; null past the recording). What there is none of is left out.
+        ``l2`` (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
+        ``contact``; what there is none of beyond them is left out.
 
     Raises:
         InputError: If the plan has lists of the wrong lengths.
@@ -87,18 +88,22 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
     start = to_global(np.array([row.lidar_ahead_m, 0.0]), axle)
     begin = (float(start[0]), float(start[1]))
     judged = [row.outcomes.get(name) for name in protocols]
-    entry: dict[str, Any] = {
+    # A packed series may be empty and still be one: headings that are all zero, of a plan straight ahead.
+    always: dict[str, Any] = {
         "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "modes": [packed_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
-        "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
         "verdicts": [None if outcome is None else _bits(outcome) for outcome in judged],
         "contact": [_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
+    }
+    sometimes: dict[str, Any] = {
+        "modes": [packed_path(mode, CENTIMETRE, begin) for mode in placed.modes[:MODES_SHOWN]],
+        "forecasts": [] if placed.forecasts is None else _forecasts(placed.forecasts, axle),
         "l2": _displacements(judged),
     }
     if row.diagnosis is not None:
-        entry |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason, "hit": agents.get(row.diagnosis.hit)}
-    return {name: value for name, value in entry.items() if value is not None and value != []}
+        sometimes |= {"cause": row.diagnosis.cause, "reason": row.diagnosis.reason}
+        sometimes["hit"] = agents.get(row.diagnosis.hit)
+    return always | {name: value for name, value in sometimes.items() if value is not None and value != []}
 
 
 def _most_likely_first(row: SampleRow) -> SampleRow:

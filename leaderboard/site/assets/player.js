@@ -18,10 +18,18 @@
       place.replaceChildren(this.waiting);
       player.load(key).then((scene) => {
         if (!this.stop.signal.aborted) this.begin(scene);
-      }, ({ message }) => {
-        if (this.stop.signal.aborted) return;
-        place.replaceChildren(element("p", { class: "error", role: "alert", "data-testid": "error" }, message));
-      });
+      }).catch((error) => this.giveUp(error));
+    }
+
+    /** Nobody waits for what will not come. @param {Error} error */
+    giveUp(error) {
+      if (this.stop.signal.aborted) return;
+      // What the loader says is for readers; anything else is a fault in the script, and the console has it.
+      const said = error instanceof player.LoadError;
+      if (!said) console.error(error);
+      this.destroy();
+      this.place.replaceChildren(element("p", { class: "error", role: "alert", "data-testid": "error" }, said
+        ? error.message : "The script of this scene is damaged; write the site again with challenger-bench leaderboard."));
     }
 
     destroy() {

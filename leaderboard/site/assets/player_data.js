@@ -205,28 +205,31 @@
     };
   }
 
+  /** Why there is no scene, in a sentence. */
+  class LoadError extends Error {}
+
   /**
    * Load a scene by a script tag: pages from disk may not fetch.
    * @param {string} key @returns {Promise<*>} The scene; rejected with a sentence.
    */
   function load(key) {
     const store = (window.CHALLENGER_SCENES = window.CHALLENGER_SCENES ?? {});
-    if (!KEY.test(key)) return Promise.reject(new Error(`“${key}” is not the key of a scene.`));
+    if (!KEY.test(key)) return Promise.reject(new LoadError(`“${key}” is not the key of a scene.`));
     const path = `data/scenes/${key}.js`;
     const missing = `${path} is missing or damaged; write the site again with challenger-bench leaderboard.`;
     if (Object.hasOwn(store, key)) return Promise.resolve(decode(store[key]));
     return new Promise((resolve, reject) => {
       const script = document.createElement("script");
-      script.addEventListener("error", () => { script.remove(); reject(new Error(missing)); });
+      script.addEventListener("error", () => { script.remove(); reject(new LoadError(missing)); });
       script.addEventListener("load", () => {
         script.remove();
-        if (!Object.hasOwn(store, key)) return reject(new Error(missing));
+        if (!Object.hasOwn(store, key)) return reject(new LoadError(missing));
         for (const old of Object.keys(store).slice(0, -SCENES_KEPT)) if (old !== key) delete store[old];
         try {
           return resolve(decode(store[key]));
         } catch (error) {
           console.error(error);
-          return reject(new Error(missing));
+          return reject(new LoadError(missing));
         }
       });
       script.src = path;
@@ -234,5 +237,5 @@
     });
   }
 
-  Object.assign(player, { load, bodyAlong, STEPS, STEP_S });
+  Object.assign(player, { LoadError, load, bodyAlong, STEPS, STEP_S });
 })();
