@@ -21,7 +21,7 @@ def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
 
     Raises:
         InputError: If two records cover the same split with the same planner, or runs on one split of one data set
-            saw different content.
+            saw different content, or adversarial scenes were recorded under the name of another split.
     """
     chosen: dict[tuple[str, str, str], RunRecord] = {}
     for record in sorted(labelled(records), key=_preference):
@@ -34,6 +34,7 @@ def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
             )
     found = list(chosen.values())
     _require_same_content(found)
+    _require_one_split(found)
     return sorted(found, key=lambda record: (record.run.data.name, record.run.split, record.planner))
 
 
@@ -52,3 +53,25 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
                 f"{record.run.data.name} (the data fingerprints differ); run challenger-bench eval again for the older "
                 "one, or move it away"
             )
+
+
+def _require_one_split(records: Sequence[RunRecord]) -> None:
+    """Adversarial scenes under the name of another split would be compared with themselves: an increase of 0."""
+    adversarial = {_scenes(record): record for record in records if record.run.split == "adv"}
+    for record in records:
+        same = adversarial.get(_scenes(record))
+        if same is not None and record is not same and record.run.split != "adv":
+            raise InputError(
+                f"{record.directory} and {same.directory} hold the same scenes of {record.run.data.name} as split "
+                f"{record.run.split} and as split adv; remove the first, which is no {record.run.split}"
+            )
+        made = sorted(name for name, facts in record.run.scene_facts.items() if facts.manoeuvre is not None)
+        if made and record.run.split == "val":
+            raise InputError(
+                f"{record.directory} calls scenes val that have a generated adversary ({made[0]}); remove it and run "
+                "challenger-bench eval --split adv"
+            )
+
+
+def _scenes(record: RunRecord) -> tuple[str, str, tuple[str, ...]]:
+    return record.run.data.name, record.run.data.fingerprint, tuple(record.run.scenes)

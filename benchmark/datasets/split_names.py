@@ -49,11 +49,13 @@ def scenes_of_split(
     where: str,
     built_as: str | None = None,
 ) -> tuple[str, ...]:
-    """Scenes of a split, by the first rule that applies.
+    """Scenes of a split.
 
-    1. ``splits.json`` names it. 2. The data set was built as this split (``challenger.json``). 3. nuScenes has an
-    official list of this name and some of its scenes are here. 4. ``adv``, and every scene is called like the
-    published Adv-nuSc's (``scene-0001-suffix``): all. 5. ``val``: ``mini_val`` if present, else all.
+    A data set that says which splits it has (``splits.json``, or ``challenger.json`` of a generated one) has these and
+    no others: adversarial scenes are never taken for ``val``. Of one that says nothing the first rule counts that
+    applies: 1. ``adv`` alone, of all scenes, where every scene is called like the published Adv-nuSc's
+    (``scene-0001-suffix``). 2. nuScenes' official lists, of the scenes that are here. 3. ``val``, of all scenes,
+    where no official list names any.
 
     Args:
         split: Name of the split.
@@ -66,7 +68,7 @@ def scenes_of_split(
         Sorted scene names.
 
     Raises:
-        InputError: If no rule applies, or ``splits.json`` names a scene that is not here.
+        InputError: If there is no such split, or ``splits.json`` names a scene that is not here.
     """
     if split in custom:
         absent = sorted(set(custom[split]) - set(present))
@@ -76,16 +78,22 @@ def scenes_of_split(
                 "set or correct splits.json"
             )
         return tuple(sorted(custom[split]))
-    suffixed = all(_SUFFIXED.fullmatch(name) for name in present)
-    if split == built_as or (split == "adv" and suffixed):
-        return tuple(sorted(present))
-    known = _official(present)
+    known: dict[str, tuple[str, ...]] = {} if built_as is None else {built_as: tuple(sorted(present))}
+    if not custom and built_as is None:
+        known = _unsaid(present)
     if split in known:
         return known[split]
-    if split == "val":
-        return known.get("mini_val", tuple(sorted(present)))
-    names = {*custom, *known, "val", *({"adv"} if suffixed else ()), *({built_as} if built_as else ())}
-    raise InputError(f"{where} has no split {split!r}; it has {', '.join(sorted(names))}")
+    there = sorted({*custom, *known})
+    only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
+    raise InputError(f"{where} has no split {split!r}; {only}")
+
+
+def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Splits of a data set that does not say which it has."""
+    everything = tuple(sorted(present))
+    if present and all(_SUFFIXED.fullmatch(name) for name in present):
+        return {"adv": everything}
+    return _official(present) or {"val": everything}
 
 
 def _official(present: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -15,11 +15,13 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.published import TABLE_1
 from benchmark.records.run import RunRecord, find_records
+from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
 from leaderboard.selection import one_run_each
 from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.benchmark.records.hand_made_records import HIT, hand_made
 from tests.leaderboard.csv_rows import csv_rows
 
 FIRST_SCENE = EvalSettings(scenes=("scene-9901",))
@@ -160,6 +162,17 @@ def test_records_of_different_content_under_one_name_are_refused(runs: tuple[Run
     with pytest.raises(InputError, match=r"different content of split val of fake .*run challenger-bench eval again"):
         leaderboard_files([*runs, other])
     assert leaderboard_tables([*runs, named(other, data="another")])
+
+
+def test_adversarial_scenes_under_the_name_of_another_split_are_refused() -> None:
+    adversarial, recorded = (hand_made("p", {"a": [HIT]}, split=split) for split in ("adv", "val"))
+    assert len(one_run_each([adversarial, recorded])) == 2
+    same = recorded.run.model_copy(update={"data": adversarial.run.data})
+    with pytest.raises(InputError, match="the same scenes of d as split val and as split adv"):
+        one_run_each([adversarial, replace(recorded, run=same)])
+    facts = {"a": SceneFacts(source="a", manoeuvre="cut-in-left")}
+    with pytest.raises(InputError, match="have a generated adversary"):
+        one_run_each([replace(recorded, run=recorded.run.model_copy(update={"scene_facts": facts}))])
 
 
 def test_the_increase_is_that_of_the_paper(runs: tuple[RunRecord, ...]) -> None:

@@ -8,6 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
+
+from benchmark.cli.app import app
+from benchmark.errors import InputError
+
 
 @dataclass(frozen=True)
 class Run:
@@ -30,6 +35,15 @@ def challenger_bench(*arguments: str | Path, cache: Path | None = None, timeout:
     command = [sys.executable, "-m", "benchmark", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=timeout, check=False)
     return Run(done.returncode, done.stdout, done.stderr)
+
+
+def refusal(*arguments: str | Path) -> str:
+    """The sentence with which a command refuses its arguments; in this process, which is quick."""
+    try:
+        typer.main.get_command(app).main([*map(str, arguments)], prog_name="challenger-bench", standalone_mode=False)
+    except (InputError, typer.TyperException) as error:
+        return str(error)
+    raise AssertionError(f"{arguments} is not refused")
 
 
 def bytes_below(folder: Path) -> dict[str, bytes]:

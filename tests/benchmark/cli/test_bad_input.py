@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
-from tests.benchmark.cli.cli_runs import Run, challenger_bench
+from tests.benchmark.cli.cli_runs import Run, challenger_bench, refusal
 from tests.hand_made import scene_on_straight_road
 
 VERSION = "v1.0-mini"
@@ -95,6 +95,28 @@ def test_unknown_model(good: Path, tmp_path: Path) -> None:
 def test_unknown_split(good: Path, tmp_path: Path) -> None:
     run = challenger_bench("eval", "--data", good, "--split", "vla", "--out", tmp_path, "--model", "idm")
     assert_one_sentence(run, "vla", "val")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("eval", "--model", "idm"), "--split"),
+        (("sheets",), "--split"),
+        (("quality", "--masks", "boxes"), "--split"),
+        (("generate", "--renderer", "none"), "--source-split"),
+        (("ablate",), "--source-split"),
+    ],
+)
+def test_adversarial_scenes_are_never_val(
+    broken: Path, tmp_path: Path, arguments: tuple[str, ...], option: str
+) -> None:
+    """As `generate` and `demo` write them: `splits.json` has adv alone; `val` is the default, and may be named."""
+    (broken / VERSION / "splits.json").write_text('{"adv": ["scene-9901"]}')
+    (broken / VERSION / "challenger.json").write_text('{"split": "adv", "scenes": {"scene-9901": {}}}')
+    for named in ((), (option, "val")):
+        said = refusal(*arguments, *named, "--data", broken, "--out", tmp_path / "out")
+        assert said.endswith("road has no split 'val'; the only one is adv")
+    assert not (tmp_path / "out" / "runs").exists()
 
 
 def test_split_not_generated_yet(good: Path, tmp_path: Path) -> None:

@@ -176,8 +176,10 @@ def test_a_scene_without_objects_is_fine(tmp_path: Path) -> None:
     assert data.truth("scene-9901")[0].boxes.shape == (0, 7, 5)
 
 
-def splits(split: str, present: list[str], custom: dict[str, list[str]] | None = None) -> tuple[str, ...]:
-    return scenes_of_split(split, present, custom or {}, where="here")
+def splits(
+    split: str, present: list[str], custom: dict[str, list[str]] | None = None, built_as: str | None = None
+) -> tuple[str, ...]:
+    return scenes_of_split(split, present, custom or {}, where="here", built_as=built_as)
 
 
 def test_split_rules() -> None:
@@ -193,6 +195,25 @@ def test_split_rules() -> None:
         splits("adv", mini)
     with pytest.raises(InputError, match="x into 'val'"):
         splits("val", ["a"], {"val": ["x"]})
+
+
+@pytest.mark.parametrize(
+    ("present", "custom", "built_as", "says"),
+    [
+        (["a", "b"], {"adv": ["a"]}, None, "the only one is adv"),
+        (["a", "b"], {"adv": ["a"], "own": ["b"]}, None, "it has adv, own"),
+        (["a", "b"], {}, "adv", "the only one is adv"),
+        (["scene-0103"], {"adv": ["scene-0103"]}, "adv", "the only one is adv"),
+        (["scene-0003-a"], {}, None, "the only one is adv"),
+        (["scene-0061"], {}, None, "it has mini_train, train, train_detect"),
+    ],
+)
+def test_only_recorded_validation_scenes_are_val(
+    present: list[str], custom: dict[str, list[str]], built_as: str | None, says: str
+) -> None:
+    """`val` is the default: of adversarial scenes it would give the rate of adv under the name of val."""
+    with pytest.raises(InputError, match=f"here has no split 'val'; {says}"):
+        splits("val", present, custom, built_as)
 
 
 @pytest.mark.parametrize("content", ["[]", '{"val": "scene-1"}', '{"val": ["a", "a"]}', "{"])
