@@ -3,15 +3,37 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
+TORCH_CPU ?= https://download.pytorch.org/whl/cpu
+
 .PHONY: setup browser demo paper test check bench clean
 
 setup: $(VENV)/.complete
 
 $(VENV)/.complete: pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
-	touch $@
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
+	  { echo "challenger-bench needs Python 3.11 or newer, and $(PYTHON) is older; try: make PYTHON=python3.12"; exit 2; }
+	@echo "setting up $(CURDIR)/$(VENV): torch, nuscenes-devkit, ray, transformers, the tools of the tests and what they need"
+	@echo "about 0.6 GB to fetch and 2.3 GB on disk, minutes; with CUDA libraries about 3 GB and 8 GB. Nothing outside this folder."
+	@$(PYTHON) -m venv $(VENV)
+	@$(torch_without_cuda)
+	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
+	@$(BIN)/python -c "import torch; print('set up, with torch', torch.__version__)"
+	@touch $@
 
+# An index that cannot be reached costs 5 seconds; whatever goes wrong here, pip's own choice comes after it.
+define torch_without_cuda
+if [ "$$(uname -s)" != Linux ]; then :; \
+elif [ -e /dev/nvidia0 ] || command -v nvidia-smi >/dev/null 2>&1; then echo "an NVIDIA GPU is here: torch with CUDA"; \
+elif ! $(BIN)/python -c "import signal, urllib.request as u; signal.alarm(5); u.urlopen('$(TORCH_CPU)/torch/')" >/dev/null 2>&1; \
+then echo "no GPU here, but PyTorch's index of builds without CUDA does not answer: torch is what pip finds"; \
+elif $(PIP) install --quiet --no-deps --index-url $(TORCH_CPU) $$(grep -m1 '^torch==' constraints.txt); \
+then echo "no GPU here: torch without CUDA, from PyTorch's own index"; \
+else echo "PyTorch's index has no build without CUDA for this machine: torch is what pip finds"; fi
+endef
+
+# Debian's packages, as root or by sudo where it asks no password.
 browser:
 	@sh tests/leaderboard/site/get_chromium.sh
 
@@ -26,8 +48,11 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: check browser
+# Installs nothing beside the packages of set-up: without Chromium the tests in a browser are skipped.
+test: check
 	$(BIN)/pytest -n auto --dist loadscope
+	@{ command -v "$${CHROMIUM:-chromium}" && command -v "$${CHROMEDRIVER:-chromedriver}"; } >/dev/null 2>&1 || \
+	  echo "there is no Chromium with its driver here: the tests of the site in a browser were skipped; make browser installs it"
 
 bench: setup
 	for script in bench/[a-z]*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
