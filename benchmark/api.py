@@ -6,7 +6,7 @@ and a missing extra breaks only what needs it.
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from benchmark.errors import InputError
 
@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from generation.search.presets import hyper_parameters as hyper_parameters, trajectory_model as trajectory_model
     from generation.sources.importing import ImportSettings as ImportSettings, import_scenarionet as import_scenarionet
     from generation.sources.mini import TownSettings as TownSettings, build_town as build_town
+    from generation.splits.building import build_frozen as build_frozen
+    from generation.splits.packaged import frozen_split as frozen_split, packaged_splits as packaged_splits
     from leaderboard.figures.heat_map import write_heat_map as write_heat_map
     from leaderboard.films.film import FilmSettings as FilmSettings
     from leaderboard.films.filming import write_films as write_films
@@ -116,37 +118,72 @@ def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: 
     return open_root(build_town(root, settings, workers=worker_count(workers)), name=EMBEDDED)
 
 
-def open_split(source: "DataSet", split: str, out: Path = OUT, *, workers: int = 0, **settings: Any) -> "DataSet":
-    """Open the data set that holds a split; missing splits of the embedded data are generated on the spot.
+def open_split(
+    source: "DataSet", split: str, out: Path = OUT, *, workers: int = 0, frames: Literal["all", "keyframes"] = "all"
+) -> "DataSet":
+    """Open the data set that holds a split.
+
+    Of the embedded data set, ``adv`` is what was generated below ``out``, else the newest frozen split, which is built
+    into the user's cache without a search; a missing ``val-r`` is rendered on the spot.
 
     Args:
         source: The data set that the split is of.
         split: ``val``, ``val-r``, ``adv``, or a split of the data set's own.
         out: Folder below which generated splits lie.
-        workers: Processes that generate a missing split; 0 takes all processors.
-        settings: Further settings of a missing split (`generation.build.settings.BuildSettings`).
+        workers: Processes that build a missing split; 0 takes all processors.
+        frames: Which frames of a missing ``val-r`` get images.
 
     Returns:
-        The source itself, or the generated root that was made from it.
+        The source itself, or the root that was made from it.
 
     Raises:
         InputError: If the split has not been generated, or was made from another version of the source.
     """
     from benchmark.machine.workspace import EMBEDDED
 
-    def build() -> None:
+    def build() -> Path:
+        if split == "adv":
+            return frozen_root(source, workers)
         from benchmark.machine.workers import LocalProcesses
         from generation.build.settings import BuildSettings
         from generation.build.split import build_split
 
-        tell(f"generating split {split} of the embedded data set (once, some minutes)")
-        target = workspace(out).split_root(source.name, split)
-        executor = LocalProcesses(worker_count(workers))
-        build_split(
-            source, split, BuildSettings(out=target, renderer=schematic_renderer(), executor=executor, **settings)
-        )
+        tell(f"rendering split {split} of the embedded data set (once, some minutes)")
+        target, executor = workspace(out).split_root(source.name, split), LocalProcesses(worker_count(workers))
+        settings = BuildSettings(out=target, renderer=schematic_renderer(), frames=frames, executor=executor)
+        build_split(source, split, settings)
+        return target
 
     return workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
+
+
+def frozen_root(source: "DataSet", workers: int = 0) -> Path:
+    """Root of the newest frozen split of the embedded data set, in the user's cache; built where it is not finished."""
+    from generation.splits.cached import cached_root
+
+    return cached_root(source, schematic_renderer(), worker_count(workers), tell)
+
+
+def known_scenes(data: str | Path, split: str, out: Path = OUT) -> "tuple[str, ...] | None":
+    """Names of a split's scenes, as far as they are known without building or opening anything large.
+
+    Args:
+        data: ``mini`` or the root of a data set.
+        split: The split.
+        out: Folder below which generated splits lie.
+
+    Returns:
+        The names that `open_split` would find in split ``adv`` of the embedded data set; ``None`` of anything else.
+
+    Raises:
+        InputError: If what was generated cannot be read.
+    """
+    from benchmark.machine.workspace import EMBEDDED
+    from generation.splits.cached import known_scenes as known
+
+    if str(data) != EMBEDDED or split != "adv":
+        return None
+    return known(EMBEDDED, split, workspace(out).split_root(EMBEDDED, split))
 
 
 def schematic_renderer(size: tuple[int, int] = DEFAULT_IMAGE_SIZE) -> "Renderer":

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
@@ -127,6 +128,7 @@ def evaluate(
         "scenes": list(scenes),
         "scenes_in_split": len(every_scene),
         "scene_facts": data.scene_facts(scenes),
+        "frozen_split": frozen_split_of(data.provenance()),
         "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 RESULTS = Path("docs/results")
 """Folder of the page of measured results and its numbers."""
-FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES = 3, 5
-"""Of each recorded scene in ``demo --full``: most variants in ``adv``, and most vehicles tried for the ablation."""
+FULL_DEMO_VEHICLES = 5
+"""Most vehicles tried of each recorded scene for the ablation of ``demo --full``."""
 
 
 def demo(
@@ -88,7 +88,7 @@ def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int
 
 
 def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> list[Path]:
-    """Measure what docs/results shows: all splits of mini, all built-in planners, the ablation.
+    """Measure what docs/results shows: all splits of mini (adv is the newest frozen one), all planners, the ablation.
 
     Args:
         out: Folder for everything that is made.
@@ -101,6 +101,7 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     Raises:
         InputError: If something cannot be built, run or written.
     """
+    from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workers import LocalProcesses
     from benchmark.machine.workspace import EMBEDDED
     from generation.build.ablation import ablate
@@ -112,7 +113,11 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     records = []
     for split in ("val", "val-r", "adv"):
         # Planners see key frames only; the others would take most of the time.
-        dataset = api.open_split(source, split, out, workers=workers, frames="keyframes", per_scene=FULL_DEMO_PER_SCENE)
+        if split == "adv":
+            # Not what somebody searched for below the same folder: the page is about the frozen split.
+            dataset = open_root(api.frozen_root(source, workers), name=source.name)
+        else:
+            dataset = api.open_split(source, split, out, workers=workers, frames="keyframes")
         records += _evaluate_built_in(dataset, split, out, processes)
     driver = api.planner_under_test("uniad-mini", data=EMBEDDED, workers=workers)
     settings = BuildSettings(
@@ -134,7 +139,7 @@ def stale_demo(to: Path = RESULTS) -> list[str]:
 
 
 def _results_from() -> dict[str, Any]:
-    """What the measured results depend on: weights, town, search and protocols."""
+    """What the measured results depend on: weights, town, frozen split, search and protocols."""
     from adapters.models import miniatures
     from benchmark.machine.storage import file_sha256
     from benchmark.protocols import PROTOCOLS
@@ -142,11 +147,14 @@ def _results_from() -> dict[str, Any]:
     from generation.search.definition import PackagedPrior
     from generation.search.hyperparameters import HyperParameters
     from generation.sources.mini import TownSettings
+    from generation.splits.packaged import newest_split
 
+    newest = newest_split("mini")
     return {
         "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
         "town": TownSettings().folder_name("mini"),
-        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_PER_SCENE, FULL_DEMO_VEHICLES],
+        "frozen split": [newest.name, newest.frozen.content_id],
+        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_VEHICLES],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
         "protocols": {name: definition.version for name, definition in PROTOCOLS.items()},
     }

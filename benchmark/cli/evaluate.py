@@ -113,11 +113,9 @@ def rescore_command(
     from benchmark.runs.rescoring import rescore_all
 
     source = api.open_data(data, tables=tables, workers=workers)
-    space = api.workspace(out)
-    folders = records or [space.run_root()]
-    results = [
-        result for folder in folders for result in rescore_all(folder, partial(space.open_split, source), source.name)
-    ]
+    folders = records or [api.workspace(out).run_root()]
+    opener = partial(api.open_split, source, out=out, workers=workers)
+    results = [result for folder in folders for result in rescore_all(folder, opener, source.name)]
     if json_output:
         print_json([{"directory": str(result.directory), "says": result.sentence} for result in results])
     else:

@@ -1,7 +1,7 @@
 """Commands that make scenes: ``generate`` and ``ablate``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -53,10 +53,26 @@ from benchmark.errors import InputError
 if TYPE_CHECKING:
     from generation.build.report import BuildReport
     from generation.render.contract import Renderer
+    from generation.splits.packaged import NamedSplit
+
+_OF_THE_SEARCH: Final = (
+    "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
+    "candidates", "rounds", "parked", "preset", "changes", "denoiser", "calls", "dropout", "device", "together",
+    "keep_rounds", "profile",
+)  # fmt: skip
+"""Options of ``generate`` that say nothing to a split that is built from a frozen one."""
 
 
 def generate_command(
+    context: typer.Context,
     split: SplitOption = "adv",
+    from_file: Annotated[
+        str | None,
+        typer.Option("--from", help="Rebuild a frozen split, a file or mini-adv-1, without a search."),
+    ] = None,
+    freeze: Annotated[
+        Path | None, typer.Option(help="Also write the result as a frozen split, a few kB a scene, to this file.")
+    ] = None,
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
@@ -107,8 +123,12 @@ def generate_command(
     from generation.build.settings import BuildSettings
     from generation.build.split import build_split, require_generated, source_scenes
     from generation.search.presets import hyper_parameters, trajectory_model
+    from generation.splits.freezing import require_freezable
 
     require_generated(split)
+    frozen = None if from_file is None else _frozen(from_file, split, context)
+    if freeze is not None:
+        require_freezable(split, freeze)
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
     hyper = hyper_parameters(preset.value, shortcuts, changes or ())
     if surrogate is None and surrogate_checkpoint is not None:
@@ -159,11 +179,32 @@ def generate_command(
         rendering=rendering,
         together=together,
         keep_rounds=keep_rounds,
+        freeze=freeze,
         dry_run=dry_run,
     )
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    _tell(build_split(source, split, settings), profile=profile, json_output=json_output)
+    if frozen is None:
+        _tell(build_split(source, split, settings), profile=profile, json_output=json_output)
+        return
+    from generation.splits.building import build_frozen
+
+    built = build_frozen(source, frozen, settings)
+    print_json(built.as_json()) if json_output else typer.echo(built.summary())
+
+
+def _frozen(file: str, split: str, context: typer.Context) -> "NamedSplit":
+    """The frozen split to build; raises `InputError` if there is none or options of the search stand beside it."""
+    from generation.splits.packaged import frozen_split
+
+    if split != "adv":
+        raise InputError(f"--from builds split adv, not {split}; leave --split out")
+    for name in _OF_THE_SEARCH:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name != "DEFAULT":
+            option = {"changes": "set"}.get(name, name).replace("_", "-")
+            raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")
+    return frozen_split(file)
 
 
 def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:

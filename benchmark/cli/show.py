@@ -1,5 +1,6 @@
 """Commands that show results: ``sheets``, ``film`` and ``leaderboard``."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -52,7 +53,7 @@ def sheets_command(
 
     settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
     source, root = api.open_data(data, tables=tables, workers=workers), api.workspace(out).sheet_root()
-    dataset = api.open_split(source, split, out, workers=workers, keep_rounds=rounds)
+    dataset = api.open_split(source, split, out, workers=workers)
     if dry_run:
         typer.echo(plan_of(dataset, split, root, settings))
         return
@@ -105,8 +106,9 @@ def submit_check_command(
     """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
     from benchmark.runs.submissions import Level, check_submission
 
-    source, space = api.open_data(data, tables=tables, workers=workers), api.workspace(out)
-    sound, findings = check_submission(folder, source.name, lambda split: space.open_split(source, split))
+    source = api.open_data(data, tables=tables, workers=workers)
+    opener = partial(api.open_split, source, out=out, workers=workers)
+    sound, findings = check_submission(folder, source.name, opener)
     if json_output:
         print_json(
             {"sound": [str(record.directory) for record in sound], "findings": [found.as_json() for found in findings]}

@@ -1,4 +1,4 @@
-"""Where a scene comes from and what is done in it, from ``challenger.json`` or from the scene's name."""
+"""Where scenes come from and what is done in them, from ``challenger.json`` or from a scene's name."""
 
 import re
 from collections.abc import Mapping
@@ -28,3 +28,17 @@ def scene_facts_of(name: str, made: Mapping[str, Any]) -> SceneFacts:
         source=made.get("source_scene") or (published[1] if published else name),
         manoeuvre=next((manoeuvre for manoeuvre in manoeuvres if isinstance(manoeuvre, str)), None),
     )
+
+
+def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
+    """Name of the frozen split that a data set was built from.
+
+    Args:
+        made: What ``challenger.json`` says of the data set, if there is one.
+
+    Returns:
+        The name, or ``None`` where nothing says so.
+    """
+    said = None if made is None else made.get("frozen")
+    name = said.get("name") if isinstance(said, dict) else None
+    return name if isinstance(name, str) else None

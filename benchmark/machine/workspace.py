@@ -56,13 +56,14 @@ class Workspace:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""
         return self.out / "rendering"
 
-    def open_split(self, source: DataSet, split: str, *, build: Callable[[], None] | None = None) -> DataSet:
+    def open_split(self, source: DataSet, split: str, *, build: Callable[[], Path] | None = None) -> DataSet:
         """The data set that holds a split of a source.
 
         Args:
             source: The data set that ``--data`` names.
             split: ``val``, ``val-r``, ``adv`` or any split the source itself has.
-            build: Called when a generated split is missing and may be made on the spot (the embedded data set).
+            build: Called when a generated split is not finished and there is another way to it (the embedded data
+                set); gives the root of a finished one.
 
         Returns:
             The source itself, or the generated root that was made from it.
@@ -74,7 +75,7 @@ class Workspace:
         if split not in GENERATED_SPLITS or (not root.exists() and _has_split(source, split)):
             return source
         if not is_finished(root) and build is not None:
-            build()
+            root = build()
         if not is_finished(root):
             data = "" if source.name == EMBEDDED else f"--data {source.root} "
             raise InputError(

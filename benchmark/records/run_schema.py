@@ -70,6 +70,7 @@ class RunFacts(Stored):
         scenes: Scenes that ran, in order.
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
         scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
+        frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
@@ -86,6 +87,7 @@ class RunFacts(Stored):
     scenes: list[str]
     scenes_in_split: int
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
+    frozen_split: str | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, int]
     seed: int

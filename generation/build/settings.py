@@ -39,6 +39,7 @@ class BuildSettings:
         jpeg_quality: 1 to 100.
         lossless: Beside each JPEG file a PNG file of the same name.
         keep_rounds: Whether the rounds of the search are kept for ``sheets --rounds``; of ``adv`` alone.
+        freeze: File for the frozen split that others rebuild it from (`generation.splits`); of ``adv`` alone.
         dry_run: Only count the work.
     """
 
@@ -63,6 +64,7 @@ class BuildSettings:
     jpeg_quality: int = 92
     lossless: bool = False
     keep_rounds: bool = False
+    freeze: Path | None = None
     dry_run: bool = False
 
     def __post_init__(self) -> None:

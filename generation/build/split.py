@@ -25,6 +25,9 @@ from generation.search.attempts import kept_attempt
 from generation.search.chains import Chain, SearchResult, first_units, search_chains
 from generation.search.definition import Search
 from generation.search.eligibility import not_tried_together
+from generation.splits.building import require_not_frozen
+from generation.splits.format import Choice, write_frozen
+from generation.splits.freezing import freeze, require_freezable
 
 
 class NothingSurvivedError(InputError):
@@ -52,10 +55,13 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         ``candidates.jsonl``, in the output root.
 
     Raises:
-        InputError: If the split is another, a scene is unknown, nothing survives, another command is writing there, or
-            the output cannot be written.
+        InputError: If the split is another, a scene is unknown, nothing survives, another command is writing there, the
+            output is built from a frozen split, or it cannot be written.
     """
     require_generated(split)
+    require_not_frozen(settings.out)
+    if settings.freeze is not None:
+        require_freezable(split, settings.freeze)
     names = source_scenes(source, settings)
     if split == "val-r":
         return _build_originals(source, names, settings)
@@ -172,7 +178,21 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
         )
     chosen.take_over(plan)
     notes = _write(source, plan, chosen.jobs, settings)
+    if settings.freeze is not None:
+        how = _choice(report, settings)
+        write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+
+
+def _choice(report: BuildReport, settings: BuildSettings) -> Choice:
+    return Choice(
+        scenes=report.scenes,
+        tried=report.tried,
+        survived=report.survived,
+        per_scene=settings.per_scene,
+        total=settings.total,
+        surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
+    )
 
 
 def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:

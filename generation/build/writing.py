@@ -35,6 +35,7 @@ class WritingJob:
         report: What ``challenger.json`` says of it.
         last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
             adversaries; ``None`` for a recording.
+        identity: What its tokens are made of, if not its motion.
     """
 
     name: str
@@ -44,6 +45,7 @@ class WritingJob:
     make: Callable[[Scene], Scene]
     report: dict[str, Any]
     last_attempt: tuple[str, int] | None = None
+    identity: str | None = None
 
     def name_read(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
@@ -92,7 +94,13 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
     scene, job = shipped
     started = time.process_time()
     key = write_scene(
-        plan, scene, name=job.written_as, variant=job.variant, source_scene=job.source_scene, report=job.report
+        plan,
+        scene,
+        name=job.written_as,
+        source_scene=job.source_scene,
+        report=job.report,
+        variant=job.variant,
+        identity=job.identity,
     )
     note = timing / f"{key}.timing.json"
     # A scene that was complete takes no time: what it took when it was rendered stays.

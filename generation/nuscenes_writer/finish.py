@@ -189,13 +189,16 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
         fragment["name"]: {name: fragment[name] for name in ("source_scene", "adversaries", "report")}
         for fragment in members
     }
-    return {
+    made = {
         "schema": PROVENANCE_SCHEMA,
         "split": plan.split,
         "source": source,
         "renderer": members[0]["renderer"],
         "scenes": scenes,
     }
+    if plan.frozen is not None:
+        made["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
+    return made
 
 
 def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:

@@ -54,6 +54,7 @@ class DataSetPlan:
         jpeg_quality: 1..100.
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         source: What the data set derives from, or ``None``.
+        frozen: Name and content hash of the frozen split that it is built from, if it is.
     """
 
     root: Path
@@ -65,6 +66,7 @@ class DataSetPlan:
     jpeg_quality: int = 92
     lossless: bool = False
     source: SourceInfo | None = None
+    frozen: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.jpeg_quality <= 100:
@@ -117,16 +119,26 @@ class SceneNames:
     keeps_instances: bool
 
     @classmethod
-    def of(cls, plan: DataSetPlan, scene: Scene, *, name: str, variant: int, source_scene: str) -> "SceneNames":
+    def of(
+        cls,
+        plan: DataSetPlan,
+        scene: Scene,
+        *,
+        name: str,
+        variant: int,
+        source_scene: str,
+        identity: str | None = None,
+    ) -> "SceneNames":
         """Names of a scene of a plan; see `write_scene` for the arguments."""
         require_plain_name("scene", name)
         suffix = name.removeprefix(source_scene) if name.startswith(source_scene) else ""
-        moved = content_key(digest((scene.timestamps_us, scene.ego, scene.agents, scene.annotations)))
+        if identity is None:
+            identity = content_key(digest((scene.timestamps_us, scene.ego, scene.agents, scene.annotations)))
         return cls(
             name=name,
             suffix=suffix,
             log=re.sub(r"[^A-Za-z0-9.+_-]", "_", scene.log or name),
-            identity=(plan.split, str(variant), name, moved),
+            identity=(plan.split, str(variant), name, identity),
             keeps_instances=plan.layout == "per-variant" or name == source_scene,
         )
 

@@ -24,7 +24,14 @@ FRAGMENT_SCHEMA = 1
 
 
 def write_scene(
-    plan: DataSetPlan, scene: Scene, *, name: str, source_scene: str, report: dict[str, Any], variant: int = 0
+    plan: DataSetPlan,
+    scene: Scene,
+    *,
+    name: str,
+    source_scene: str,
+    report: dict[str, Any],
+    variant: int = 0,
+    identity: str | None = None,
 ) -> str:
     """Render and write one scene; a scene that is already complete is left alone.
 
@@ -38,6 +45,7 @@ def write_scene(
         source_scene: Name of the recorded scene it comes from.
         report: Provenance that ends up in ``challenger.json``; plain JSON values.
         variant: Number of the root in the ``per-variant`` layout.
+        identity: What tokens are made of; the scene's motion by default, whose last bits depend on the processor.
 
     Returns:
         The content key, for `finish_data_set`.
@@ -48,11 +56,12 @@ def write_scene(
     """
     require_sound(scene)
     require_own_root(plan, variant)
-    names = SceneNames.of(plan, scene, name=name, variant=variant, source_scene=source_scene)
+    names = SceneNames.of(plan, scene, name=name, variant=variant, source_scene=source_scene, identity=identity)
     cameras = () if plan.renderer is None else plan.renderer.cameras(scene)
     map_key = _store_map(plan, scene.road_map)
     labels = {"name": name, "variant": variant, "source_scene": source_scene, "report": report}
-    key = scene_key(plan, scene, cameras, map_key=map_key, labels=labels)
+    called = labels if identity is None else {**labels, "identity": identity}
+    key = scene_key(plan, scene, cameras, map_key=map_key, labels=called)
     if is_complete(plan, key, variant=variant, name=name):
         return key
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
@@ -214,8 +223,7 @@ def _write_sensor_files(
             path, image = path_of(channel, frame), _checked(channel, images)
             if plan.lossless:
                 write_bytes(path.with_name(_lossless(path.name)), _encoded(image, ".png", []), durable=False)
-            data = _encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, plan.jpeg_quality])
-            write_bytes(path, data, durable=False)
+            write_bytes(path, jpeg_bytes(image, plan.jpeg_quality), durable=False)
 
 
 def _lossless(jpeg: str) -> str:
@@ -229,6 +237,11 @@ def _checked(channel: Channel, images: Images) -> NDArray[np.uint8]:
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
         raise ValueError(f"the renderer gave {image.dtype} {image.shape} for {camera.width} x {camera.height} pixels")
     return image
+
+
+def jpeg_bytes(image: NDArray[np.uint8], quality: int) -> bytes:
+    """A picture as it is written: (height, width, 3) RGB, quality 1 to 100."""
+    return _encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def _encoded(image: NDArray[np.uint8], extension: str, options: Sequence[int]) -> bytes:

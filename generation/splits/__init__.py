@@ -1,0 +1,1 @@
+"""Frozen splits: adversarial splits as a few kilobytes a scene, rebuilt from the recordings without a search."""

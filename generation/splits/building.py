@@ -1,0 +1,249 @@
+"""Building a frozen split from the recordings: no search, no diffusion model, the same split on every machine."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
+from benchmark.scene import Scene
+from generation.build.estimate import Estimate, rendering_estimate, workers_of
+from generation.build.settings import BuildSettings
+from generation.build.writing import WritingJob, publish_reports, write_scenes
+from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
+from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.scenes import read_state
+from generation.splits.digests import facts_of_row, tables_digest, written_digest
+from generation.splits.format import FrozenScene, ImageFacts
+from generation.splits.packaged import NamedSplit
+from generation.splits.tracks import adversarial, scene_report
+
+_MARK: Final = "frozen.json"
+"""In the writer's own folder: which frozen split a root is built from."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrozenReport:
+    """What was built.
+
+    Attributes:
+        name: Of the frozen split.
+        content: Its content hash.
+        scenes: Recorded scenes used.
+        written: Names of the scenes, most challenging first.
+        other_tables: Scenes whose tables differ from those that were frozen.
+        images: What the frozen hashes of images are of, if the images here could be compared.
+        other_images: Scenes whose images differ.
+        estimate: How much work there is (dry run only).
+    """
+
+    name: str
+    content: str
+    scenes: int
+    written: tuple[str, ...]
+    other_tables: tuple[str, ...] = ()
+    images: ImageFacts | None = None
+    other_images: tuple[str, ...] = ()
+    estimate: Estimate | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The report as JSON values."""
+        compared = self.images is not None
+        return {
+            **self.kept(),
+            "other_tables": list(self.other_tables),
+            "other_images": list(self.other_images) if compared else None,
+            "dry_run": self.estimate is not None,
+        }
+
+    def kept(self) -> dict[str, Any]:
+        """What ``report.json`` says: what does not depend on the machine."""
+        return {
+            "split": "adv",
+            "frozen": {"name": self.name, "content": self.content},
+            "scenes": self.scenes,
+            "written": list(self.written),
+        }
+
+    def summary(self) -> str:
+        """A few lines for people."""
+        count = len(self.written)
+        if self.estimate is not None:
+            return (
+                f"would build {count} scenes of frozen split {self.name} from {self.scenes} recorded scenes; "
+                f"{self.estimate.sentence()}; nothing was written"
+            )
+        tables = (
+            "equal to those that were frozen"
+            if not self.other_tables
+            else f"differ in {len(self.other_tables)} of {count} scenes, because the recordings here differ"
+        )
+        return (
+            f"{count} scenes built from frozen split {self.name}, {self.scenes} recorded scenes\n"
+            f"  tables: {tables}\n  images: {self._images(count)}"
+        )
+
+    def _images(self, count: int) -> str:
+        if self.images is None:
+            return "not compared, the frozen split has no hashes of images made in this way"
+        if not self.other_images:
+            return "equal to those that were frozen"
+        return (
+            f"differ in {len(self.other_images)} of {count} scenes, because the renderer rounds otherwise here or the "
+            "scenes differ"
+        )
+
+
+def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) -> FrozenReport:
+    """Build a frozen split from its recordings; the same command resumes.
+
+    Args:
+        source: The recordings.
+        split: The frozen split (`generation.splits.packaged.frozen_split`).
+        settings: What and where. What belongs to the search is not looked at.
+
+    Returns:
+        What was built, and what is not as it was frozen.
+
+    Raises:
+        InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
+            of another frozen one, another command is writing there, or it cannot be written.
+    """
+    chosen = _chosen(split, settings)
+    content = split.frozen.content_id
+    recorded = sorted({frozen.source for frozen, _ in chosen})
+    report = FrozenReport(split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen))
+    _require_recorded(source, recorded)
+    _require_room(settings.out, split.name, content)
+    plan = _plan(source, split.name, content, settings)
+    if settings.dry_run:
+        each = rendering_estimate(plan.renderer, source.scene(recorded[0]), plan.frames, settings.timing / "rendering")
+        workers = workers_of(settings.where_rendered)
+        about = Estimate(0, 0.0, len(chosen), each, workers, workers)
+        return FrozenReport(report.name, content, report.scenes, report.written, estimate=about)
+    # Everything is looked at before anything is written.
+    jobs, tables = _jobs(source, plan, chosen, split.frozen.search.seed)
+    with only_writer(settings.out):
+        write_json(plan.state / _MARK, {"name": split.name, "content": content})
+        said = (canonical_json(report.kept(), indent=1) + "\n").encode()
+        publish_reports(settings.out, {"report.json": said})
+        keys = write_scenes(
+            plan, jobs, source.scene, settings.where_rendered, timing=settings.timing / "rendering", label="rendering"
+        )
+        finish_data_set(plan, keys)
+        images, other_images = _other_images(plan, split.frozen.images, chosen, keys)
+    other = tuple(frozen.name for (frozen, _), digest in zip(chosen, tables, strict=True) if digest != frozen.tables)
+    return FrozenReport(report.name, content, report.scenes, report.written, other, images, other_images)
+
+
+def require_not_frozen(root: Path) -> None:
+    """Refuse to search in a root that is built from a frozen split.
+
+    Raises:
+        InputError: If it is.
+    """
+    mark = root / STATE_FOLDER / _MARK
+    if mark.exists():
+        kept = read_kept_json(mark)
+        name = kept.get("name") if isinstance(kept, dict) else None
+        raise InputError(
+            f"{root} is built from the frozen split {name}; search for another split in another --out, nothing was "
+            "changed"
+        )
+
+
+def _require_room(root: Path, name: str, content: str) -> None:
+    """Refuse a root in which somebody searched, or that is built from another frozen split."""
+    state = root / STATE_FOLDER
+    if (root / "search.json").exists() or (state / "attempts").exists() or (state / "surveys").exists():
+        raise InputError(f"{root} holds what generate searched for; build {name} in another --out, nothing was changed")
+    kept = read_kept_json(state / _MARK)
+    if isinstance(kept, dict) and kept.get("content") != content:
+        raise InputError(
+            f"{root} is built from the frozen split {kept.get('name')}, which is not the same; build {name} in another "
+            "--out, nothing was changed"
+        )
+
+
+def _chosen(split: NamedSplit, settings: BuildSettings) -> list[tuple[FrozenScene, int]]:
+    """The frozen scenes to build, each with its number among the variants of its recording."""
+    seen: dict[str, int] = {}
+    numbered = []
+    for frozen in split.frozen.scenes:
+        numbered.append((frozen, seen.get(frozen.source, 0)))
+        seen[frozen.source] = numbered[-1][1] + 1
+    wanted = set(seen if settings.scenes is None else settings.scenes)
+    unknown = sorted(wanted - set(seen) - {frozen.name for frozen in split.frozen.scenes})
+    if unknown:
+        raise InputError(
+            f"frozen split {split.name} has no scene made from {', '.join(unknown)}; it has scenes made from "
+            f"{', '.join(sorted(seen)[:8])}{' ...' if len(seen) > 8 else ''}"
+        )
+    asked = [each for each in numbered if each[0].source in wanted or each[0].name in wanted]
+    recorded = set(sorted({frozen.source for frozen, _ in asked})[: settings.limit])
+    return [each for each in asked if each[0].source in recorded]
+
+
+def _require_recorded(source: DataSet, recorded: Sequence[str]) -> None:
+    missing = sorted(set(recorded) - set(source.scene_names(None)))
+    if missing:
+        raise InputError(
+            f"{source.name} lacks {len(missing)} of the {len(recorded)} recorded scenes that the frozen split needs, "
+            f"the first is {missing[0]}; choose the recordings that it was made from with --data, or fewer with "
+            "--scenes"
+        )
+
+
+def _plan(source: DataSet, name: str, content: str, settings: BuildSettings) -> DataSetPlan:
+    return DataSetPlan(
+        root=settings.out,
+        version=settings.version,
+        split="adv",
+        layout=settings.layout,
+        renderer=settings.renderer,
+        frames=settings.frames,
+        jpeg_quality=settings.jpeg_quality,
+        lossless=settings.lossless,
+        source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
+        frozen=(name, content),
+    )
+
+
+def _jobs(
+    source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], seed: int
+) -> tuple[list[WritingJob], list[str]]:
+    """How each scene is written, and the hash of its tables."""
+    made: dict[int, tuple[WritingJob, str]] = {}
+    for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):
+        frozen, variant = chosen[index]
+        scene: Scene = adversarial(frozen, source.scene(frozen.source))
+        job = WritingJob(
+            name=frozen.name,
+            written_as=frozen.source if plan.layout == "per-variant" else frozen.name,
+            source_scene=frozen.source,
+            variant=variant,
+            make=partial(adversarial, frozen),
+            report=scene_report(frozen, scene, seed),
+            identity=frozen.identity,
+        )
+        made[index] = job, tables_digest(plan, scene, frozen)
+    return [made[index][0] for index in range(len(chosen))], [made[index][1] for index in range(len(chosen))]
+
+
+def _other_images(
+    plan: DataSetPlan, frozen: ImageFacts | None, chosen: Sequence[tuple[FrozenScene, int]], keys: Sequence[str]
+) -> tuple[ImageFacts | None, tuple[str, ...]]:
+    """What was compared, and the scenes whose images are not those that were frozen."""
+    other = []
+    for (scene, _), key in zip(chosen, keys, strict=True):
+        fragment = read_state(plan.fragment_path(key))
+        assert fragment is not None, "finishing read it"
+        row = fragment["renderer"]
+        if frozen is None or row is None or facts_of_row(row, plan.jpeg_quality) != frozen:
+            return None, ()
+        if scene.images is None or written_digest(plan, fragment) != scene.images:
+            other.append(scene.name)
+    return frozen, tuple(other)

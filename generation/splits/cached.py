@@ -1,0 +1,67 @@
+"""The newest frozen split of the embedded data set, built into the user's cache; its scenes' names without building."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmark.datasets.roots import DataSet, variant_folders
+from benchmark.datasets.split_names import read_splits
+from benchmark.datasets.tables import version_folders
+from benchmark.machine.storage import content_key
+from benchmark.machine.workspace import cache_root, is_finished
+from generation.render.contract import Renderer
+from generation.splits.packaged import newest_split
+
+
+def cached_root(source: DataSet, renderer: Renderer, workers: int, say: Callable[[str], None]) -> Path:
+    """Root of the newest frozen split; built where it is not finished, key frames only.
+
+    Args:
+        source: The embedded data set.
+        renderer: Draws the images.
+        workers: Processes that build it.
+        say: Told which split it is, and what came of building it.
+
+    Returns:
+        A finished root.
+
+    Raises:
+        InputError: If the recordings are not those of the split, another command builds there, or the disk refuses.
+    """
+    from benchmark.machine.workers import LocalProcesses
+    from generation.build.settings import BuildSettings
+    from generation.splits.building import build_frozen
+
+    newest = newest_split(source.name)
+    made_of = content_key(newest.frozen.content_id, source.fingerprint(), renderer.name, renderer.version)
+    root = cache_root() / f"{newest.name}-{made_of[:12]}"
+    if is_finished(root):
+        say(f"split adv of {source.name} is the frozen split {newest.name}; generate --split adv searches for another")
+        return root
+    say(f"building the frozen split {newest.name} in {root} (once, about a minute)")
+    settings = BuildSettings(out=root, renderer=renderer, frames="keyframes", executor=LocalProcesses(workers))
+    say(build_frozen(source, newest, settings).summary())
+    return root
+
+
+def known_scenes(data: str, split: str, root: Path) -> tuple[str, ...]:
+    """Names of a generated split's scenes, read from a finished root or else from the newest frozen split.
+
+    Args:
+        data: Name of the data set.
+        split: Name of the split.
+        root: Where it would have been generated.
+
+    Returns:
+        Names, in the order of the data set.
+
+    Raises:
+        InputError: If neither can be read.
+    """
+    if not is_finished(root):
+        return tuple(sorted(scene.name for scene in newest_split(data, split).frozen.scenes))
+    found: list[str] = []
+    for variant in variant_folders(root) or ("",):
+        for version in version_folders(root / variant):
+            names = read_splits(root / variant, version).get(split, ())
+            found += [f"{variant}/{name}" if variant else name for name in sorted(names)]
+    return tuple(found)

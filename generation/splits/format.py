@@ -1,0 +1,224 @@
+"""The file of a frozen split, checked at the edge: tracks of adversaries, and what they are put into.
+
+Nothing of the recordings is in it but names, instance identifiers and, for each adversary, the pose in which it was
+recorded at its launch (docs/frozen-splits.md).
+"""
+
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
+from benchmark.records.store import validated
+
+FORMAT: Final = "challenger-bench frozen split"
+SCHEMA: Final = 1
+MOST_BYTES: Final = 256 * 1024 * 1024
+"""No frozen split of any data set is larger; a file that is will not be read into memory."""
+METRE_DIGITS: Final = 3
+YAW_DIGITS: Final = 5
+"""With a millimetre for the centre, corners of bodies up to 50 m long stay within a millimetre."""
+
+_Metres = Annotated[float, Field(ge=-1e8, le=1e8)]
+_Radians = Annotated[float, Field(ge=-1e3, le=1e3)]
+_Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+_Name = Annotated[str, Field(min_length=1, max_length=200)]
+Pose = tuple[_Metres, _Metres, _Radians]
+"""x, y and yaw of a box centre in the global frame."""
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class FrozenAdversary(_Frozen):
+    """One adversary of a scene.
+
+    Attributes:
+        instance: Identifier of the vehicle in the recordings.
+        launch_frame: Frame (12 Hz) from which on it follows the track.
+        recorded: Where the recording has it at that frame.
+        track: Where it is instead, from that frame to the last one.
+    """
+
+    instance: _Name
+    launch_frame: Annotated[int, Field(ge=0, le=1_000_000)]
+    recorded: Pose
+    track: Annotated[tuple[Pose, ...], Field(min_length=1, max_length=1_000_000)]
+
+
+class FrozenScene(_Frozen):
+    """One scene.
+
+    Attributes:
+        name: Its name in the split.
+        source: Name of the recorded scene.
+        adversaries: In the order in which they were planned.
+        tables: Hash of its tables, numbers rounded to a nanometre (`generation.splits.digests`).
+        images: Hash of its key frames' images, if they were compared.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)]
+    source: _Name
+    adversaries: Annotated[tuple[FrozenAdversary, ...], Field(min_length=1)]
+    tables: _Hash
+    images: _Hash | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.name.startswith(self.source.replace("/", "-")):
+            raise ValueError(f"the scene {self.name} is not called after its recorded scene {self.source}")
+        instances = [each.instance for each in self.adversaries]
+        if len(set(instances)) < len(instances):
+            raise ValueError(f"{self.name} has one adversary twice")
+        return self
+
+    @property
+    def identity(self) -> str:
+        """Hash of what the scene is: its tokens are made of it, so that they are the same on every machine."""
+        return content_key(self.source, [each.model_dump(mode="json") for each in self.adversaries])
+
+
+class Recordings(_Frozen):
+    """The data set that a split was frozen from: its name, and its content hash there."""
+
+    name: str
+    fingerprint: str
+
+
+class SearchFacts(_Frozen):
+    """Who searched: version of the algorithm, hashes of its settings and of its trajectory model, and the seed."""
+
+    algorithm: str
+    hyper: str
+    prior: str
+    seed: int
+
+
+class Choice(_Frozen):
+    """How the scenes were chosen.
+
+    Attributes:
+        scenes: Recorded scenes looked at.
+        tried: Vehicles tried.
+        survived: Scenes that passed verification.
+        per_scene: Most kept of one recorded scene, null for all.
+        total: Most kept at all, null for all.
+        surrogate: Planner that fails every scene, if one was asked.
+    """
+
+    scenes: int
+    tried: int
+    survived: int
+    per_scene: int | None
+    total: int | None
+    surrogate: str | None
+
+
+class ImageFacts(_Frozen):
+    """Which images the hashes of images are of: renderer, its version, size in pixels and JPEG quality."""
+
+    renderer: str
+    version: str
+    width: int
+    height: int
+    jpeg_quality: int
+
+
+class FrozenSplit(_Frozen):
+    """A frozen split.
+
+    Attributes:
+        format: What the file is.
+        schema_version: Version of the format.
+        split: Name of the split.
+        recordings: What it was made from.
+        search: Who searched.
+        chosen: How its scenes were chosen.
+        images: What the scenes' hashes of images are of; null where there are none.
+        scenes: The scenes, most challenging first.
+    """
+
+    format: Literal["challenger-bench frozen split"] = FORMAT
+    schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
+    split: Literal["adv"] = "adv"
+    recordings: Recordings
+    search: SearchFacts
+    chosen: Choice
+    images: ImageFacts | None
+    scenes: Annotated[tuple[FrozenScene, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        known: set[str] = set()
+        for scene in self.scenes:
+            if scene.name in known:
+                raise ValueError(f"two scenes are called {scene.name}")
+            known.add(scene.name)
+        return self
+
+    @property
+    def content_id(self) -> str:
+        """Hash of all that it says."""
+        return content_key(self.model_dump(mode="json", by_alias=True))
+
+    def text(self) -> str:
+        """The file: a line for each scene, the same for the same content."""
+        whole = self.model_dump(mode="json", by_alias=True)
+        scenes = ",\n".join(map(canonical_json, whole.pop("scenes")))
+        head = canonical_json(whole, indent=1).removesuffix("\n}")
+        return f'{head},\n "scenes": [\n{scenes}\n ]\n}}\n'
+
+
+def read_frozen(path: Path) -> FrozenSplit:
+    """Read a frozen split.
+
+    Args:
+        path: The file.
+
+    Returns:
+        What it says; whether it fits the recordings at hand is seen when it is built.
+
+    Raises:
+        InputError: If there is no such file, or it is not a frozen split that this version reads.
+    """
+    try:
+        size, data = path.stat().st_size, b""
+        if size <= MOST_BYTES:
+            data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read the frozen split {path}: {error.strerror or error}") from error
+    if size > MOST_BYTES:
+        raise InputError(f"{path} has {size} bytes and is no frozen split, which has a few thousand a scene")
+    stored = read_json(path)
+    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
+        raise InputError(f"{path} is no frozen split: it does not say {FORMAT!r}; generate --freeze writes one")
+    if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
+        raise InputError(
+            f"{path} has version {stored.get('schema')!r} of the format, this version reads {SCHEMA}; upgrade "
+            "challenger-bench or fetch the file again"
+        )
+    return validated(
+        FrozenSplit.model_validate_json,
+        data,
+        lambda where, why: f"{path} is not a valid frozen split: {f'{where}: ' if where else ''}{why}; fetch it again",
+    )
+
+
+def write_frozen(path: Path, frozen: FrozenSplit) -> None:
+    """Write a frozen split; one that is there is never replaced by another.
+
+    Args:
+        path: The file.
+        frozen: The split.
+
+    Raises:
+        InputError: If the file holds something else, or cannot be written.
+    """
+    if path.exists() and read_frozen(path) != frozen:
+        raise InputError(
+            f"{path} holds another frozen split, which others may have built already; give this one another name"
+        )
+    write_bytes(path, frozen.text().encode())

@@ -1,0 +1,123 @@
+"""Freezing a split: what a search found as a file from which anybody rebuilds it."""
+
+import functools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from benchmark.datasets.roots import DataSet
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.machine.workers import Executor
+from benchmark.scene import Scene
+from generation.nuscenes_writer import DataSetPlan
+from generation.search.chains import Chain, Tried
+from generation.search.definition import Search
+from generation.splits.digests import drawn_digest, image_facts, tables_digest
+from generation.splits.format import (
+    METRE_DIGITS,
+    YAW_DIGITS,
+    Choice,
+    FrozenAdversary,
+    FrozenScene,
+    FrozenSplit,
+    Pose,
+    Recordings,
+    SearchFacts,
+    read_frozen,
+)
+from generation.splits.tracks import adversarial, recorded_pose
+
+_UNKNOWN: Final = "0" * 64
+"""Stands for a hash until the scene is put together."""
+
+
+def require_freezable(split: str, path: Path) -> None:
+    """Refuse, before a long search, what could not be frozen after it.
+
+    Raises:
+        InputError: If the split is not searched for, there is something else of this name, or no folder to put it into.
+    """
+    if split != "adv":
+        raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
+    if path.exists():
+        read_frozen(path)
+    elif not path.parent.is_dir():
+        raise InputError(f"there is no folder {path.parent} for the frozen split; make it or name another file")
+
+
+def freeze(
+    source: DataSet, plan: DataSetPlan, chains: Sequence[Chain], search: Search, chosen: Choice, executor: Executor
+) -> FrozenSplit:
+    """Freeze scenes.
+
+    Args:
+        source: The recordings.
+        plan: The data set that was built, whose images are compared later.
+        chains: The scenes, best first.
+        search: What decided them.
+        chosen: How they were chosen.
+        executor: Where images are drawn; nothing depends on it.
+
+    Returns:
+        The frozen split.
+
+    Raises:
+        InputError: If workers are lost.
+    """
+    assert plan.source is not None
+    images = image_facts(plan, source.scene(chains[0].scene_name))
+    order = sorted(range(len(chains)), key=lambda index: (chains[index].scene_name, index))
+
+    def work() -> Iterator[tuple[Scene, FrozenScene]]:
+        for index in order:
+            recorded = source.scene(chains[index].scene_name)
+            frozen = _frozen_scene(chains[index], recorded)
+            yield adversarial(frozen, recorded), frozen
+
+    compared = functools.partial(_compared, plan, images is not None)
+    done = executor.map(compared, work(), total=len(chains), label="freezing")
+    scenes = dict(zip(order, done, strict=True))
+    return FrozenSplit(
+        recordings=Recordings(name=plan.source.name, fingerprint=plan.source.fingerprint),
+        search=_search_facts(search),
+        chosen=chosen,
+        images=images,
+        scenes=tuple(scenes[index] for index in range(len(chains))),
+    )
+
+
+def _search_facts(search: Search) -> SearchFacts:
+    said = search.as_json()
+    return SearchFacts(
+        algorithm=said["algorithm"], hyper=said["hyper_fingerprint"], prior=said["prior"], seed=said["seed"]
+    )
+
+
+def _compared(plan: DataSetPlan, with_images: bool, work: tuple[Scene, FrozenScene]) -> FrozenScene:
+    """A frozen scene with its hashes; runs in a worker."""
+    scene, frozen = work
+    images = drawn_digest(plan, scene) if with_images else None
+    return frozen.model_copy(update={"tables": tables_digest(plan, scene, frozen), "images": images})
+
+
+def _frozen_scene(chain: Chain, scene: Scene) -> FrozenScene:
+    adversaries = tuple(_frozen_adversary(link, scene) for link in chain.links)
+    return FrozenScene(name=chain.name, source=chain.scene_name, adversaries=adversaries, tables=_UNKNOWN)
+
+
+def _frozen_adversary(link: Tried, scene: Scene) -> FrozenAdversary:
+    start = link.attempt.launch_frame
+    assert start is not None, "attempts that are kept were launched"
+    return FrozenAdversary(
+        instance=link.agent_id,
+        launch_frame=start,
+        recorded=_rounded(recorded_pose(scene, link.unit.agent, start)),
+        track=tuple(map(_rounded, link.stored.poses)),
+    )
+
+
+def _rounded(pose: Floats | tuple[float, float, float]) -> Pose:
+    x, y, yaw = map(float, pose)
+    # Adding zero makes -0.0 plain.
+    return round(x, METRE_DIGITS) + 0.0, round(y, METRE_DIGITS) + 0.0, round(yaw, YAW_DIGITS) + 0.0

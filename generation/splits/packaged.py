@@ -1,0 +1,80 @@
+"""Frozen splits by name: those that come with the package, and any file."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from benchmark.errors import InputError
+from generation.splits.format import FrozenSplit, read_frozen
+
+_FOLDER: Final = Path(__file__).parent
+_NUMBERED: Final = re.compile(r"(?P<data>.+)-(?P<split>[a-z]+)-(?P<number>[1-9]\d*)")
+
+
+@dataclass(frozen=True, slots=True)
+class NamedSplit:
+    """A frozen split and what it is called: its file without ``.json``."""
+
+    name: str
+    frozen: FrozenSplit
+
+
+def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:
+    """Names of the frozen splits that come with the package, the newest last.
+
+    Args:
+        data: Only those of this data set.
+        split: Only those of this split.
+
+    Returns:
+        Names such as ``mini-adv-1``: data set, split and a number that grows.
+    """
+    found = []
+    for path in _FOLDER.glob("*.json"):
+        named = _NUMBERED.fullmatch(path.stem)
+        if named and named["split"] == split and data in ("", named["data"]):
+            found.append((named["data"], int(named["number"]), path.stem))
+    return tuple(name for _, _, name in sorted(found))
+
+
+def newest_split(data: str, split: str = "adv") -> NamedSplit:
+    """The newest frozen split of a data set that comes with the package.
+
+    Args:
+        data: Name of the data set.
+        split: Name of the split.
+
+    Returns:
+        It.
+
+    Raises:
+        InputError: If there is none.
+    """
+    names = packaged_splits(data, split)
+    if not names:
+        raise InputError(f"no frozen split {split} of {data} comes with the package; run challenger-bench generate")
+    return frozen_split(names[-1])
+
+
+def frozen_split(file: str | Path) -> NamedSplit:
+    """A frozen split by the name of a packaged one, or from a file.
+
+    Args:
+        file: Name or path.
+
+    Returns:
+        It.
+
+    Raises:
+        InputError: If there is no such split or the file is not one.
+    """
+    if str(file) in packaged_splits():
+        return NamedSplit(str(file), read_frozen(_FOLDER / f"{file}.json"))
+    path = Path(file)
+    if not path.exists():
+        raise InputError(
+            f"there is no file {path} and no frozen split of that name; those that come with the package are "
+            f"{', '.join(packaged_splits()) or 'none'}"
+        )
+    return NamedSplit(path.stem, read_frozen(path))

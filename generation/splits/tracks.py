@@ -1,0 +1,129 @@
+"""Frozen tracks put into recorded scenes, after a look at whether these are the recordings that they belong to."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, wrap_angle
+from benchmark.records.attempts import Approach, Attempt
+from benchmark.scene import Scene
+from generation.labels.labelling import closest_approach, describe, times_to_collision
+from generation.search.ranking import challenge_score
+from generation.splits.format import FrozenAdversary, FrozenScene
+
+SAME_M: Final = 0.01
+"""How far the recorded body may be from where the frozen split has it at the launch."""
+_ROTATION_DIGITS: Final = 9
+"""Sines differ in their last bit between processors; rounded, the tables are the same everywhere."""
+_REPORT_DIGITS: Final = 6
+
+
+def adversarial(frozen: FrozenScene, scene: Scene) -> Scene:
+    """A recorded scene with the adversaries of a frozen one.
+
+    Args:
+        frozen: The frozen scene.
+        scene: The recording.
+
+    Returns:
+        The scene as it is written.
+
+    Raises:
+        InputError: If the recording is another one: a vehicle is not in it, was elsewhere at the launch, or the number
+            of frames differs.
+    """
+    changed = scene
+    for each in frozen.adversaries:
+        agent, stop = _place(each, scene), each.launch_frame + len(each.track)
+        changed = changed.with_adversary(agent, slice(each.launch_frame, stop), np.array(each.track))
+        inside = (scene.keyframes >= each.launch_frame) & (scene.keyframes < stop)
+        rotation = changed.annotations.rotation
+        rotation[agent, inside] = np.round(rotation[agent, inside], _ROTATION_DIGITS) + 0.0
+    return changed
+
+
+def _place(adversary: FrozenAdversary, scene: Scene) -> int:
+    """Index of an adversary's vehicle in its recording."""
+    if adversary.instance not in scene.agents.ids:
+        raise InputError(
+            f"{scene.name} has no object {adversary.instance}, which is its adversary in the frozen split; these are "
+            "not the recordings that it was made from, choose those with --data"
+        )
+    agent, start, frames = scene.agents.ids.index(adversary.instance), adversary.launch_frame, len(scene.timestamps_us)
+    if start + len(adversary.track) != frames:
+        raise InputError(
+            f"{scene.name} has {frames} frames and the frozen split wants {start + len(adversary.track)}; these are "
+            "not the recordings that it was made from, choose those with --data"
+        )
+    away = _distance(scene, agent, start, adversary)
+    if away > SAME_M:
+        raise InputError(
+            f"{adversary.instance} in {scene.name} was recorded {away:.3f} m from where the frozen split has it at the "
+            f"launch (frame {start}); these are not the recordings that it was made from, choose those with --data"
+        )
+    return agent
+
+
+def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) -> float:
+    """How far apart the two bodies are at most, metres: the centres, and what the heading moves the corners."""
+    x, y, yaw = adversary.recorded
+    position, size = scene.agents.position[agent, frame], scene.agents.size[agent]
+    if not scene.agents.valid[agent, frame]:
+        return float("inf")
+    turned = abs(float(wrap_angle(scene.agents.yaw[agent, frame] - yaw)))
+    return float(np.hypot(position[0] - x, position[1] - y) + 0.5 * np.hypot(size[0], size[1]) * turned)
+
+
+def recorded_pose(scene: Scene, agent: int, frame: int) -> Floats:
+    """(3,) x, y, yaw of a vehicle as recorded."""
+    return np.array([*scene.agents.position[agent, frame, :2], scene.agents.yaw[agent, frame]])
+
+
+def scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:
+    """What ``challenger.json`` says of a rebuilt scene: what a search says of it, described anew from the track.
+
+    Args:
+        frozen: The frozen scene.
+        scene: The scene with its adversaries.
+        seed: Of the search.
+
+    Returns:
+        JSON values; numbers are rounded, so that they are the same on every machine.
+    """
+    reports = [_attempt(each, frozen.source, scene, seed) for each in frozen.adversaries]
+    if len(reports) == 1:
+        return reports[0]
+    challenge = sum(report["challenge"] for report in reports) / len(reports)
+    return {"challenge": round(challenge, _REPORT_DIGITS), "adversaries": reports}
+
+
+def _attempt(adversary: FrozenAdversary, source: str, scene: Scene, seed: int) -> dict[str, Any]:
+    agent, start = scene.agents.ids.index(adversary.instance), adversary.launch_frame
+    closest = closest_approach(scene, agent, start)
+    soonest = float(times_to_collision(scene, agent, start).min())
+    told = Attempt(
+        scene=source,
+        agent=adversary.instance,
+        seed=seed,
+        kept=True,
+        discard=None,
+        launch_frame=start,
+        challenge=challenge_score(scene, agent, start),
+        closest_approach=Approach(gap_m=closest.gap_m, time_s=closest.time_s, side=closest.side),
+        least_time_to_collision_s=None if np.isinf(soonest) else soonest,
+        labels=describe(scene, agent, start),
+    )
+    rounded: dict[str, Any] = rounded_numbers(told.as_json(), _REPORT_DIGITS)
+    return rounded
+
+
+def rounded_numbers(value: Any, digits: int) -> Any:
+    """JSON values with every number that is not whole rounded."""
+    if isinstance(value, float):
+        return round(value, digits) + 0.0
+    if isinstance(value, dict):
+        return {name: rounded_numbers(item, digits) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded_numbers(item, digits) for item in value]
+    return value
