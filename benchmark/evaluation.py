@@ -21,6 +21,7 @@ from benchmark.machine.workers import map_ordered
 from benchmark.planning import Planner
 from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.run import RunRecord, write_record
+from benchmark.report.words import counted
 from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
 from benchmark.runs.run_directory import run_directory, tidy
 from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
@@ -70,7 +71,7 @@ class EvalSettings:
         if unknown:
             raise InputError(
                 f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; it has "
-                f"{len(names)} scenes, among them {', '.join(names[:3])}"
+                f"{counted(len(names), 'scene')}, among them {', '.join(names[:3])}"
             )
         if self.limit is not None and self.limit < 1:
             raise InputError(f"--limit must be at least 1, got {self.limit}")

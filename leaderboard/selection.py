@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from benchmark.errors import InputError
 from benchmark.records.planner_versions import labelled
 from benchmark.records.run import RunRecord
+from benchmark.report.words import split_of
 
 
 def one_run_each(records: Sequence[RunRecord]) -> list[RunRecord]:
@@ -49,8 +50,9 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
         first = seen.setdefault((record.run.data.name, record.run.split), record)
         if first.run.data.fingerprint != record.run.data.fingerprint:
             raise InputError(
-                f"{first.directory} and {record.directory} ran on different content of split {record.run.split} of "
-                f"{record.run.data.name} (the data fingerprints differ); run challenger-bench eval again for the older "
+                f"{first.directory} and {record.directory} ran on different content of "
+                f"{split_of(record.run.split, record.run.data.name)} (the data fingerprints differ); run "
+                "challenger-bench eval again for the older "
                 "one, or move it away"
             )
 

@@ -26,6 +26,7 @@ from adapters.networks.sparse.anchors import with_anchors
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, only_writer
+from benchmark.report.words import counted
 from benchmark.runs.code_identity import outside_identity
 from benchmark.weights.catalogue import CHECKPOINTS, PublishedWeights
 from benchmark.weights.fetch import fetch_files
@@ -61,7 +62,7 @@ class ImportedWeights:
         """The same in words."""
         known = self.provenance
         return (
-            f"{self.path}: {known.model}, {self.tensors} tensors, {self.parameters / 1e6:.1f} M numbers, "
+            f"{self.path}: {known.model}, {counted(self.tensors, 'tensor')}, {self.parameters / 1e6:.1f} M numbers, "
             f"pixel values {known.normalisation} (said by: {known.normalisation_from})"
         )
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from adapters.checkpoints.motion_anchors import FILE as ANCHORS_FILE
 from adapters.models import Model, published_models
 from benchmark.errors import InputError
+from benchmark.report.words import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,8 @@ def matched(path: Path, tensors: Mapping[str, Tensor], wanted: str | None) -> tu
     broken = [name for name, tensor in converted.items() if not bool(torch.isfinite(tensor).all())]
     if broken:
         raise InputError(
-            f"{path}: {len(broken)} tensors hold NaN or infinity (first: {broken[0]}); the file is damaged or the "
+            f"{path}: {counted(len(broken), 'tensor')} hold NaN or infinity (first: {broken[0]}); the file is "
+            "damaged or the "
             "training diverged, get another"
         )
     return model, converted

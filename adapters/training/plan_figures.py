@@ -14,6 +14,7 @@ from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.planning import CameraView, Observation, Planner, SceneInfo
 from benchmark.protocols import protocol
+from benchmark.report.words import counted
 
 _BLANK_GREY: Final = 128
 
@@ -88,7 +89,9 @@ def figures(
                 truths.append(truth)
                 plans.append(plan)
     if not truths:
-        raise InputError(f"none of the {len(scenes)} scenes has a sample with three recorded seconds after it")
+        raise InputError(
+            f"none of the {counted(len(scenes), 'scene')} has a sample with three recorded seconds after it"
+        )
     waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in zip(truths, plans, strict=True)]
     outcomes = protocol("exact").evaluate(truths, np.array(waypoints))
     l2 = {name: float(outcomes.l2[:, step - 1].mean()) for name, step in HORIZON_STEPS.items()}

@@ -22,6 +22,7 @@ from benchmark.cli.options import (
     print_json,
 )
 from benchmark.errors import InputError
+from benchmark.report.words import counted
 
 app = typer.Typer(help="Look at, check, import and build data sets.", no_args_is_help=True)
 
@@ -34,14 +35,13 @@ def data_info_command(
     json_output: JsonOption = False,
 ) -> None:
     """What a data set holds: splits, scenes, samples, annotations, fingerprint."""
-    from benchmark.datasets.contents import contents
+    from benchmark.datasets.contents import contents, contents_text
 
     found = contents(api.open_data(root, tables=tables, workers=workers))
     if json_output:
         print_json(found)
-        return
-    for name, value in found.items():
-        typer.echo(f"{name}: {value}")
+    else:
+        typer.echo(contents_text(found), nl=False)
 
 
 @app.command("stats")
@@ -83,7 +83,7 @@ def data_show_command(
     names = (name_list(scenes) or dataset.scene_names(None))[:limit]
     write = write_condition_pictures if conditions else write_pictures
     written = write(dataset, names, to, SchematicRenderer())
-    typer.echo(f"{len(written)} pictures in {to}")
+    typer.echo(f"{counted(len(written), 'picture')} in {to}")
 
 
 @app.command("check")
@@ -103,7 +103,7 @@ def data_check_command(
     else:
         for fault in faults:
             typer.echo(f"{fault.severity}: {fault.table}: {fault.sentence}")
-        typer.echo(f"{errors} errors, {len(faults) - errors} warnings in {root}")
+        typer.echo(f"{counted(errors, 'error')}, {counted(len(faults) - errors, 'warning')} in {root}")
     raise typer.Exit(1 if errors else 0)
 
 
@@ -131,7 +131,7 @@ def data_import_command(
     if json_output:
         print_json({"root": str(out), "scenes": names})
     else:
-        typer.echo(f"{len(names)} scenes in {out}: {', '.join(names)}")
+        typer.echo(f"{counted(len(names), 'scene')} in {out}: {', '.join(names)}")
 
 
 @app.command("build")

@@ -8,7 +8,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli.demonstration import RESULTS, demo, full_demo, stale_demo
-from benchmark.cli.options import JsonOption, OutOption, WorkersOption, print_json
+from benchmark.cli.options import JsonOption, OutOption, WideOption, WorkersOption, print_json
 from benchmark.errors import InputError
 
 
@@ -21,6 +21,7 @@ def demo_command(
     check: Annotated[bool, typer.Option("--check", help="With --full: only say whether --to is current.")] = False,
     to: Annotated[Path, typer.Option(help="With --full: folder of the page and its numbers.")] = RESULTS,
     workers: WorkersOption = 0,
+    wide: WideOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """The whole story on the embedded data: generate, evaluate, transfer, tables."""
@@ -44,7 +45,7 @@ def demo_command(
         return
     tell("")
     for table in run_tables("demo", records, ("exact",), allow_partial=True):
-        tell(table.plain())
+        tell(table.plain(wide=wide))
     for name, matrix in transfer_matrices(records, "adv").items():
-        tell(transfer_table(name, matrix).plain())
+        tell(transfer_table(name, matrix).plain(wide=wide))
     tell(f"site: {out / 'leaderboard' / 'site' / 'index.html'}   tables: {out / 'leaderboard' / 'README.md'}")

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmark import api
+from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,7 +48,7 @@ def demo(
     from leaderboard.build import write_leaderboard
 
     space, processes = api.workspace(out), api.worker_count(workers)
-    say(f"1/4 building {town_scenes} scenes of the embedded town")
+    say(f"1/4 building {counted(town_scenes, 'scene')} of the embedded town")
     town = build_town(out / "data" / "demo" / "val", TownSettings(val_scenes=town_scenes), workers=processes)
     source = open_root(town, name="demo")
     settings = BuildSettings(

@@ -23,11 +23,13 @@ from benchmark.cli.options import (
     SplitOption,
     TablesOption,
     WeightsFolderOption,
+    WideOption,
     WorkersOption,
     name_list,
     print_json,
 )
 from benchmark.errors import InputError
+from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -68,6 +70,7 @@ def eval_command(
     ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
+    wide: WideOption = False,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
@@ -92,13 +95,14 @@ def eval_command(
         factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native))
     if dry_run:
         count = len(settings.chosen(dataset, split))
-        typer.echo(f"would run {', '.join(factory.facts.name for factory in factories)} on {count} scenes of {split}")
+        names = ", ".join(factory.facts.name for factory in factories)
+        typer.echo(f"would run {names} on {counted(count, 'scene')} of {split}")
         return
     run_root = api.workspace(out).run_root()
     records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
     if explain_protocols:
-        _explain(source.name, dataset, records, api.workspace(out), json_output=json_output)
-    _show_runs(source.name, records, shown, allow_partial=allow_partial, json_output=json_output)
+        _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
+    _show_runs(source.name, records, shown, allow_partial=allow_partial, wide=wide, json_output=json_output)
 
 
 def rescore_command(
@@ -131,6 +135,7 @@ def transfer_command(
     protocol: Annotated[str, typer.Option(help="Whose verdicts count; native: of each planner's own.")] = "exact",
     data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write a heat map to this .png or .svg file.")] = None,
+    wide: WideOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
@@ -157,8 +162,8 @@ def transfer_command(
         print_json({name: asdict(matrix) for name, matrix in matrices.items()})
         return
     for name, matrix in matrices.items():
-        typer.echo(transfer_table(name, matrix).plain())
-        typer.echo(agreement_table(name, matrix).plain())
+        typer.echo(transfer_table(name, matrix).plain(wide=wide))
+        typer.echo(agreement_table(name, matrix).plain(wide=wide))
 
 
 def quality_command(
@@ -177,6 +182,7 @@ def quality_command(
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     workers: WorkersOption = 0,
+    wide: WideOption = False,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
@@ -197,7 +203,7 @@ def quality_command(
         facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
         print_json({"directory": str(record.directory), **facts})
     else:
-        typer.echo(quality_tables([record])[0].plain())
+        typer.echo(quality_tables([record])[0].plain(wide=wide))
 
 
 def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:
@@ -212,7 +218,13 @@ def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:
 
 
 def _explain(
-    data_name: str, dataset: "DataSet", records: "Sequence[RunRecord]", space: "Workspace", *, json_output: bool
+    data_name: str,
+    dataset: "DataSet",
+    records: "Sequence[RunRecord]",
+    space: "Workspace",
+    *,
+    wide: bool,
+    json_output: bool,
 ) -> None:
     """Where protocols differ from exact on these runs: the table, and a picture of the clearest case of each cause."""
     from benchmark.protocols.explain.pictures import explain
@@ -221,7 +233,7 @@ def _explain(
     split = records[0].run.split
     folder = space.out / "explained" / data_name / split
     pictures = explain(records, dataset, folder)
-    typer.echo(disagreement_table(data_name, split, records).plain(), err=json_output)
+    typer.echo(disagreement_table(data_name, split, records).plain(wide=wide), err=json_output)
     for picture in pictures:
         typer.echo(f"{picture.path}: {picture.sentence}", err=json_output)
 
@@ -232,6 +244,7 @@ def _show_runs(
     protocols: tuple[str, ...] | None,
     *,
     allow_partial: bool,
+    wide: bool,
     json_output: bool,
 ) -> None:
     """Print the tables of runs; a run that failed on samples is an error unless allowed, and then said."""
@@ -246,10 +259,10 @@ def _show_runs(
         print_json(rows)
     else:
         for table in run_tables(data_name, records, protocols, allow_partial=allow_partial):
-            typer.echo(table.plain())
+            typer.echo(table.plain(wide=wide))
     for record in partial:
         typer.echo(
-            f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples "
+            f"{record.planner} failed on {record.summary.failed} of {counted(record.summary.samples, 'sample')} "
             f"(tracebacks in {record.directory}); "
             + ("rates leave them out" if allow_partial else "--allow-partial prints the rates of the others"),
             err=True,

@@ -40,6 +40,7 @@ from benchmark.cli.options import (
     TablesOption,
     TogetherOption,
     WeightsFolderOption,
+    WideOption,
     WorkersOption,
     WrittenSize,
     WrittenSizeOption,
@@ -239,6 +240,7 @@ def ablate_command(
     workers: WorkersOption = 0,
     executor: ExecutorOption = ExecutorName.LOCAL,
     address: AddressOption = None,
+    wide: WideOption = False,
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
@@ -272,4 +274,4 @@ def ablate_command(
     if json_output:
         print_json(report.model_dump(mode="json", by_alias=True))
     else:
-        typer.echo(report.table().plain(), nl=False)
+        typer.echo(report.table().plain(wide=wide), nl=False)

@@ -132,6 +132,9 @@ LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only th
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
 WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
+WideOption = Annotated[
+    bool, typer.Option("--wide", help="Print every column of the tables, however wide the terminal is.")
+]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
 PresetOption = Annotated[
     Preset, typer.Option("--preset", help="default, or paper: nothing of the search that the paper does not name.")

@@ -26,6 +26,7 @@ from benchmark.cli.options import (
     name_list,
     print_json,
 )
+from benchmark.report.words import counted
 
 leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
 
@@ -90,7 +91,8 @@ def leaderboard_command(
         print_json({"files": [str(path) for path in written]})
     else:
         typer.echo(
-            f"{len(written)} files in {folder}; start with {folder / ('site/index.html' if site else 'README.md')}"
+            f"{counted(len(written), 'file')} in {folder}; start with "
+            f"{folder / ('site/index.html' if site else 'README.md')}"
         )
 
 
@@ -117,7 +119,8 @@ def submit_check_command(
         for found in findings:
             typer.echo(f"{found.level}: {found.directory}: {found.sentence}")
         for record in sound:
-            typer.echo(f"fit: {record.directory}: {record.planner} on {record.run.split}, {len(record.rows)} samples")
+            samples = counted(len(record.rows), "sample")
+            typer.echo(f"fit: {record.directory}: {record.planner} on {record.run.split}, {samples}")
     raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
 
 

@@ -45,6 +45,7 @@ class SplitComparison:
     Attributes:
         planner: Its name.
         privileged: Whether it saw what no car sees.
+        miniature: Whether it shows the pipeline and ranks nothing.
         protocol: Who judged.
         baseline_split: Name of the first split.
         split: Name of the second split.
@@ -58,6 +59,7 @@ class SplitComparison:
 
     planner: str
     privileged: bool
+    miniature: bool
     protocol: str
     baseline_split: str
     split: str
@@ -76,6 +78,7 @@ class PlannerComparison:
     Attributes:
         planners: Names of the first and the second.
         privileged: For each, whether it saw what no car sees.
+        miniatures: For each, whether it shows the pipeline and ranks nothing.
         protocol: Who judged.
         split: Name of the split.
         by_horizon: Horizon to comparison.
@@ -86,6 +89,7 @@ class PlannerComparison:
 
     planners: tuple[str, str]
     privileged: tuple[bool, bool]
+    miniatures: tuple[bool, bool]
     protocol: str
     split: str
     by_horizon: dict[str, RateComparison]
@@ -119,6 +123,7 @@ def compare_splits(baseline: Scored, other: Scored, *, seed: int = 0) -> SplitCo
     return SplitComparison(
         planner=first.planner,
         privileged=first.run.planner.privileged,
+        miniature=first.run.planner.miniature,
         protocol=baseline.protocol,
         baseline_split=first.run.split,
         split=second.run.split,
@@ -167,6 +172,7 @@ def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> Planner
     return PlannerComparison(
         planners=(first.record.planner, second.record.planner),
         privileged=(runs[0].planner.privileged, runs[1].planner.privileged),
+        miniatures=(runs[0].planner.miniature, runs[1].planner.miniature),
         protocol=first.protocol,
         split=runs[0].split,
         by_horizon=_compared(*sums, list(sums[0].names), seed),

@@ -58,6 +58,7 @@ class TransferMatrix:
         recordings: How many recorded scenes the scenes come from; they are what the intervals draw.
         planners: Names of P planners, in the order given.
         privileged: P flags: whether the planner saw what no car sees.
+        miniatures: P flags: whether the planner shows the pipeline and ranks nothing.
         judges: P protocols: who judged each planner.
         cells: P x P, first index surrogate, second victim. ``denominator`` counts the scenes that the surrogate fails
             and both were judged on, ``numerator`` those that the victim fails too; ``value`` is ``None`` (a dash)
@@ -73,6 +74,7 @@ class TransferMatrix:
     recordings: int
     planners: tuple[str, ...]
     privileged: tuple[bool, ...]
+    miniatures: tuple[bool, ...]
     judges: tuple[str, ...]
     cells: tuple[tuple[Rate, ...], ...]
     base_rates: tuple[Rate, ...]
@@ -106,6 +108,7 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
         recordings=len(set(sources.values())),
         planners=tuple(record.planner for record in records),
         privileged=tuple(record.run.planner.privileged for record in records),
+        miniatures=tuple(record.run.planner.miniature for record in records),
         judges=judges,
         cells=tuple(tuple(_cell(surrogate, victim, sources, seed) for victim in verdicts) for surrogate in verdicts),
         base_rates=tuple(_cell(dict.fromkeys(verdict, True), verdict, sources, seed) for verdict in verdicts),

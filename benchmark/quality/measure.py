@@ -20,6 +20,7 @@ from benchmark.quality.pretrained import transformers_version
 from benchmark.quality.scoring import Networks, image_file, load_networks, score_scene
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
+from benchmark.report.words import counted
 from benchmark.runs.scene_work import reopen_root
 from benchmark.weights.folders import content_hash, folder_of
 
@@ -164,7 +165,10 @@ def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
     chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
     sweeps = definition.frames == "all"
     frames = sum(len(video) for name in chosen for video in data.videos(name, sweeps=sweeps).values())
-    lines = [f"would score {len(chosen)} scenes of {split} with {frames} images; masks from {definition.masks}"]
+    lines = [
+        f"would score {counted(len(chosen), 'scene')} of {split} with {counted(frames, 'image')}; masks from "
+        f"{definition.masks}"
+    ]
     for weights in needed_for(definition.masks):
         try:
             lines.append(f"{weights.name}: in {folder_of(weights, settings.weights)}")

@@ -15,7 +15,9 @@ from benchmark.machine.storage import content_key, read_json
 from benchmark.published import ABLATION
 from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow, Stored
 from benchmark.records.store import read_each, validated
-from benchmark.report.table import Table, table_of
+from benchmark.report.cells import RANKS_NOTHING
+from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.words import counted
 
 SCHEMA: Final = 1
 RECORD: Final = "ablation.json"
@@ -125,16 +127,23 @@ class AblationReport(Stored):
 
     def table(self) -> Table:
         """The study for a terminal."""
+        title = (
+            f"{self.planner.name} on {counted(len(self.scenes), 'scene')} of {self.data.name}, protocol "
+            f"{self.protocol[0]}, 95 % intervals over scenes"
+        )
+        notes = (
+            "of tried: colliding samples over the samples of all tried vehicles, the paper's reading; of kept: over "
+            "those of scenes that passed verification; paper: quoted, UniAD on 20 nuScenes scenes rendered by "
+            "MagicDriveDiT; MTR: multi-round refinement, TS: scoring.",
+            *([f"{self.planner.name} is a miniature: it {RANKS_NOTHING}."] if self.planner.miniature else []),
+        )
         return table_of(
             "ablation",
-            f"{self.planner.name} on {len(self.scenes)} scenes of {self.data.name}, protocol {self.protocol[0]}, 95 % "
-            "intervals over scenes",
-            ("", "tried", "kept", "discarded", "collisions", "of tried, %", "of kept, %", "gap, m", "paper, %"),
+            title,
+            ("search", "tried", "kept", "discarded", "collisions", "of tried, %", "of kept, %", "gap, m", "paper, %"),
             [_cells(row) for row in self.rows],
-            notes=(
-                "of tried: colliding samples over the samples of all tried vehicles, the paper's reading; paper: "
-                "quoted, UniAD on 20 nuScenes scenes rendered by MagicDriveDiT",
-            ),
+            notes=notes,
+            brief=Brief(title, (0, 2, 5, 6, 8), notes, text_columns=1),
         )
 
 

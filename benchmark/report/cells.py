@@ -12,6 +12,8 @@ from benchmark.records.run import RunRecord
 UNDEFINED: Final = "–"
 """Shown where a number does not exist; never a zero."""
 PERCENT: Final = "%"
+RANKS_NOTHING: Final = "shows the pipeline, ranks nothing"
+"""What is said of a miniature wherever it is shown (docs/miniatures.md)."""
 _STORED_DIGITS: Final = 12
 """Significant digits of numbers in JSON: the last bits of a double may differ between processors."""
 
@@ -38,10 +40,17 @@ class AnyRate(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One cell of a table: its text and the facts behind it."""
+    """One cell of a table.
+
+    Attributes:
+        text: What is shown.
+        cell: The facts behind a number.
+        miniature: Whether it names a planner that shows the pipeline and ranks nothing (docs/miniatures.md).
+    """
 
     text: str
     cell: "Cell | None" = None
+    miniature: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""A table as data, and its Markdown, LaTeX, CSV and JSON text. Same table, same bytes."""
+"""A table as data, and its text for a terminal, as Markdown, LaTeX, CSV and JSON. Same table, same bytes."""
 
 import csv
 import io
@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmark.machine.storage import canonical_json
-from benchmark.report.cells import UNDEFINED, Cell, Shown
+from benchmark.report.cells import RANKS_NOTHING, UNDEFINED, Cell, Shown
+from benchmark.report.terminal import aligned, terminal_width, wrapped
+from benchmark.report.words import counted
 
 Groups = tuple[tuple[str, int], ...]
 """Labels over neighbouring columns, each with how many it stands over; an empty label is no label."""
@@ -29,6 +31,7 @@ _LATEX_SPECIAL = {
     "±": r"$\pm$",
     "†": r"$\dagger$",
     "‡": r"$\ddagger$",
+    "§": r"\S{}",
     "−": "$-$",
     "→": r"$\to$",
     "∞": r"$\infty$",
@@ -38,6 +41,23 @@ _LATEX_SPECIAL = {
     "[": "{[}",
     "*": "{*}",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Brief:
+    """What a terminal shows of a table unless all of it is asked for.
+
+    Attributes:
+        title: One line above.
+        columns: Places of the columns, in their order, those of text first.
+        notes: Sentences below them.
+        text_columns: How many of them are text.
+    """
+
+    title: str
+    columns: tuple[int, ...]
+    notes: tuple[str, ...]
+    text_columns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +75,9 @@ class Table:
             protocol.
         cells: The facts behind each cell of ``rows``, ``None`` where it is text alone; ``None`` if none has any.
         sources: Where quoted numbers come from.
+        miniatures: Of each row whether it is about a miniature, whose numbers show the pipeline and rank nothing; none
+            if no row is. CSV has a column more then.
+        brief: What a terminal shows without being asked for more; ``None`` for everything.
     """
 
     name: str
@@ -66,6 +89,8 @@ class Table:
     groups: Groups = ()
     cells: tuple[tuple[Cell | None, ...], ...] | None = None
     sources: tuple[str, ...] = ()
+    miniatures: tuple[bool, ...] = ()
+    brief: Brief | None = None
 
     def __post_init__(self) -> None:
         width = len(self.columns)
@@ -76,6 +101,8 @@ class Table:
             raise ValueError(f"table {self.name}: groups do not cover {width} columns")
         if self.cells is not None and [len(row) for row in self.cells] != [width] * len(self.rows):
             raise ValueError(f"table {self.name}: cells are not those of {len(self.rows)} rows of {width}")
+        if self.miniatures and len(self.miniatures) != len(self.rows):
+            raise ValueError(f"table {self.name}: {len(self.miniatures)} rows are marked or not, of {len(self.rows)}")
 
     @property
     def heads(self) -> tuple[str, ...]:
@@ -97,28 +124,39 @@ class Table:
         lines += ["", *(f"- {escape_markdown(note)}" for note in self.remarks)] if self.remarks else []
         return "\n".join(lines) + "\n"
 
-    def plain(self, *, indent: str = "", least: Sequence[int] = ()) -> str:
+    def plain(
+        self, *, wide: bool = False, width: int | None = None, indent: str = "", least: Sequence[int] = ()
+    ) -> str:
         """The table as aligned text for a terminal, with its title, if it has one, and notes.
 
         Args:
+            wide: Whether to show every column, as wide as they are; notes are wrapped all the same.
+            width: Columns of the terminal, if it is not to be asked.
             indent: Before each line but the title.
             least: Characters that each column has at least.
 
         Returns:
-            Lines.
+            Lines; no wider than the terminal unless ``wide`` is asked for.
         """
-        lines = [self.columns, *self.rows]
-        least = least or (0,) * len(self.columns)
-        widths = [max(few, *(len(line[column]) for line in lines)) for column, few in enumerate(least)]
-        texts = []
-        for line in lines:
-            cells = [
-                cell.ljust(width) if column < self.text_columns else cell.rjust(width)
-                for column, (cell, width) in enumerate(zip(line, widths))
-            ]
-            texts.append("  ".join(cells).rstrip())
-        title = [self.title] if self.title else []
-        return "\n".join([*title, *(f"{indent}{text}" for text in (*texts, *self.remarks))]) + "\n"
+        width, brief = width or terminal_width(), None if wide else self.brief
+        places = range(len(self.columns)) if brief is None else brief.columns
+        rows = [[row[place] for place in places] for row in self.rows]
+        lines = aligned(
+            [self.columns[place] for place in places],
+            rows,
+            text_columns=self.text_columns if brief is None else brief.text_columns,
+            width=None if wide else width - len(indent),
+            least=least,
+        )
+        notes = list(self.remarks if brief is None else brief.notes)
+        if brief is not None and len(brief.columns) < len(self.columns):
+            notes.append(f"--wide shows {counted(len(self.columns) - len(brief.columns), 'column')} more.")
+        below = [
+            line for note in notes for line in wrapped(note, width, indent=indent, hanging="  ", whole_words=False)
+        ]
+        whole = self.title if brief is None else brief.title
+        title = wrapped(whole, width, whole_words=False) if whole else []
+        return "\n".join([*title, *(f"{indent}{line}" if line else "" for line in lines), *below]) + "\n"
 
     def latex(self) -> str:
         """The table as a LaTeX ``table`` environment with booktabs rules, groups over their columns."""
@@ -134,11 +172,14 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
-        """The table as CSV, heads with their groups first."""
+        """The table as CSV, heads with their groups first, and what is to be thought of rows of miniatures last."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(self.heads)
-        writer.writerows([["" if cell == UNDEFINED else cell for cell in row] for row in self.rows])
+        said = [[RANKS_NOTHING if miniature else ""] for miniature in self.miniatures] or [[]] * len(self.rows)
+        writer.writerow((*self.heads, *(("miniature",) if self.miniatures else ())))
+        writer.writerows(
+            [*("" if cell == UNDEFINED else cell for cell in row), *of_row] for row, of_row in zip(self.rows, said)
+        )
         return stream.getvalue()
 
     def as_json(self) -> dict[str, Any]:
@@ -152,6 +193,7 @@ class Table:
             "columns": list(self.columns),
             "groups": [list(group) for group in self.groups],
             "text_columns": self.text_columns,
+            "miniatures": list(self.miniatures),
             "rows": [list(row) for row in self.rows],
             "cells": cells,
             "notes": list(self.notes),
@@ -173,6 +215,7 @@ def table_of(
     text_columns: int = 1,
     groups: Sequence[tuple[str, int]] = (),
     sources: Sequence[str] = (),
+    brief: Brief | None = None,
 ) -> Table:
     """A table of texts and of numbers that bring their facts.
 
@@ -185,11 +228,13 @@ def table_of(
         text_columns: How many leading columns are text.
         groups: Labels over columns; those over none are left out.
         sources: Where quoted numbers come from.
+        brief: What a terminal shows of it, if not all.
 
     Returns:
         The table.
     """
     shown = [[Shown(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    miniatures = tuple(any(cell.miniature for cell in row) for row in shown)
     return Table(
         name,
         title,
@@ -200,6 +245,8 @@ def table_of(
         tuple((label, span) for label, span in groups if span),
         tuple(tuple(cell.cell for cell in row) for row in shown),
         tuple(sources),
+        miniatures if any(miniatures) else (),
+        brief,
     )
 
 

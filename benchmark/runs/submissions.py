@@ -17,6 +17,7 @@ from benchmark.errors import InputError
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record, summarise
 from benchmark.records.run_schema import ProtocolSummary, SampleRow
+from benchmark.report.words import counted
 from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import judged_anew, record_directories, require_same_data
 
@@ -110,13 +111,15 @@ def _claims(record: RunRecord, data_name: str) -> Iterator[tuple[Level, str]]:
     if not record.covers_split:
         yield (
             Level.ERROR,
-            f"ran on {len(run.scenes)} of {run.scenes_in_split} scenes of {run.split}; run eval without --scenes and "
+            f"ran on {len(run.scenes)} of {counted(run.scenes_in_split, 'scene')} of {run.split}; run eval "
+            "without --scenes and "
             "--limit",
         )
     if not record.complete:
         yield (
             Level.ERROR,
-            f"has no plan for {record.summary.failed} of {record.summary.samples} samples; the errors are in "
+            f"has no plan for {record.summary.failed} of {counted(record.summary.samples, 'sample')}; the "
+            "errors are in "
             "samples.jsonl",
         )
     unknown = sorted(set(run.protocols) - set(PROTOCOLS))
@@ -141,19 +144,23 @@ def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, 
     require_same_data(record, data)
     scenes = list(data.scene_names(run.split))
     if run.scenes_in_split != len(scenes) or (record.covers_split and sorted(run.scenes) != sorted(scenes)):
-        yield Level.ERROR, f"does not have the {len(scenes)} scenes of {run.split} of {data.root}; run eval again"
+        yield (
+            Level.ERROR,
+            f"does not have the {counted(len(scenes), 'scene')} of {run.split} of {data.root}; run eval again",
+        )
         return
     names = tuple(name for name in run.protocols if name in PROTOCOLS and name not in record.stale_protocols)
     anew = [row for scene in run.scenes for row in judged_anew(record, data, scene, names)]
     if len(anew) != len(record.rows):
-        yield Level.ERROR, f"has {len(record.rows)} samples, its scenes have {len(anew)}; run eval again"
+        yield Level.ERROR, f"has {counted(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again"
         return
     different = [row for row, computed in zip(record.rows, anew) if not _says_the_same(row, computed, names)]
     if different:
         first = different[0]
         yield (
             Level.ERROR,
-            f"says other verdicts than its plans have on {len(different)} of {len(anew)} samples, first on sample "
+            f"says other verdicts than its plans have on {len(different)} of {counted(len(anew), 'sample')}, "
+            "first on sample "
             f"{first.sample_token} of {first.scene}; run challenger-bench rescore",
         )
     versions = {name: run.protocols[name] for name in names}

@@ -13,6 +13,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.planning import CameraView
 from benchmark.records.scenes import CAMERA_GRID, Segment, SheetCamera
+from benchmark.report.words import counted
 from benchmark.scene import Camera, Scene
 
 Videos = Mapping[str, Sequence[CameraView]]
@@ -53,7 +54,8 @@ def with_files(scene: str, videos: Videos) -> Videos:
     missing = [path for path in paths if not path.is_file()]
     if missing and len(missing) < len(paths):
         raise InputError(
-            f"image {missing[0]} is missing, {len(missing)} of {len(paths)} images of scene {scene} are; complete the "
+            f"image {missing[0]} is missing, {len(missing)} of {counted(len(paths), 'image')} of scene {scene} "
+            "are; complete the "
             "data set, or make sheets with --pictures none"
         )
     return {} if missing else {name: views for name, views in videos.items() if views}

@@ -14,6 +14,7 @@ from benchmark.machine.workers import default_workers, map_ordered
 from benchmark.records.run_schema import DataFacts
 from benchmark.records.scenes import ROUNDS_FILE, SCENES_FOLDER, SHEET_FILE, Sheet, kept_rounds_path, split_folder
 from benchmark.records.statistics import Runtime
+from benchmark.report.words import counted
 from benchmark.runs.scene_work import reopen_root
 from benchmark.sheets.making import Job, WrittenSheet, planned_sheet, rounds_fit, written_sheet
 from benchmark.sheets.split_sheets import write_split_sheet
@@ -83,10 +84,10 @@ class WrittenSheets:
         """The same in words."""
         total = self.as_json()
         return (
-            f"{len(self.scenes)} sheets in {self.directory} ({total['made']} made, the others were there): "
-            f"{total['sheet_bytes'] / 1e6:.1f} MB, with {total['pictures']} pictures of "
+            f"{counted(len(self.scenes), 'sheet')} in {self.directory} ({total['made']} made, the others were there): "
+            f"{total['sheet_bytes'] / 1e6:.1f} MB, with {counted(total['pictures'], 'picture')} of "
             f"{total['picture_bytes'] / 1e6:.1f} MB"
-            + ("" if self.traced is None else f"\nrounds of refinement of {self.traced} scenes")
+            + ("" if self.traced is None else f"\nrounds of refinement of {counted(self.traced, 'scene')}")
         )
 
 
@@ -166,7 +167,8 @@ def plan_of(data: "DataSet", split: str, root: Path, settings: SheetSettings) ->
     job = _job(data, split, root, settings)
     planned = [planned_sheet(job, data, name) for name in chosen]
     return (
-        f"would write {len(chosen)} sheets with {sum(each.pictures for each in planned)} pictures to "
+        f"would write {counted(len(chosen), 'sheet')} with "
+        f"{counted(sum(each.pictures for each in planned), 'picture')} to "
         f"{split_folder(root, data.name, split)}; {sum(not each.made for each in planned)} are there already"
     )
 

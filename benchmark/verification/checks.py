@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, wrap_angle
+from benchmark.report.words import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +58,11 @@ def report(checks: Sequence[Check]) -> str:
     width = max((len(check.quantity) for check in checks), default=0)
     lines = [
         f"{'ok  ' if check.ok else 'FAIL'}  {check.quantity:<{width}}  largest error {check.error:9.3g}, "
-        f"allowed {check.tolerance:9.3g}, {check.count:,} values{f' ({check.note})' if check.note else ''}"
+        f"allowed {check.tolerance:9.3g}, {counted(check.count, 'value')}{f' ({check.note})' if check.note else ''}"
         for check in checks
     ]
     failed = sum(not check.ok for check in checks)
-    return "\n".join([*lines, f"{len(checks) - failed} of {len(checks)} quantities agree"])
+    return "\n".join([*lines, f"{len(checks) - failed} of {counted(len(checks), 'quantity')} agree"])
 
 
 @dataclass(slots=True)

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from benchmark.errors import InputError
+from benchmark.report.words import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,8 @@ class Library:
         missing = sorted(report["missing_keys"])
         if missing:
             raise InputError(
-                f"the weights in {folder} lack {len(missing)} tensors of {kind} (first: {missing[0]}); get them again "
+                f"the weights in {folder} lack {counted(len(missing), 'tensor')} of {kind} (first: "
+                f"{missing[0]}); get them again "
                 "(challenger-bench weights list)"
             )
         return found.eval()

@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmark.dynamics.bicycle import MotionModel, simulate
 from benchmark.machine.workers import Executor, LocalProcesses, single_threaded
+from benchmark.report.words import counted
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.build.profile import mean_seconds
@@ -54,12 +55,12 @@ class Estimate:
         """For people."""
         parts = []
         for what, unit, count, each, workers in (
-            ("planning", "attempts", self.attempts, self.attempt_s, self.workers),
-            ("rendering", "scenes", self.scenes, self.scene_s, self.renderers),
+            ("planning", "attempt", self.attempts, self.attempt_s, self.workers),
+            ("rendering", "scene", self.scenes, self.scene_s, self.renderers),
         ):
             if count and each:
                 time_left = duration(count * each / (workers or 1))
-                parts.append((f"{time_left} of {what} ({count} {unit} at {duration(each)})", _on(workers)))
+                parts.append((f"{time_left} of {what} ({counted(count, unit)} at {duration(each)})", _on(workers)))
         if not parts:
             return "about no time"
         if self.workers == self.renderers:

@@ -13,6 +13,7 @@ from benchmark.machine.storage import read_kept_json
 from benchmark.published import RUNTIME_S
 from benchmark.records.statistics import Runtime
 from benchmark.report.table import Table, table_of
+from benchmark.report.words import counted
 
 STAGES: Final = ("sampling", "physics", "scoring", "rendering", "other")
 
@@ -33,12 +34,12 @@ class RuntimeTable(Runtime):
         rows.append(("all", sum(self.total_s.values()), ours, sum(RUNTIME_S.values())))
         return table_of(
             "runtime",
-            f"processor seconds of {self.attempts} attempts and {self.scenes} scenes",
-            ("", "total", "each", "paper"),
+            f"processor seconds of {counted(self.attempts, 'attempt')} and {counted(self.scenes, 'scene')}",
+            ("stage", "total", "each", "paper"),
             [(name, *("-" if each is None else f"{each:.2f}" for each in seconds)) for name, *seconds in rows],
             notes=(
-                "each: one attempt, rendering one scene; paper: quoted, two Xeon 8457C and four L20, rendering by "
-                "MagicDriveDiT",
+                "each: one attempt, rendering one scene; paper: quoted, seconds by the clock for one scene on two Xeon "
+                "8457C and four L20, rendered by MagicDriveDiT.",
             ),
         )
 

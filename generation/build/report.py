@@ -4,6 +4,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from benchmark.report.words import counted
 from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
 from generation.search.chains import SearchResult
@@ -82,16 +83,19 @@ class BuildReport:
         """One sentence for people."""
         if self.dry_run:
             work = (
-                "" if self.split == "val-r" else f", {self.tried} vehicles to try ({self.finished_before} of them done)"
+                ""
+                if self.split == "val-r"
+                else f", {counted(self.tried, 'vehicle')} to try ({self.finished_before} of them done)"
             )
             about = "" if self.estimate is None else f"; {self.estimate.sentence()}"
-            return f"would build {self.split} from {self.scenes} scenes{work}{about}; nothing was written"
+            return f"would build {self.split} from {counted(self.scenes, 'scene')}{work}{about}; nothing was written"
         if self.split == "val-r":
-            return f"{len(self.written)} scenes rendered again"
+            return f"{counted(len(self.written), 'scene')} rendered again"
         reasons = ", ".join(f"{count} {reason}" for reason, count in sorted({**self.discarded, **self.dropped}.items()))
         return (
-            f"{self.scenes} scenes, {self.tried} vehicles tried, {self.survived} scenes passed verification "
-            f"(discarded: {reasons or 'none'}), {len(self.written)} scenes written"
+            f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
+            f"{counted(self.survived, 'scene')} passed verification (discarded: {reasons or 'none'}), "
+            f"{counted(len(self.written), 'scene')} written"
         )
 
     def summary(self) -> str:
@@ -99,17 +103,20 @@ class BuildReport:
         if self.dry_run or self.split == "val-r":
             return self.sentence()
         kept = self.tried - sum(self.discarded.values()) - sum(self.dropped.values())
-        rows = [("written", kept, f"in {len(self.written)} scenes")]
+        rows = [("written", kept, f"in {counted(len(self.written), 'scene')}")]
         for what, counts in (("discarded", self.discarded), ("not kept", self.dropped), ("not tried", self.not_tried)):
             rows += [
                 (what, count, reason) for reason, count in sorted(counts.items(), key=lambda row: (-row[1], row[0]))
             ]
-        lines = [f"{self.scenes} scenes, {self.tried} vehicles tried, {len(self.written)} scenes written"]
+        lines = [
+            f"{counted(self.scenes, 'scene')}, {counted(self.tried, 'vehicle')} tried, "
+            f"{counted(len(self.written), 'scene')} written"
+        ]
         lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
         if self.surrogate is not None:
             lines.append(
                 f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "
-                f"{self.surrogate['scenes']} scenes, {self.surrogate['colliding_samples']} of "
-                f"{self.surrogate['samples']} samples"
+                f"{counted(self.surrogate['scenes'], 'scene')}, {self.surrogate['colliding_samples']} of "
+                f"{counted(self.surrogate['samples'], 'sample')}"
             )
         return "\n".join(lines)

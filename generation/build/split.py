@@ -12,6 +12,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer
 from benchmark.machine.workspace import GENERATED_SPLITS
 from benchmark.records.attempts import ATTEMPTS_FILE
+from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.build.profile import runtime_table
@@ -68,7 +69,8 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
     without_map = [name for name in names if not source.has_map(name)]
     if without_map:
         raise InputError(
-            f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of {len(names)} scenes), and "
+            f"{source.root} has no map expansion for {without_map[0]} ({len(without_map)} of "
+            f"{counted(len(names), 'scene')}), and "
             "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
         )
     search = Search(

@@ -11,6 +11,7 @@ from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleStat
 from benchmark.dynamics.reference_path import WAYPOINTS, reference_path
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_global
+from benchmark.report.words import counted
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.golden import GoldenArrays, golden_directory
 from generation.verification.built_in import BUILT_IN
@@ -114,7 +115,9 @@ def _compare_motion(comparison: Comparison, stored: GoldenArrays, motion: Simula
     comparison.numbers("steering angle (rad)", ours_state[..., 5], state[..., 5], TOLERANCE)
     comparison.numbers("commanded acceleration (m/frame^2)", ours_commands[..., 0], commands[..., 0], TOLERANCE)
     comparison.numbers("commanded steering rate (rad/frame)", ours_commands[..., 1], commands[..., 1], TOLERANCE)
-    comparison.note("centre position (m)", f"{np.count_nonzero(good)} of {count} candidates are well-conditioned")
+    comparison.note(
+        "centre position (m)", f"{np.count_nonzero(good)} of {counted(count, 'candidate')} are well-conditioned"
+    )
 
 
 def _compare_ill_conditioned(comparison: Comparison, stored: GoldenArrays, motion: SimulatedMotion) -> None:
@@ -130,7 +133,7 @@ def _compare_ill_conditioned(comparison: Comparison, stored: GoldenArrays, motio
     if soon.any():
         quantity = f"centre position of others, first {SOON_FRAMES} frames (m)"
         comparison.numbers(quantity, motion.center[soon, frames, :2], center[soon, frames, :2], SOON_TOLERANCE_M)
-        comparison.note(quantity, f"{np.count_nonzero(soon)} candidates")
+        comparison.note(quantity, counted(int(np.count_nonzero(soon)), "candidate"))
     free = other & ~soon
     if free.any():
         error = np.abs(motion.center[free, frames, :2] - center[free, frames, :2]).max(axis=(1, 2))

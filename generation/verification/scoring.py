@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.machine.storage import read_json
+from benchmark.report.words import counted
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.golden import GoldenArrays, golden_directory
 from generation.search.hyperparameters import CollisionReading, HyperParameters
@@ -56,7 +57,7 @@ def verify_scoring(golden: Path | None = None) -> list[Check]:
             _compare_file(comparison, GoldenArrays.read(path), excused)
     for quantity, count in excused.items():
         comparison.note(quantity, f"{count} within 1e-9 of a tie are left out")
-    comparison.note("centre off the road", f"{len(paths)} files{_absent(folder, paths)}")
+    comparison.note("centre off the road", f"{counted(len(paths), 'file')}{_absent(folder, paths)}")
     return comparison.checks()
 
 

@@ -18,6 +18,7 @@ from benchmark.drawing.plots import new_figure, picture
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
+from benchmark.report.words import titled
 from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d31")
@@ -141,7 +142,7 @@ def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]
 def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord]) -> Figure:
     shown = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
-    privileged = {run.planner: run.run.planner.privileged for run in runs}
+    names_of = {run.planner: _name(run) for run in runs}
     style = {name: _style(place) for place, name in enumerate(planners)}
     figure = new_figure(1.2 + 2.6 * len(shown) + 2.6, max(3.2, 0.9 + 0.24 * len(planners)))
     panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
@@ -157,7 +158,7 @@ def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord]) ->
     # Panels share this axis: its end is known once all are drawn.
     panels[0].set_ylim(bottom=0)
     lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
-    names = [drawable(marked(name, privileged=privileged[name])) for name in planners]
+    names = [names_of[name] for name in planners]
     figure.tight_layout(rect=(0, 0, 1 - 2.5 / figure.get_figwidth(), 0.93))
     legend = figure.legend(lines, names, loc="center right", frameon=False, fontsize="small")
     _plain_text(legend.get_texts())
@@ -209,10 +210,10 @@ def _disagreement(data_name: str, split: str, found: Sequence[tuple[RunRecord, d
     panels[0].set_ylim(len(protocols) - 0.5, -0.5)
     figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
     patches = [Patch(color=_style(place)["color"]) for place in range(len(found))]
-    names = [drawable(marked(run.planner, privileged=run.run.planner.privileged)) for run, _ in found]
+    names = [_name(run) for run, _ in found]
     legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
     _plain_text(legend.get_texts())
-    _heading(figure, f"{drawable(data_name)}, split {drawable(split)}: protocols against exact (a tick: undefined)")
+    _heading(figure, f"{drawable(titled(data_name, split))}: protocols against exact (a tick: undefined)")
     return figure
 
 
@@ -234,7 +235,7 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord]) 
         axes.barh(rows, [failed[name] for name in order], 0.72, color=_FAIL)
         for row, name in enumerate(order):
             axes.text(scenes[name], row, f" {failed[name]}/{scenes[name]}", va="center", fontsize="small")
-        name = drawable(marked(run.planner, privileged=run.run.planner.privileged))
+        name = _name(run)
         axes.set_title(name, fontsize="medium", parse_math=False)
         axes.spines[["top", "right"]].set_visible(False)
         axes.set_xlabel("scenes")
@@ -269,3 +270,8 @@ def _plain_text(texts: Sequence[Any]) -> None:
     """Names of strangers are text, not formulas."""
     for text in texts:
         text.set_parse_math(False)
+
+
+def _name(run: RunRecord) -> str:
+    planner = run.run.planner
+    return drawable(marked(run.planner, privileged=planner.privileged, miniature=planner.miniature))

@@ -14,6 +14,7 @@ from benchmark.records.planner_versions import labelled
 from benchmark.records.run import RunRecord, protocol_of
 from benchmark.records.run_schema import SampleRow
 from benchmark.records.scenes import Sheet
+from benchmark.report.words import split_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +94,12 @@ def _record_of(sheet: Sheet, records: Sequence[RunRecord], name: str) -> RunReco
     if not whole:
         there = f"; there are {', '.join(sorted({each.planner for each in known}))}" if known else ""
         raise InputError(
-            f"no run record of {name} has scene {sheet.scene} of split {sheet.split} of {sheet.data.name}{there}; run "
+            f"no run record of {name} has scene {sheet.scene} of {split_of(sheet.split, sheet.data.name)}{there}; run "
             f"challenger-bench eval --split {sheet.split} --model {name} for that data set"
         )
     if len(whole) > 1:
         raise InputError(
-            f"{name} ran {len(whole)} times on split {sheet.split} of {sheet.data.name} "
+            f"{name} ran {len(whole)} times on {split_of(sheet.split, sheet.data.name)} "
             f"({', '.join(str(each.directory) for each in whole)}); name one of {', '.join(e.planner for e in whole)} "
             "with --model, or the folder of one run with --records"
         )

@@ -14,6 +14,7 @@ from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord, scene_failures
 from benchmark.records.run_schema import SampleRow
 from benchmark.records.scenes import Sheet, Sheets
+from benchmark.report.words import split_of
 from leaderboard.tables.rows import split_place
 
 SceneName = tuple[str, str, str]
@@ -203,7 +204,7 @@ def _require_same_content(records: Sequence[RunRecord], sheets: Sheets) -> None:
         record = content.get((data_name, split))
         if record is not None and record.run.data.fingerprint != stored.sheet.data.fingerprint:
             raise InputError(
-                f"the sheet of {scene} ({stored.directory}) shows other content of split {split} of {data_name} than "
+                f"the sheet of {scene} ({stored.directory}) shows other content of {split_of(split, data_name)} than "
                 "the run records saw (the data fingerprints differ); run challenger-bench sheets again, or eval again "
                 "if the data is newer"
             )

@@ -6,8 +6,9 @@ from typing import Final
 
 from benchmark.published import ABLATION_SOURCE
 from benchmark.records.ablation import VARIANTS, AblationReport, AblationRow
-from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, named_record
+from benchmark.report.cells import PERCENT, RANKS_NOTHING, UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
+from benchmark.report.words import counted
 from leaderboard.tables.published import quoted
 
 _BY_NAME: Final = {variant.name: variant for variant in VARIANTS}
@@ -45,11 +46,17 @@ def _table(study: AblationReport, suffix: str) -> Table:
         ),
         [_row(study, row) for row in study.rows],
         notes=(
-            f"{len(study.scenes)} recorded scenes; every row tries the same vehicles. MTR: multi-round refinement, TS: "
-            "scoring. Collisions: colliding samples / samples of kept attempts; of tried: the same over the samples of "
-            "all tried vehicles, the paper's reading. Brackets: 95 % bootstrap interval over recorded scenes.",
+            f"{counted(len(study.scenes), 'recorded scene')}; every row tries the same vehicles. MTR: multi-round "
+            "refinement, TS: scoring. Collisions: colliding samples / samples of kept attempts; of tried: the same "
+            "over the samples of all tried vehicles, the paper's reading. Brackets: 95 % bootstrap interval over "
+            "recorded scenes.",
             "Paper: UniAD on 20 nuScenes scenes rendered by MagicDriveDiT; another planner, other scenes and another "
             "renderer, so that only the direction of the differences compares.",
+            *(
+                [f"{study.planner.name} is a miniature: it {RANKS_NOTHING} (docs/miniatures.md)."]
+                if study.planner.miniature
+                else []
+            ),
         ),
         groups=(
             ("", 1),
@@ -72,7 +79,7 @@ def _row(study: AblationReport, row: AblationRow) -> tuple[str | Shown, ...]:
     if variant is not None:
         published = quoted(variant.published, PERCENT, Origin("uniad", source=ABLATION_SOURCE))
     return (
-        row.name if variant is None else variant.label,
+        Shown(row.name if variant is None else variant.label, miniature=study.planner.miniature),
         plain.count(row.attempted, "vehicles").shown(),
         plain.count(row.kept, "vehicles", row.attempted).shown(),
         plain.count(sum(row.discarded.values()), "vehicles", row.attempted).shown(),

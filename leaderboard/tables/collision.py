@@ -7,14 +7,17 @@ from benchmark.metrics.rates import HORIZONS
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
-from benchmark.report.table import Table, table_of
+from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.published import is_variant, published_cells, published_rate
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
-RATES_NOTE = (
+BRIEF_NOTE = (
     "Brackets: 95 % bootstrap interval over recorded scenes; a dash where there are fewer than two or all of them "
-    "agree. Increase: (adv − val) / val of the averages, as the paper computes it; beside it the same over val-r."
+    "agree. Increase: (adv − val) / val of the averages, as the paper computes it."
 )
+RATES_NOTE = f"{BRIEF_NOTE.removesuffix('.')}; beside it the same over val-r."
+_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "scenes failed")
+"""What a terminal shows behind planner, split and protocol."""
 BEFORE_MASK = "collision_before_mask"
 
 
@@ -39,7 +42,7 @@ def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord])
         f"(version {', '.join(str(version) for version in versions)})",
         in_table_order(records),
         lambda record: protocol,
-        notes=(RATES_NOTE,),
+        notes=(),
     )
 
 
@@ -65,7 +68,6 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
         notes=(
             "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
             f"protocols are not comparable.{said}",
-            RATES_NOTE,
         ),
         names_protocol=True,
     )
@@ -130,21 +132,31 @@ def _table(
             )
         )
     who = "own protocol" if names_protocol else next((judge_of(run) for run in runs), "")
+    columns = (
+        *("planner", "split", *(("protocol",) if names_protocol else ())),
+        *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
+        *(("avg before mask", "steps masked") if has_mask else ()),
+        *("increase", "over val-r"),
+        *(f"L2 {horizon}" for horizon in HORIZONS),
+        *("samples", "scenes", "scenes failed", "coverage"),
+        *((*(f"paper {horizon}" for horizon in HORIZONS), "paper increase") if has_paper else ()),
+    )
+    texts = 3 if names_protocol else 2
+    said = _run_notes(records, judge_of)
+    of_columns = _column_notes(records, judge_of, has_mask=has_mask, has_paper=has_paper)
     return table_of(
         name,
         title,
-        (
-            *("planner", "split", *(("protocol",) if names_protocol else ())),
-            *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
-            *(("avg before mask", "steps masked") if has_mask else ()),
-            *("increase", "over val-r"),
-            *(f"L2 {horizon}" for horizon in HORIZONS),
-            *("samples", "scenes", "scenes failed", "coverage"),
-            *((*(f"paper {horizon}" for horizon in HORIZONS), "paper increase") if has_paper else ()),
-        ),
+        columns,
         rows,
-        notes=(*notes, *_notes(records, judge_of, has_mask=has_mask, has_paper=has_paper)),
-        text_columns=3 if names_protocol else 2,
+        notes=(*notes, RATES_NOTE, *of_columns, *said),
+        brief=Brief(
+            title.replace(" and L2 (m)", ""),
+            (*range(texts), *(columns.index(head) for head in _BRIEF_COLUMNS)),
+            (*notes, BRIEF_NOTE, *said),
+            texts,
+        ),
+        text_columns=texts,
         groups=(
             ("", 3 if names_protocol else 2),
             (f"collision rate in %, {who}", 5),
@@ -201,22 +213,27 @@ def _distances_and_counts(record: RunRecord, judge: str) -> tuple[Shown, ...]:
     )
 
 
-def _notes(
+def _column_notes(
     records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_mask: bool, has_paper: bool
 ) -> list[str]:
+    """What the columns mean that a terminal does not show unasked."""
     notes = _paper_notes(records, judge_of, has_paper=has_paper)
     if has_mask:
         notes.append(
             "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
             "average without that exclusion; masked: how many colliding steps it removed."
         )
+    return notes
+
+
+def _run_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str]) -> list[str]:
     told = []
     for record in records:
         judge, who = judge_of(record), f"{record.planner} on {record.run.split}"
         if judge not in record.summary.protocols:
             told.append(f"{who}: no verdicts under protocol {judge}; run challenger-bench rescore.")
         told += stale_notes(record, (judge,))
-    return [*notes, *run_notes(records, told)]
+    return run_notes(records, told)
 
 
 def _paper_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str], *, has_paper: bool) -> list[str]:

@@ -11,14 +11,15 @@ from benchmark.metrics.significance import PlannerComparison, SplitComparison, c
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.report.cells import Cell, Origin, Shown, record_name
 from benchmark.report.table import Table, table_of
+from benchmark.report.words import counted, titled
 from leaderboard.tables.rows import (
     FEW_NOTE,
     FEW_SCENES,
-    PRIVILEGED_NOTE,
     completeness_notes,
     in_table_order,
     judges,
-    marked,
+    name_cell,
+    notes_of_marks,
     recordings,
 )
 
@@ -160,7 +161,7 @@ def planner_table(
     by_name = {record.planner: record for record in here}
     return table_of(
         f"planners-{split}-{protocol}",
-        f"{data_name}, split {split}: difference of the average collision rate between planners, {judges(protocol)}",
+        f"{titled(data_name, split)}: difference of the average collision rate between planners, {judges(protocol)}",
         (
             *("first", "second", "first (%)", "second (%)", "second − first (points)", "95 % of difference"),
             *("samples", "failed samples", "scenes not shared"),
@@ -195,7 +196,7 @@ def _split_row(comparison: SplitComparison, runs: Mapping[tuple[str, str], RunRe
     difference, scenes = _points(both, paired.difference, len(comparison.sources)), len(comparison.sources)
     unpaired = len(comparison.only_baseline) + len(comparison.only_split)
     return (
-        marked(comparison.planner, privileged=comparison.privileged),
+        name_cell(comparison.planner, privileged=comparison.privileged, miniature=comparison.miniature),
         f"{comparison.baseline_split} → {comparison.split}",
         judge,
         *(
@@ -216,7 +217,10 @@ def _planner_row(comparison: PlannerComparison, by_name: Mapping[str, RunRecord]
     both = Origin(judge, record_name(*sides))
     difference = _points(both, found.difference, comparison.samples, "samples")
     return (
-        *(marked(name, privileged=seen) for name, seen in zip(comparison.planners, comparison.privileged)),
+        *(
+            name_cell(name, privileged=seen, miniature=small)
+            for name, seen, small in zip(comparison.planners, comparison.privileged, comparison.miniatures)
+        ),
         *(
             Origin(judge, record_name(run)).cell(rate, "%", comparison.samples, scale=100.0).shown(2)
             for run, rate in zip(sides, (found.first, found.second))
@@ -243,11 +247,10 @@ def _unpaired(comparisons: Sequence[SplitComparison]) -> list[str]:
         ):
             if names:
                 some = f"{', '.join(names[:3])}{', …' if len(names) > 3 else ''}"
-                notes.append(f"{pair}: {len(names)} scenes only in {split} ({some}).")
+                notes.append(f"{pair}: {counted(len(names), 'scene')} only in {split} ({some}).")
     return list(dict.fromkeys(notes))
 
 
 def _common_notes(records: Sequence[RunRecord], scenes: int) -> list[str]:
     few = [FEW_NOTE] if scenes < FEW_SCENES else []
-    privileged = [PRIVILEGED_NOTE] if any(record.run.planner.privileged for record in records) else []
-    return [*few, *privileged, *completeness_notes(in_table_order(records))]
+    return [*few, *notes_of_marks(records), *completeness_notes(in_table_order(records))]

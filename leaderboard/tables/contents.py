@@ -17,7 +17,7 @@ from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
-from leaderboard.tables.rows import in_table_order, splits_of
+from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
 from leaderboard.tables.statistics import statistics_tables
@@ -127,8 +127,8 @@ def _transfer_tables(
         if record.run.split != split:
             continue
         if not record.covers_split:
-            ran = f"{len(record.run.scenes)} of {record.run.scenes_in_split} scenes"
-            refused.append(f"Left out: {record.planner} ran on {ran} of the split.")
+            ran = part_of_split(len(record.run.scenes), record.run.scenes_in_split)
+            refused.append(f"Left out: {record.planner} ran on {ran}.")
             continue
         try:
             require_current(record, protocol_of(record, protocol))

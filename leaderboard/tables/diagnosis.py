@@ -48,7 +48,7 @@ class _Run:
         return all(row.diagnosis is not None for row in self.colliding)
 
     @property
-    def label(self) -> tuple[str, str]:
+    def label(self) -> tuple[Shown, str]:
         """Planner and split, the first two cells of its rows."""
         return row_name(self.record, EXACT), self.record.run.split
 

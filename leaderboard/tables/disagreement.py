@@ -6,12 +6,13 @@ from benchmark.metrics.confusion import Confusion, ProtocolComparison, compariso
 from benchmark.metrics.disagreement import CAUSES, EXACT, RUNGS
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, number, record_name
-from benchmark.report.table import Table, table_of
+from benchmark.report.table import Brief, Table, table_of
+from benchmark.report.words import titled
 from leaderboard.tables.rows import (
-    PRIVILEGED_NOTE,
     STALE_MARK,
     completeness_notes,
     in_table_order,
+    notes_of_marks,
     row_name,
     stale_notes,
 )
@@ -42,9 +43,11 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
     ]
     found = [(record, protocol, one) for record in runs for protocol, one in comparisons(record).items()]
     shown = [cause for cause in CAUSES if any(one.causes is not None and one.causes[cause] for _, _, one in found)]
+    title = f"{titled(data_name, split)}: what each protocol misses and invents, measured by exact"
+    notes = _notes(runs, found)
     return table_of(
         f"disagreement-{split}",
-        f"{data_name}, split {split}: what each protocol misses and invents, measured by exact",
+        title,
         (
             "planner",
             "protocol",
@@ -59,7 +62,8 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
             "step false alarms",
         ),
         [_row(record, protocol, one, shown) for record, protocol, one in found],
-        notes=_notes(runs, found),
+        notes=notes,
+        brief=Brief(title, (*range(7), 7 + len(shown)), notes, text_columns=2),
         text_columns=2,
         groups=(
             ("", 2),
@@ -120,8 +124,7 @@ def _notes(runs: Sequence[RunRecord], found: Sequence[_Found]) -> tuple[str, ...
         notes.append(
             f"No causes in the records of {', '.join(unknown)}; challenger-bench rescore finds them with the data set."
         )
-    if any(record.run.planner.privileged for record in runs):
-        notes.append(PRIVILEGED_NOTE)
+    notes += notes_of_marks(runs)
     for record in runs:
         notes += stale_notes(record, sorted(record.run.protocols))
     return (*notes, *completeness_notes(runs))

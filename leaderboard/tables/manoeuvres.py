@@ -4,6 +4,7 @@ from benchmark.records.scenes import Sheets, SplitSheet
 from benchmark.records.statistics import ManoeuvreRow
 from benchmark.report.cells import PERCENT, UNDEFINED, Shown
 from benchmark.report.table import Table, table_of
+from benchmark.report.words import titled
 from leaderboard.tables.statistics import by_data_set, origin_of
 
 PAPER_NOTE = (
@@ -42,7 +43,7 @@ def _table(data_name: str, split: SplitSheet) -> Table:
     )
     return table_of(
         f"manoeuvres-{split.split}",
-        f"{data_name}, split {split.split}: what adversaries do, and where",
+        f"{titled(data_name, split.split)}: what adversaries do, and where",
         ("manoeuvre", "primary", "%", "at any time", *places, "median gap, m"),
         [*rows, ("all", *in_all)],
         notes=(

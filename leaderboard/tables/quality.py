@@ -8,9 +8,9 @@ from benchmark.machine.storage import content_key
 from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3
 from benchmark.records.quality import QualityRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
-from benchmark.report.table import Table, table_of
+from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.published import quoted
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, split_place
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, part_of_split, split_place
 
 _COLUMNS: Final = (
     "split",
@@ -34,6 +34,13 @@ _COLUMN_GROUPS: Final = (
     ("imaging quality of frames", 2),
     ("counted", 3),
     ("paper", 2),
+)
+_BRIEF_PLACES: Final = (0, 1, 2, 3, 4, 5, 8, 10)
+"""Columns that a terminal shows: both measures of vehicles with their intervals, vehicles and scenes."""
+_MEASURES_NOTE: Final = (
+    "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its first; IQ: "
+    "imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. Brackets: 95 % "
+    "bootstrap interval over recorded scenes. What is measured in detail: docs/quality.md."
 )
 _GROUPS: Final = ("all", "adversary", "others")
 
@@ -63,18 +70,19 @@ def _table(records: Sequence[QualityRecord], *, several: bool) -> Table:
     chosen = _one_each(records)
     rows = [row for record in chosen for row in _rows(record)]
     data_name, definition = chosen[0].facts.data.name, chosen[0].facts.definition
+    title = f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}"
+    seen = _what_was_seen(chosen)
     return table_of(
         name,
-        f"{data_name}: video quality, masks from {chosen[0].masks}, {_frame_rate(definition)}",
+        title,
         _COLUMNS,
         rows,
         notes=(
-            "SC: subject consistency (VBench, DINO ViT-B/16), mean over the appearances of each vehicle after its "
-            "first; IQ: imaging quality (VBench, MUSIQ trained on SPAQ) of vehicles' regions, and of whole frames. "
-            "Brackets: 95 % bootstrap interval over recorded scenes. What is measured in detail: docs/quality.md.",
-            *_what_was_seen(chosen),
+            _MEASURES_NOTE,
+            *seen,
             "Paper: frame rate, resolution and regions are not published: its values are a reference and no target.",
         ),
+        brief=Brief(title, _BRIEF_PLACES, (_MEASURES_NOTE, *seen), text_columns=2),
         text_columns=2,
         groups=_COLUMN_GROUPS,
         sources=(QUALITY_SOURCE,),
@@ -125,8 +133,8 @@ def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
         notes.append(f"Frames: {next(iter(seen.values()))}.")
     for record in records:
         if not record.covers_split:
-            of = f"{len(record.facts.scenes)} of {record.facts.scenes_in_split} scenes"
-            notes.append(f"{record.facts.split}: {of} of the split only.")
+            part = part_of_split(len(record.facts.scenes), record.facts.scenes_in_split)
+            notes.append(f"{record.facts.split}: {part} only.")
     if any(len({facts.source for facts in record.facts.scene_facts.values()}) < FEW_SCENES for record in records):
         notes.append(FEW_NOTE)
     return notes

@@ -1,14 +1,19 @@
 """What rows of tables share: their order, names and marks, and what has to be said of the runs behind them."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.run import NATIVE, RunRecord
+from benchmark.report.cells import RANKS_NOTHING, Shown
+from benchmark.report.words import counted
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
 PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
 STALE_MARK = "‡"
+MINIATURE_MARK = "§"
+MINIATURE_NOTE = f"{MINIATURE_MARK} miniature: {RANKS_NOTHING} (docs/miniatures.md)."
 FEW_SCENES = 20
 """Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
 FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."
@@ -29,15 +34,43 @@ def in_table_order(records: Sequence[RunRecord]) -> list[RunRecord]:
     return sorted(records, key=lambda each: (each.run.planner.privileged, each.planner, split_place(each.run.split)))
 
 
-def marked(planner: str, *, privileged: bool) -> str:
-    """The planner's name; a mark tells that it saw what no car sees."""
-    return f"{planner} {PRIVILEGED_MARK}" if privileged else planner
+def marked(planner: str, *, privileged: bool, miniature: bool) -> str:
+    """The planner's name; marks tell that it saw what no car sees, and that it is a miniature."""
+    return " ".join((planner, *([PRIVILEGED_MARK] if privileged else []), *([MINIATURE_MARK] if miniature else [])))
 
 
-def row_name(record: RunRecord, judge: str) -> str:
-    """The planner's name with its marks: privileged, and judged by an earlier version of the protocol."""
-    name = marked(record.planner, privileged=record.run.planner.privileged)
-    return f"{name} {STALE_MARK}" if judge in record.stale_protocols else name
+def name_cell(planner: str, *, privileged: bool, miniature: bool) -> Shown:
+    """`marked` as the cell of a row about the planner."""
+    return Shown(marked(planner, privileged=privileged, miniature=miniature), miniature=miniature)
+
+
+def row_name(record: RunRecord, judge: str) -> Shown:
+    """The planner's name with its marks, among them that of an earlier version of the protocol."""
+    planner = record.run.planner
+    cell = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
+    return replace(cell, text=f"{cell.text} {STALE_MARK}") if judge in record.stale_protocols else cell
+
+
+def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
+    """What the marks of the planners' names mean.
+
+    Args:
+        privileged: Whether any planner of the table saw what no car sees.
+        miniature: Whether any is a miniature.
+
+    Returns:
+        One sentence for each mark.
+    """
+    return [*([PRIVILEGED_NOTE] if privileged else []), *([MINIATURE_NOTE] if miniature else [])]
+
+
+def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
+    """`mark_notes` of the planners of some runs."""
+    planners = [record.run.planner for record in records]
+    return mark_notes(
+        privileged=any(planner.privileged for planner in planners),
+        miniature=any(planner.miniature for planner in planners),
+    )
 
 
 def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:
@@ -68,11 +101,10 @@ def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
         told: Sentences on single runs.
 
     Returns:
-        Whether any is privileged, whether any has few recorded scenes, ``told``, and what is not whole.
+        What marks mean, whether any has few recorded scenes, ``told``, and what is not whole.
     """
-    privileged = [PRIVILEGED_NOTE] if any(record.run.planner.privileged for record in records) else []
     few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
-    return [*privileged, *few, *told, *completeness_notes(records)]
+    return [*notes_of_marks(records), *few, *told, *completeness_notes(records)]
 
 
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
@@ -90,9 +122,14 @@ def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
         if not record.complete:
             summary = record.summary
             notes.append(
-                f"{who}: {summary.failed} samples failed. The rates cover {100 * summary.coverage:.1f} % of "
-                f"{summary.samples} samples."
+                f"{who}: {counted(summary.failed, 'sample')} failed. The rates cover {100 * summary.coverage:.1f} % of "
+                f"{counted(summary.samples, 'sample')}."
             )
         if not record.covers_split:
-            notes.append(f"{who}: {len(record.run.scenes)} of {record.run.scenes_in_split} scenes of the split.")
+            notes.append(f"{who}: {part_of_split(len(record.run.scenes), record.run.scenes_in_split)}.")
     return notes
+
+
+def part_of_split(scenes: int, in_split: int) -> str:
+    """How much of a split there is."""
+    return f"{scenes} of {counted(in_split, 'scene')} of the split"

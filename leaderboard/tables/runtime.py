@@ -7,6 +7,7 @@ from benchmark.records.scenes import Sheets, SplitSheet
 from benchmark.records.statistics import RENDERING, Runtime
 from benchmark.report.cells import PERCENT, Shown
 from benchmark.report.table import Table, table_of
+from benchmark.report.words import counted, titled
 from leaderboard.tables.published import published_seconds
 from leaderboard.tables.statistics import by_data_set, origin_of
 
@@ -32,12 +33,13 @@ def _table(data_name: str, split: SplitSheet, runtime: Runtime) -> Table:
     stages = [*RUNTIME_S, *sorted(set(runtime.total_s) - set(RUNTIME_S))]
     return table_of(
         f"runtime-{split.split}",
-        f"{data_name}, split {split.split}: processor seconds of generation",
+        f"{titled(data_name, split.split)}: processor seconds of generation",
         ("stage", "total, s", "each, s", "% of total", "paper, s"),
         [_row(split, runtime, stage) for stage in (*stages, ALL)],
         notes=(
-            f"Here: seconds of one processor core over {runtime.attempts} attempts and {runtime.scenes} rendered "
-            "scenes, whatever the machine; each: one attempt, rendering: one scene.",
+            f"Here: seconds of one processor core over {counted(runtime.attempts, 'attempt')} and "
+            f"{counted(runtime.scenes, 'rendered scene')}, whatever the machine; each: one attempt, rendering: one "
+            "scene.",
             f"Paper: seconds by the clock for one scene of about 240 frames and six cameras on {RUNTIME_MACHINE}. The "
             "two columns have different units of work and do not compare.",
         ),

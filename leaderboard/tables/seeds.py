@@ -10,7 +10,7 @@ from benchmark.metrics.scores import require_current
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.report.cells import Cell, Origin, Shown, record_name
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.rows import in_table_order, judges, marked
+from leaderboard.tables.rows import in_table_order, judges, name_cell, notes_of_marks
 
 _RULE = (
     "Runs of one planner on one split that differ in the seed and in nothing else that a record names. Deviation: of "
@@ -31,7 +31,7 @@ def seed_spread_table(data_name: str, protocol: str, records: Sequence[RunRecord
         One row for each planner and split that ran with at least two seeds, or ``None`` where there is none.
     """
     notes = [_RULE]
-    rows = []
+    rows, shown = [], []
     for runs in _versions(records):
         if len({run.run.planner.seed for run in runs}) < 2:
             continue
@@ -43,6 +43,7 @@ def seed_spread_table(data_name: str, protocol: str, records: Sequence[RunRecord
             else:
                 notes.append(f"Left out: {refusal}.")
         rows.append(_row(runs[0], protocol, kept))
+        shown.append(runs[0])
     if not rows:
         return None
     who = "own protocol" if protocol == NATIVE else protocol
@@ -51,7 +52,7 @@ def seed_spread_table(data_name: str, protocol: str, records: Sequence[RunRecord
         f"{data_name}: average collision rate (%) over the seeds of a planner, {judges(protocol)}",
         ("planner", "split", "protocol", "seeds", "mean", "lowest", "highest", "deviation"),
         rows,
-        notes=notes,
+        notes=(*notes, *notes_of_marks(shown)),
         text_columns=3,
         groups=(("", 3), (f"average collision rate in %, {who}", 5)),
     )
@@ -95,7 +96,7 @@ def _row(first: RunRecord, protocol: str, runs: Sequence[RunRecord]) -> tuple[st
         float(np.std(rates, ddof=1)) if len(rates) > 1 else None,
     )
     return (
-        marked(planner.name, privileged=planner.privileged),
+        name_cell(planner.name, privileged=planner.privileged, miniature=planner.miniature),
         first.run.split,
         judge,
         origin.count(len(rates), "seeds").shown(),

@@ -8,6 +8,7 @@ from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
 from benchmark.records.statistics import Quantiles
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
+from benchmark.report.words import titled
 from leaderboard.tables.published import published_rows
 from leaderboard.tables.rows import split_place
 
@@ -116,7 +117,7 @@ def _search(data_name: str, split: SplitSheet) -> Table | None:
     rows.append(("all", *_tried(split, attempts, None)))
     return table_of(
         f"search-{split.split}",
-        f"{data_name}, split {split.split}: what the search tried, and why it discarded it",
+        f"{titled(data_name, split.split)}: what the search tried, and why it discarded it",
         ("outcome", "vehicles", "%", "recorded scenes"),
         rows,
         notes=("The paper names the reasons for which it discards scenes and counts none.",),

@@ -9,7 +9,8 @@ from benchmark.records.planner_versions import labelled
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, interval, named_record
 from benchmark.report.table import Table, table_of
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, PRIVILEGED_NOTE, in_table_order, judges, marked
+from benchmark.report.words import counted, titled
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, in_table_order, judges, mark_notes, marked
 
 
 def transfer_matrices(
@@ -55,12 +56,18 @@ def transfer_table(data_name: str, matrix: TransferMatrix) -> Table:
             for victim, cell in enumerate(cells)
         ]
         failed = round(cells[own].numerator)
-        rows.append((surrogate, _origin(matrix, own).count(failed, "scenes").shown(), *shown))
+        rows.append(
+            (
+                Shown(surrogate, miniature=matrix.miniatures[own]),
+                _origin(matrix, own).count(failed, "scenes").shown(),
+                *shown,
+            )
+        )
     everywhere = (_cell(rate, _origin(matrix, victim)) for victim, rate in enumerate(matrix.base_rates))
     rows.append(("all scenes", UNDEFINED, *everywhere))
     return table_of(
         f"transfer-{matrix.split}-{matrix.protocol}",
-        f"{data_name}, split {matrix.split}: transfer of failures (%), {judges(matrix.protocol)}",
+        f"{titled(data_name, matrix.split)}: transfer of failures (%), {judges(matrix.protocol)}",
         ("surrogate", "its failed scenes", *names),
         rows,
         notes=(
@@ -88,7 +95,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
     """
     return table_of(
         f"agreement-{matrix.split}-{matrix.protocol}",
-        f"{data_name}, split {matrix.split}: do planners fail the same scenes, {judges(matrix.protocol)}",
+        f"{titled(data_name, matrix.split)}: do planners fail the same scenes, {judges(matrix.protocol)}",
         ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift"),
         [_agreement_row(matrix, agreement) for agreement in matrix.agreements],
         notes=(
@@ -105,18 +112,18 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
 
 
 def planner_names(matrix: TransferMatrix) -> list[str]:
-    """Names as they are shown: with the mark of privileged planners, and the judge where judges differ."""
+    """Names as they are shown: with their marks, and the judge where judges differ."""
     judged = matrix.protocol == NATIVE
     return [
-        f"{marked(name, privileged=seen)}{f' ({judge})' if judged else ''}"
-        for name, seen, judge in zip(matrix.planners, matrix.privileged, matrix.judges)
+        f"{marked(name, privileged=seen, miniature=small)}{f' ({judge})' if judged else ''}"
+        for name, seen, small, judge in zip(matrix.planners, matrix.privileged, matrix.miniatures, matrix.judges)
     ]
 
 
 def _undecided(matrix: TransferMatrix) -> list[str]:
     return [
-        f"{planner}: no verdict on {len(scenes)} scenes ({', '.join(scenes[:3])}{', …' if len(scenes) > 3 else ''}); "
-        "they are in no denominator."
+        f"{planner}: no verdict on {counted(len(scenes), 'scene')} ({', '.join(scenes[:3])}"
+        f"{', …' if len(scenes) > 3 else ''}), in no denominator."
         for planner, scenes in zip(matrix.planners, matrix.undecided)
         if scenes
     ]
@@ -124,7 +131,7 @@ def _undecided(matrix: TransferMatrix) -> list[str]:
 
 def _common_notes(matrix: TransferMatrix) -> list[str]:
     few = [FEW_NOTE] if matrix.recordings < FEW_SCENES else []
-    return [*few, *([PRIVILEGED_NOTE] if any(matrix.privileged) else [])]
+    return [*few, *mark_notes(privileged=any(matrix.privileged), miniature=any(matrix.miniatures))]
 
 
 def _who(matrix: TransferMatrix) -> str:
@@ -151,7 +158,7 @@ def _agreement_row(matrix: TransferMatrix, agreement: Agreement) -> tuple[str | 
     counts = (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)
     phi = origin.cell(agreement.phi.value, "φ", sum(counts), "scenes", low=agreement.phi.low, high=agreement.phi.high)
     return (
-        *(names[place] for place in places),
+        *(Shown(names[place], miniature=matrix.miniatures[place]) for place in places),
         *(origin.count(count, "scenes", sum(counts)).shown() for count in counts),
         phi.shown(2),
         phi.interval(2),

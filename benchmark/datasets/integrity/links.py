@@ -6,6 +6,7 @@ from typing import Final, TypeVar
 
 from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.report.words import counted
 
 Key = TypeVar("Key")
 
@@ -90,7 +91,7 @@ def _check_object(tables: CheckedTables, instance_token: str, rows: list[Row], f
             faults.add("instances annotated twice at a sample", "sample_annotation", row["token"], sentence)
         at.add(row["sample_token"])
     if len(scenes) > 1:
-        sentence = f"its annotations are in {len(scenes)} scenes"
+        sentence = f"its annotations are in {counted(len(scenes), 'scene')}"
         faults.add("instances of several scenes", "instance", instance_token, sentence)
 
 

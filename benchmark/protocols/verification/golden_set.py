@@ -14,6 +14,7 @@ from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import file_sha256, read_json
 from benchmark.planning import Command
 from benchmark.protocols.raster import CELLS
+from benchmark.report.words import counted
 from benchmark.truth import SampleTruth
 from benchmark.verification.golden import GoldenArrays, golden_directory
 
@@ -145,7 +146,7 @@ def remarks(paths: Iterable[Path]) -> list[str]:
         InputError: If the manifest is not readable.
     """
     scenes = list(paths)
-    found = [f"{len(scenes)} files"]
+    found = [counted(len(scenes), "file")]
     without = [path.stem for path in scenes if not path.with_stem(path.stem + _EXACT).is_file()]
     if without:
         found.append(f"no exact verdicts for {', '.join(without)}")

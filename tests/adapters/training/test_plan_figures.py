@@ -75,5 +75,5 @@ def test_what_cannot_be_measured_is_a_sentence(data: NuScenesData, tmp_path: Pat
     with pytest.raises(InputError, match="cannot be shuffled"):
         plan_figures(Late(), data, SCENES[:1], images=Images.SHUFFLED)
     write_root(tmp_path, [short_scene("scene-9903", seconds=2.0)])
-    with pytest.raises(InputError, match="none of the 1 scenes has a sample"):
+    with pytest.raises(InputError, match="none of the 1 scene has a sample"):
         plan_figures(Late(), NuScenesData.open(tmp_path), ["scene-9903"])

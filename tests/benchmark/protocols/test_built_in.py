@@ -59,5 +59,5 @@ def test_the_program_writes_files_that_are_used(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(golden_protocols, "CASES", {"gtcol-ghost": lambda: arrays})
     write(tmp_path)
     checks = verify_protocols(tmp_path)
-    assert not failures(checks) and checks[0].note == "1 files"
+    assert not failures(checks) and checks[0].note == "1 file"
     assert set(read_json(tmp_path / "manifest.json")["files"]) == {path.name for path in tmp_path.glob("*.npz")}

@@ -148,12 +148,12 @@ def test_a_set_without_exact_verdicts_says_so(copied: Path) -> None:
     (copied / "gtcol-ghost_exact.npz").unlink()
     checks = verify_protocols(copied)
     assert not failures(checks) and not any(check.quantity.startswith("exact") for check in checks)
-    assert checks[0].note == "1 files; no exact verdicts for gtcol-ghost; no manifest.json"
+    assert checks[0].note == "1 file; no exact verdicts for gtcol-ghost; no manifest.json"
 
 
 def test_the_manifest_tells_what_is_absent_and_what_changed(copied: Path) -> None:
     shutil.copy(BUILT_IN / "manifest.json", copied)
-    assert verify_protocols(copied)[0].note == "1 files; 6 more in manifest.json are not there"
+    assert verify_protocols(copied)[0].note == "1 file; 6 more in manifest.json are not there"
     change(copied / "gtcol-ghost.npz", keyframe=np.arange(11) + 1)
     note = verify_protocols(copied)[0].note
     assert note.endswith("not as manifest.json describes them: gtcol-ghost.npz")

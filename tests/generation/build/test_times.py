@@ -66,7 +66,7 @@ def test_a_dry_run_estimates_each_stage(source: DataSet, tmp_path: Path) -> None
 def test_val_r_takes_rendering_only(source: DataSet, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "out", renderer=SchematicRenderer(64, 40), dry_run=True)
     text = build_split(source, "val-r", settings).summary()
-    assert "of rendering (1 scenes at" in text
+    assert "of rendering (1 scene at" in text
     assert "planning" not in text
 
 

@@ -125,7 +125,7 @@ def test_changes_show_the_papers_increase_and_the_paired_difference() -> None:
     paired = (3 + 1 / 3) / 6 - 1 / 4
     assert row["paired difference (points)"] == f"+{100 * paired:.2f}"
     assert (row["scenes paired"], row["not paired"]) == ("2", "2")
-    assert {"val → adv: 1 scenes only in val (s2).", "val → adv: 1 scenes only in adv (lost-1)."} <= set(table.notes)
+    assert {"val → adv: 1 scene only in val (s2).", "val → adv: 1 scene only in adv (lost-1)."} <= set(table.notes)
     same = cells(table, splits="val → val-r")
     assert (same["increase"], same["paired difference (points)"]) == ("0.0×", "0.00")
 
@@ -142,7 +142,7 @@ def test_coverage_below_100_is_said() -> None:
     failing = hand_made("p", {"s0": [HIT, FAILED], "s1": [CLEAN, CLEAN]})
     table = collision_table("d", "exact", [failing])
     assert column(table, "coverage") == ["75.0"]
-    assert any("p on adv: 1 samples failed. The rates cover 75.0 % of 4 samples." in note for note in table.notes)
+    assert any("p on adv: 1 sample failed. The rates cover 75.0 % of 4 samples." in note for note in table.notes)
     other = hand_made("q", {"s0": [HIT, HIT], "s1": [CLEAN, CLEAN]})
     compared = planner_table("d", "adv", "exact", [failing, other])
     assert compared is not None

@@ -145,7 +145,7 @@ def test_only_what_exact_judged_is_diagnosed(straight: RunRecord, tmp_path: Path
 def test_failed_samples_and_missing_scenes_are_said(tmp_path: Path) -> None:
     record = evaluate(town_of_two(slow_leader=True), "adv", Failing(), tmp_path, EvalSettings(limit=1))
     notes = tables_of(record)["diagnosis"].notes
-    assert any(note.startswith("failing on adv: 1 samples failed. The rates cover") for note in notes)
+    assert any(note.startswith("failing on adv: 1 sample failed. The rates cover") for note in notes)
     assert "failing on adv: 1 of 2 scenes of the split." in notes
 
 

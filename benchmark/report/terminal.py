@@ -1,0 +1,152 @@
+"""How tables and sentences look in a terminal: as wide as it is and no wider, 80 columns where there is none."""
+
+import re
+import shutil
+import textwrap
+from collections.abc import Sequence
+from typing import Final
+
+WIDTH: Final = 80
+"""Columns where there is no terminal."""
+LEAST_WIDTH: Final = 40
+"""A narrower terminal breaks lines itself; nothing sensible fits."""
+_LEAST_TEXT: Final = 10
+"""Characters that a column of text keeps, however many numbers stand beside it."""
+_GAP: Final = "  "
+_BOUND: Final = "\u00a0"
+"""Stands between a name and its mark, and a number and its unit, while lines are broken."""
+
+
+def terminal_width() -> int:
+    """Columns of the terminal, or of the variable ``COLUMNS``; 80 where there is neither."""
+    return max(LEAST_WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
+
+
+def wrapped(
+    text: str, width: int | None = None, *, indent: str = "", hanging: str = "", whole_words: bool = True
+) -> list[str]:
+    """A sentence as lines.
+
+    Args:
+        text: The sentence.
+        width: Columns; those of the terminal by default.
+        indent: Before each line.
+        hanging: Before each line but the first, after the indent.
+        whole_words: Whether words that are longer than a line (paths) stay whole, so that they can be copied.
+
+    Returns:
+        At least one line.
+    """
+    return textwrap.wrap(
+        text,
+        width or terminal_width(),
+        initial_indent=indent,
+        subsequent_indent=indent + hanging,
+        break_long_words=not whole_words,
+        break_on_hyphens=False,
+    ) or [indent]
+
+
+def aligned(
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    text_columns: int,
+    width: int | None,
+    least: Sequence[int] = (),
+) -> list[str]:
+    """Lines of a table.
+
+    Where the table is too wide, heads break between words, then cells of text break wherever they must, then columns of
+    numbers go on below, with the columns of text again before them.
+
+    Args:
+        heads: Column heads.
+        rows: Cells, as many as heads each.
+        text_columns: How many leading columns are text (left-aligned); the others are numbers.
+        width: Columns at most; ``None`` for as many as it takes.
+        least: Characters that each column has at least.
+
+    Returns:
+        The lines.
+    """
+    heads = [re.sub(r" (?=\W( |$))", _BOUND, head) for head in heads]
+    least = least or (0,) * len(heads)
+    bodies = [max(few, 0, *(len(row[column]) for row in rows)) for column, few in enumerate(least)]
+    whole = [max(body, len(head)) for body, head in zip(bodies, heads)]
+    if width is None or _total(whole) <= width:
+        return _lines(heads, rows, whole, text_columns)
+    words = [max(body, _longest_word(head)) for body, head in zip(bodies, heads)]
+    if _total(words) <= width:
+        return _lines(heads, rows, _shrunk(whole, words, width), text_columns)
+    texts, numbers = words[:text_columns], words[text_columns:]
+    few_letters = [min(each, _LEAST_TEXT) for each in texts]
+    beside = _shrunk(texts, few_letters, width - _total(numbers) - len(_GAP))
+    fits = _total([*beside, *numbers]) <= width
+    texts = beside if fits else _shrunk(texts, few_letters, width // 2)
+    room = width - _total(texts) - len(_GAP)
+    numbers = [max(body, min(number, room)) for body, number in zip(bodies[text_columns:], numbers)]
+    lines: list[str] = []
+    for block in _blocks(numbers, room):
+        chosen = [*range(text_columns), *(text_columns + place for place in block)]
+        part = [[row[column] for column in chosen] for row in rows]
+        lines += [""] if lines else []
+        lines += _lines(
+            [heads[column] for column in chosen], part, [*texts, *(numbers[place] for place in block)], text_columns
+        )
+    return lines
+
+
+def _total(widths: Sequence[int]) -> int:
+    return sum(widths) + len(_GAP) * max(len(widths) - 1, 0)
+
+
+def _longest_word(head: str) -> int:
+    return max((len(word) for word in head.split(" ")), default=0)
+
+
+def _shrunk(widths: Sequence[int], least: Sequence[int], room: int) -> list[int]:
+    """Columns that fit, those shrunk that have most to spare; as narrow as they may be where nothing fits."""
+    found = list(widths)
+    while _total(found) > room and found != list(least):
+        spare = [width - few for width, few in zip(found, least)]
+        found[spare.index(max(spare))] -= 1
+    return found
+
+
+def _blocks(widths: Sequence[int], room: int) -> list[list[int]]:
+    """Places of the columns of numbers that stand beside each other; one at least in each block."""
+    blocks: list[list[int]] = [[]]
+    for place in range(len(widths)):
+        if blocks[-1] and _total([widths[other] for other in (*blocks[-1], place)]) > room:
+            blocks.append([])
+        blocks[-1].append(place)
+    return blocks
+
+
+def _lines(heads: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], text_columns: int) -> list[str]:
+    """Rows as lines, heads at the bottom of theirs, cells at the top of theirs."""
+    lines = _row_lines([_cell(head, width) for head, width in zip(heads, widths)], widths, text_columns, bottom=True)
+    for row in rows:
+        cells = [_cell(cell, width) for cell, width in zip(row, widths)]
+        lines += _row_lines(cells, widths, text_columns, bottom=False)
+    return lines
+
+
+def _cell(text: str, width: int) -> list[str]:
+    return [text] if len(text) <= width else textwrap.wrap(text, max(width, 1), break_on_hyphens=True) or [""]
+
+
+def _row_lines(cells: Sequence[Sequence[str]], widths: Sequence[int], text_columns: int, *, bottom: bool) -> list[str]:
+    height = max(len(cell) for cell in cells)
+    empty = [[""] * (height - len(cell)) for cell in cells]
+    full = [[*none, *cell] if bottom else [*cell, *none] for cell, none in zip(cells, empty)]
+    return [
+        _GAP.join(
+            cell[line].ljust(width) if column < text_columns else cell[line].rjust(width)
+            for column, (cell, width) in enumerate(zip(full, widths))
+        )
+        .replace(_BOUND, " ")
+        .rstrip()
+        for line in range(height)
+    ]

@@ -1,0 +1,42 @@
+"""Words of sentences that depend on numbers."""
+
+
+def counted(count: int, one: str, many: str | None = None) -> str:
+    """A number with its noun, in the singular where it is one.
+
+    Args:
+        count: How many.
+        one: The noun, or a few words that end with it, for one.
+        many: The same for several; by default with an s, or ``ies`` for a ``y`` after a consonant.
+
+    Returns:
+        For example ``1 scene``, ``3 scenes`` or ``1,204 samples``.
+    """
+    return f"{count:,} {noun(count, one, many)}"
+
+
+def noun(count: int, one: str, many: str | None = None) -> str:
+    """The noun of `counted` alone, for sentences in which the number stands apart."""
+    if count == 1:
+        return one
+    if many is not None:
+        return many
+    return f"{one[:-1]}ies" if one.endswith("y") and one[-2] not in "aeiou" else f"{one}s"
+
+
+def split_of(split: str, data_name: str) -> str:
+    """A split and its data set in a sentence; a data set that is called like its split is named once.
+
+    Args:
+        split: Name of the split.
+        data_name: Name of the data set.
+
+    Returns:
+        For example ``split adv of mini``.
+    """
+    return f"split {split}" if data_name == split else f"split {split} of {data_name}"
+
+
+def titled(data_name: str, split: str) -> str:
+    """The same as the beginning of a title: ``mini, split adv``."""
+    return f"split {split}" if data_name == split else f"{data_name}, split {split}"

@@ -1,0 +1,117 @@
+"""What tables look like in a terminal, and the mark of miniatures in every form of every table."""
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmark.records.planner_versions import labelled
+from benchmark.records.run import RunRecord
+from benchmark.report.cells import RANKS_NOTHING
+from benchmark.report.table import Table
+from leaderboard.tables.collision import run_tables
+from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.rows import MINIATURE_MARK
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+from tests.leaderboard.made_up import study
+from tests.leaderboard.tables.test_table_facts import every_table, explained, records
+
+LONG = "the-planner-of-somebody-who-likes-long-names-and-says-which-checkpoint-it-is"
+PROTOCOLS = ("exact", "uniad", "vad")
+SPLITS = {"val": {"s0": [HIT, CLEAN], "s1": [CLEAN]}, "adv": {"s0-1": [HIT, HIT], "s1-1": [CLEAN, HIT]}}
+
+
+def of_miniature(record: RunRecord) -> RunRecord:
+    planner = record.run.planner.model_copy(update={"miniature": True})
+    return replace(record, run=record.run.model_copy(update={"planner": planner}))
+
+
+def runs(names: Sequence[str], miniature: str | None = None) -> list[RunRecord]:
+    found = [
+        explained(hand_made(name, scenes, split=split, protocols=PROTOCOLS, native="uniad"))
+        for name in names
+        for split, scenes in SPLITS.items()
+    ]
+    return labelled([of_miniature(run) if run.run.planner.name == miniature else run for run in found])
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("planners", [("a", "b"), (LONG, f"{LONG}-2"), tuple(f"{LONG}-{n}" for n in range(12))])
+def test_no_table_is_wider_than_the_terminal(planners: Sequence[str], width: int, tmp_path: Path) -> None:
+    tables = [*every_table([*records(), *runs(planners)], tmp_path), study(LONG).table()]
+    assert len(tables) > 40
+    for table in tables:
+        for line in table.plain(width=width).splitlines():
+            assert len(line) <= width, (table.name, line)
+
+
+def test_the_terminal_is_asked_for_its_width_and_is_80_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    table = data_set_tables("d", runs((LONG, "b"))).tables[0]
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert table.plain() == table.plain(width=80)
+    monkeypatch.setenv("COLUMNS", "100")
+    assert table.plain() == table.plain(width=100) != table.plain(width=80)
+
+
+def test_every_cell_of_a_table_is_somewhere_in_its_blocks(tmp_path: Path) -> None:
+    names = [f"planner-{number}" for number in range(9)]
+    for table in every_table(runs(names), tmp_path):
+        shown = range(len(table.columns)) if table.brief is None else table.brief.columns
+        text = "".join(table.plain(width=80).split())
+        for row in table.rows:
+            for place in shown[table.text_columns :]:
+                assert row[place].replace(" ", "") in text, (table.name, row[place])
+
+
+def test_what_an_evaluation_prints_is_average_interval_increase_and_failed_scenes() -> None:
+    for table in run_tables("d", runs(("a", "b"))):
+        heads = table.plain(width=80).splitlines()[1]
+        assert "planner" in heads and "split" in heads
+        for head in ("col. avg", "95 % of avg", "increase", "scenes failed"):
+            assert head in heads
+        assert "L2" not in table.plain(width=80) and "coverage" not in table.plain(width=80)
+        assert "--wide shows" in table.plain(width=80)
+        wide = table.plain(wide=True, width=80)
+        assert "--wide" not in wide and all(head in wide.splitlines()[1] for head in table.columns)
+        assert all(len(line) <= 80 for line in wide.splitlines()[2 + len(table.rows) :])
+
+
+def about_planners(table: Table) -> bool:
+    """Whether planners have rows in a table; those of the data alone have none."""
+    return any("small" in cell for row in table.rows for cell in row)
+
+
+def test_miniatures_are_marked_in_every_form_of_every_table() -> None:
+    tables = [
+        table for table in data_set_tables("d", runs(("small", "large"), "small")).tables if about_planners(table)
+    ]
+    assert len(tables) > 12
+    for table in tables:
+        for text in (table.plain(width=4000), table.markdown(), table.latex()):
+            assert RANKS_NOTHING in text and f"small {MINIATURE_MARK}" in text.replace(r"\S{}", MINIATURE_MARK), (
+                table.name
+            )
+            assert f"large {MINIATURE_MARK}" not in text.replace(r"\S{}", MINIATURE_MARK)
+        rows = list(csv.DictReader(io.StringIO(table.csv())))
+        facts = json.loads(table.json())
+        assert len(rows) == len(facts["miniatures"]) == len(table.rows)
+        for row, miniature, cells in zip(rows, facts["miniatures"], table.rows, strict=True):
+            assert miniature == any("small" in cell for cell in cells)
+            assert row["miniature"] == (RANKS_NOTHING if miniature else "")
+
+
+def test_where_no_miniature_ran_there_is_no_mark() -> None:
+    for table in data_set_tables("d", runs(("small", "large"))).tables:
+        assert RANKS_NOTHING not in table.markdown() and "miniature" not in table.csv()
+        assert json.loads(table.json())["miniatures"] == []
+
+
+def test_an_ablation_with_a_miniature_says_so() -> None:
+    plain = study("small")
+    marked = plain.model_copy(update={"planner": plain.planner.model_copy(update={"miniature": True})})
+    assert RANKS_NOTHING in " ".join(marked.table().plain().split())
+    assert RANKS_NOTHING not in " ".join(plain.table().plain().split())
