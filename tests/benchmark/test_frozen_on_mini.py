@@ -60,12 +60,9 @@ def test_it_is_built_into_the_cache_without_a_search_and_the_record_says_so(
     assert data.scene_names("adv") == api.known_scenes("mini", "adv", tmp_path / "out")
     assert not (tmp_path / "out").exists()
     assert "building the frozen split mini-adv-7" in capsys.readouterr().err
-    record = evaluate(data, "adv", planner_factory("constant-velocity"), tmp_path / "out" / "runs")
-    assert load_record(record.directory).run.frozen_split == "mini-adv-7"
-    assert (
-        evaluate(source, "val", planner_factory("constant-velocity"), tmp_path / "out" / "runs").run.frozen_split
-        is None
-    )
+    runs, planner = tmp_path / "out" / "runs", planner_factory("constant-velocity")
+    assert load_record(evaluate(data, "adv", planner, runs).directory).run.frozen_split == "mini-adv-7"
+    assert load_record(evaluate(source, "val", planner, runs).directory).run.frozen_split is None
     before = bytes_below(data.root)
     again = api.open_split(source, "adv", tmp_path / "out", workers=1)
     assert again.root == data.root and bytes_below(data.root) == before
