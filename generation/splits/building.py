@@ -91,10 +91,8 @@ class FrozenReport:
             return "not compared, the frozen split has no hashes of images made in this way"
         if not self.other_images:
             return "equal to those that were frozen"
-        return (
-            f"differ in {len(self.other_images)} of {count} scenes, because the renderer rounds otherwise here or the "
-            "scenes differ"
-        )
+        why = "the recordings here differ" if self.other_tables else "the renderer rounds otherwise here"
+        return f"differ in {len(self.other_images)} of {count} scenes, because {why}"
 
 
 def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) -> FrozenReport:

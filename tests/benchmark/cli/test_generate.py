@@ -16,6 +16,13 @@ from tests.benchmark.cli.cli_runs import challenger_bench
         (("generate", "--surrogate-checkpoint", "weights.pt"), "--surrogate"),
         (("generate", "--size", "3x3"), "--size"),
         (("generate", "--address", "localhost:6379"), "--executor"),
+        (("generate", "--from", "mini-adv-0"), "mini-adv-1"),
+        (("generate", "--from", "mini-adv-1", "--top", "3"), "--top"),
+        (("generate", "--from", "mini-adv-1", "--set", "candidates=8"), "--set"),
+        (("generate", "--from", "mini-adv-1", "--freeze", "again.json"), "--freeze"),
+        (("generate", "--from", "mini-adv-1", "--split", "val-r"), "--split"),
+        (("generate", "--freeze", "nowhere/again.json"), "nowhere"),
+        (("generate", "--split", "val-r", "--freeze", "again.json"), "only adv"),
         (("ablate", "--set", "temperature=nan"), "temperature"),
     ],
 )

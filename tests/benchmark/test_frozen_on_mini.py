@@ -1,0 +1,109 @@
+"""On the embedded data set, split ``adv`` is what was generated below ``--out``, else the newest frozen split."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from adapters.registry import planner_factory
+from benchmark import api
+from benchmark.errors import InputError
+from benchmark.evaluation import evaluate
+from benchmark.machine.storage import only_writer
+from benchmark.machine.workspace import is_finished
+from benchmark.records.run import load_record
+from benchmark.runs.rescoring import rescore_all
+from generation.build.split import build_split
+from generation.search.hyperparameters import HyperParameters
+from generation.sources.mini import TownSettings
+from generation.splits.packaged import NamedSplit, frozen_split
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.generation.splits.frozen_files import BUILT
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def small(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NamedSplit]:
+    """A town of one scene without cameras, and a frozen split of one scene."""
+    packaged = frozen_split("mini-adv-1")
+    one = next(scene for scene in packaged.frozen.scenes if scene.source == "scene-8000")
+    few = NamedSplit("mini-adv-7", packaged.frozen.model_copy(update={"scenes": (one,)}))
+    monkeypatch.setattr("generation.sources.mini.TownSettings", partial(TownSettings, val_scenes=1, images=False))
+    monkeypatch.setattr("generation.splits.cached.newest_split", lambda *_: few)
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(cache))
+    yield few
+
+
+def no_search(*_: object, **__: object) -> None:
+    raise AssertionError("somebody searches")
+
+
+def test_it_is_built_into_the_cache_without_a_search_and_the_record_says_so(
+    small: NamedSplit, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("generation.search.chains.search_chains", no_search)
+    monkeypatch.setattr("generation.build.split.search_chains", no_search)
+    monkeypatch.setattr("generation.search.definition._loaded", no_search)
+    source = api.open_data("mini", workers=1)
+    data = api.open_split(source, "adv", tmp_path / "out", workers=1)
+    assert data.root.parent == cache and data.root.name.startswith("mini-adv-7-")
+    assert data.scene_names("adv") == api.known_scenes("mini", "adv", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert "building the frozen split mini-adv-7" in capsys.readouterr().err
+    runs, planner = tmp_path / "out" / "runs", planner_factory("constant-velocity")
+    assert load_record(evaluate(data, "adv", planner, runs).directory).run.frozen_split == "mini-adv-7"
+    assert load_record(evaluate(source, "val", planner, runs).directory).run.frozen_split is None
+    before = bytes_below(data.root)
+    again = api.open_split(source, "adv", tmp_path / "out", workers=1)
+    assert again.root == data.root and bytes_below(data.root) == before
+    assert "is the frozen split mini-adv-7" in capsys.readouterr().err
+    opener = partial(api.open_split, source, out=tmp_path / "out", workers=1)
+    found = list(rescore_all(runs, opener, "mini"))
+    assert [result.sentence for result in found] == ["current", "current"]
+
+
+def test_an_interrupted_build_goes_on_and_two_at_once_do_not_disturb_each_other(cache: Path, tmp_path: Path) -> None:
+    source = api.open_data("mini", workers=1)
+    root = api.open_split(source, "adv", tmp_path / "out", workers=1).root
+    before = bytes_below(root)
+    next(root.glob("*/challenger.json")).unlink()
+    next(root.glob("*/sample.json")).unlink()
+    with only_writer(root), pytest.raises(InputError, match="another command is writing"):
+        api.open_split(source, "adv", tmp_path / "out", workers=1)
+    assert not is_finished(root)
+    assert api.open_split(source, "adv", tmp_path / "out", workers=1).root == root
+    assert bytes_below(root) == before
+
+
+def test_what_was_generated_below_out_comes_first(tmp_path: Path) -> None:
+    source = api.open_data("mini", workers=1)
+    target = api.workspace(tmp_path).split_root("mini", "adv")
+    hyper = HyperParameters(candidates=16, rounds=1)
+    build_split(source, "adv", replace(BUILT, out=target, hyper=hyper, renderer=None))
+    data = api.open_split(source, "adv", tmp_path, workers=1)
+    assert data.root == target
+    assert data.scene_names("adv") == api.known_scenes("mini", "adv", tmp_path)
+    assert (data.provenance() or {}).get("frozen") is None
+
+
+def test_scenes_of_other_splits_and_data_sets_are_not_known_without_opening_them(tmp_path: Path) -> None:
+    assert api.known_scenes("mini", "val", tmp_path) is None
+    assert api.known_scenes(tmp_path, "adv", tmp_path) is None
+
+
+def test_names_are_known_without_torch_and_the_devkit() -> None:
+    program = (
+        "import sys; from benchmark import api; assert len(api.known_scenes('mini', 'adv', api.Path('/none'))) > 20; "
+        "assert not {'torch', 'nuscenes'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
