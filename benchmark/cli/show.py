@@ -144,7 +144,7 @@ def film_command(
     json_output: JsonOption = False,
 ) -> None:
     """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
-    from benchmark.machine.workers import progress
+    from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
     from leaderboard.films.film import FilmLayout, FilmSettings
     from leaderboard.films.filming import FilmFormat, write_films
@@ -163,7 +163,7 @@ def film_command(
         limit=limit,
         form=FilmFormat(form.value),
         settings=FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates),
-        watch=lambda frames, total, label: progress(frames, total=total, label=label),
+        watch=lambda frames, total, label: progress(frames, total=total, label=label, count=Count("frame")),
     ):
         films.append(str(film))
         typer.echo(films[-1], err=json_output)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -23,9 +23,33 @@ from generation.render.contract import Images, SweepRenderer
 FRAGMENT_SCHEMA = 1
 
 
+class WrittenScene(NamedTuple):
+    """A scene of a data set on disk.
+
+    Attributes:
+        key: Its content key, for `finish_data_set`.
+        made: Whether there was something to do.
+    """
+
+    key: str
+    made: bool
+
+
+def was_there(written: WrittenScene) -> bool:
+    """Whether nothing had to be done for a scene."""
+    return not written.made
+
+
 def write_scene(
     plan: DataSetPlan, scene: Scene, *, name: str, source_scene: str, report: dict[str, Any], variant: int = 0
 ) -> str:
+    """`written_scene`, its content key alone."""
+    return written_scene(plan, scene, name=name, source_scene=source_scene, report=report, variant=variant).key
+
+
+def written_scene(
+    plan: DataSetPlan, scene: Scene, *, name: str, source_scene: str, report: dict[str, Any], variant: int = 0
+) -> WrittenScene:
     """Render and write one scene; a scene that is already complete is left alone.
 
     Safe to call for different scenes in different processes, and to kill at any moment: the same call then goes on
@@ -40,7 +64,7 @@ def write_scene(
         variant: Number of the root in the ``per-variant`` layout.
 
     Returns:
-        The content key, for `finish_data_set`.
+        The content key, and whether there was something to do.
 
     Raises:
         InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
@@ -54,7 +78,7 @@ def write_scene(
     labels = {"name": name, "variant": variant, "source_scene": source_scene, "report": report}
     key = scene_key(plan, scene, cameras, map_key=map_key, labels=labels)
     if is_complete(plan, key, variant=variant, name=name):
-        return key
+        return WrittenScene(key, made=False)
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
     tracks = plan.renderer.camera_tracks(scene) if isinstance(plan.renderer, SweepRenderer) else {}
     channels = channels_of(cameras, tracks)
@@ -84,7 +108,7 @@ def write_scene(
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
     write_json(plan.fragment_path(key), fragment, indent=None)
-    return key
+    return WrittenScene(key, made=True)
 
 
 def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:
