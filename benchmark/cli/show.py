@@ -25,9 +25,13 @@ from benchmark.cli.options import (
     name_list,
     print_json,
 )
+from benchmark.cli.whole_help import WholeSummaries
 from benchmark.report.words import counted
 
-leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
+leaderboard_app = typer.Typer(
+    cls=WholeSummaries,
+    help="Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records; check submissions.",
+)
 
 
 def sheets_command(
@@ -126,7 +130,9 @@ def film_command(
     to: Annotated[Path, typer.Option(help="Folder to write to.")],
     scenes: ScenesOption = None,
     limit: LimitOption = None,
-    model: Annotated[list[str] | None, typer.Option("--model", help="Planner to show; may be repeated.")] = None,
+    model: Annotated[
+        list[str] | None, typer.Option("--model", metavar="<str>", help="Planner to show; may be repeated.")
+    ] = None,
     data: DataOption = "mini",
     split: SplitOption = "adv",
     out: OutOption = api.OUT,
