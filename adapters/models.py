@@ -85,7 +85,10 @@ class Model:
         published_as: What the paper calls it; the paper does not say which VAD it ran, whose larger one is the usual.
         native_protocol: Protocol of the repository that it comes from.
         blind: Whether it looks at no image, so that nothing needs to be drawn for it.
+        sees: What it looks at instead.
         requires: Raises `InputError` where a package is absent that it needs.
+        extra: Extra of this package that brings what it needs.
+        extra_package: What that extra installs, as it is imported.
     """
 
     name: str
@@ -96,7 +99,10 @@ class Model:
     published_as: str | None = None
     native_protocol: str | None = None
     blind: bool = False
+    sees: str = ""
     requires: str | None = None
+    extra: str = ""
+    extra_package: str = ""
 
     @property
     def packaged(self) -> Path:
@@ -247,10 +253,10 @@ _SPARSE_PLANNER: Final = "adapters.networks.sparse.planner:SparsePlanner"
 _UNIAD_PLANNER: Final = "adapters.networks.uniad.planner:UniADPlanner"
 _VAD_BASE: Final = Model("vad-base", _VAD_PLANNER, _VAD, weights="vad-base", published_as="VAD", native_protocol="vad")
 _BASELINES: Final = (
-    Model("constant-velocity", "adapters.baselines.constant_velocity:ConstantVelocity", blind=True),
-    Model("log-replay", "adapters.baselines.log_replay:LogReplay", blind=True),
-    Model("idm", "adapters.baselines.idm:IntelligentDriver", blind=True),
-    Model("ego-status", "adapters.baselines.ego_status:EgoStatus", blind=True),
+    Model("constant-velocity", "adapters.baselines.constant_velocity:ConstantVelocity", blind=True, sees="own motion"),
+    Model("log-replay", "adapters.baselines.log_replay:LogReplay", blind=True, sees="recorded future"),
+    Model("idm", "adapters.baselines.idm:IntelligentDriver", blind=True, sees="boxes, map"),
+    Model("ego-status", "adapters.baselines.ego_status:EgoStatus", blind=True, sees="own motion, command"),
 )
 _PUBLISHED: Final = (
     Model(
@@ -292,6 +298,8 @@ _PUBLISHED: Final = (
         weights="uniad",
         native_protocol="uniad",
         requires="adapters.networks.uniad.collision_solvers:require_casadi",
+        extra="[uniad]",
+        extra_package="casadi",
     ),
 )
 _MINIATURES: Final = (

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, cast
 from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
 from benchmark.planning import Planner
@@ -134,11 +135,17 @@ def evaluate(
         "environment": environment_facts(),
     }
     with only_writer(directory):
-        results = list(_results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, facts.name))
+        label = f"{facts.name} on {split}"
+        found = _results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, label)
+        results = list(progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)))
         rows = [row for result in results for row in result.rows]
         record = write_record(directory, described, rows, versions, seed=settings.seed)
         tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
     return record
+
+
+def _was_there(result: SceneResult) -> bool:
+    return result.seconds is None
 
 
 def _results(

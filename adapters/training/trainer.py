@@ -15,8 +15,9 @@ from adapters.training.frame_store import FrameStore
 from adapters.training.frames import BatchObjective, Objective, TrainingFrame
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
+from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
-from benchmark.machine.workers import progress, single_threaded
+from benchmark.machine.workers import single_threaded
 from benchmark.weights.training_run import TrainingRun, read_run, tensors_key, write_run
 
 LOG_EVERY: Final = 50
@@ -114,7 +115,12 @@ def fit(
     network.train()
     kept_s = time.monotonic()
     sums: dict[str, float] = {}
-    for step in progress(range(run.step, recipe.steps), total=recipe.steps - run.step, label=f"training {out.stem}"):
+    for step in progress(
+        range(run.step, recipe.steps),
+        total=recipe.steps - run.step,
+        label=f"training {out.stem}",
+        count=Count("step", run.step),
+    ):
         for name, value in _take_step(run, objective, store, frames, recipe).items():
             sums[name] = sums.get(name, 0.0) + value
         run.step = step + 1

@@ -5,12 +5,14 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli import data, demo, evaluate, generate, show, train, verify, weights
+from benchmark.cli import data, demo, evaluate, generate, models, show, train, verify, weights
+from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
 
 app = typer.Typer(
     name="challenger-bench",
+    cls=WholeSummaries,
     help="Adversarial driving scenes from nuScenes-format data, and driving models measured on them.",
     no_args_is_help=True,
     add_completion=True,
@@ -24,6 +26,7 @@ app.add_typer(show.leaderboard_app, name="leaderboard")
 app.command("generate")(generate.generate_command)
 app.command("ablate")(generate.ablate_command)
 app.command("eval")(evaluate.eval_command)
+app.command("models")(models.models_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)
 app.command("quality")(evaluate.quality_command)

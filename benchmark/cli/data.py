@@ -21,10 +21,11 @@ from benchmark.cli.options import (
     name_list,
     print_json,
 )
+from benchmark.cli.whole_help import WholeSummaries
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
-app = typer.Typer(help="Look at, check, import and build data sets.", no_args_is_help=True)
+app = typer.Typer(cls=WholeSummaries, help="Look at, check, import and build data sets.", no_args_is_help=True)
 
 
 @app.command("info")
@@ -34,7 +35,7 @@ def data_info_command(
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
-    """What a data set holds: splits, scenes, samples, annotations, fingerprint."""
+    """Say what a data set holds: splits, scenes, samples, annotations, fingerprint."""
     from benchmark.datasets.contents import contents, contents_text
 
     found = contents(api.open_data(root, tables=tables, workers=workers))
@@ -52,7 +53,7 @@ def data_stats_command(
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
-    """The paper's data-set table for any split, and what generated adversaries do where."""
+    """Print the paper's data-set table for any split, and what generated adversaries do where."""
     from benchmark.datasets.statistics import statistics
     from benchmark.machine.workspace import EMBEDDED
 

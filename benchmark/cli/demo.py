@@ -24,7 +24,7 @@ def demo_command(
     wide: WideOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """The whole story on the embedded data: generate, evaluate, transfer, tables."""
+    """Tell the whole story on the embedded data: generate, evaluate, transfer, tables, site."""
     if check and not full:
         raise InputError("--check belongs to demo --full, whose results it looks at")
     if check:

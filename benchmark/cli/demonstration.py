@@ -80,9 +80,9 @@ def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int
     from adapters.registry import planner_factory
     from benchmark.evaluation import EvalSettings, evaluate
 
-    records = []
-    for name in (*baselines(), *miniatures()):
-        api.tell(f"{name} on {split}")
+    records, planners = [], (*baselines(), *miniatures())
+    for place, name in enumerate(planners, start=1):
+        api.tell(f"{name} on {split} ({place} of {counted(len(planners), 'planner')})")
         settings = EvalSettings(workers=processes)
         records.append(evaluate(dataset, split, planner_factory(name), api.workspace(out).run_root(), settings))
     return records

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 
 def eval_command(
     model: Annotated[
-        list[str], typer.Option("--model", help="Planner name or package.module:Class; may be repeated.")
+        list[str],
+        typer.Option("--model", metavar="<str>", help="Planner name or package.module:Class; may be repeated."),
     ] = [],  # noqa: B006 - typer reads the default, nothing changes it
     split: SplitOption = "val",
     data: DataOption = "mini",
@@ -62,7 +63,10 @@ def eval_command(
     ] = False,
     protocol: Annotated[
         list[str] | None,
-        typer.Option(help="Tables to print: a protocol, native or all; may be repeated. Records always hold all."),
+        typer.Option(
+            metavar="<str>",
+            help="Tables to print: a protocol, native or all; may be repeated. Records always hold all.",
+        ),
     ] = None,
     explain_protocols: Annotated[
         bool,
@@ -138,7 +142,7 @@ def transfer_command(
     wide: WideOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
+    """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.records.run import find_records
     from leaderboard.figures.heat_map import write_heat_map
     from leaderboard.tables.transfer import agreement_table, transfer_matrices, transfer_table
@@ -186,7 +190,7 @@ def quality_command(
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Subject consistency and imaging quality of a split's videos; the same command goes on."""
+    """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
     from benchmark.quality.definition import Definition, mask_source
     from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
     from leaderboard.tables.quality import quality_tables

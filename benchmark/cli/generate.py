@@ -244,7 +244,7 @@ def ablate_command(
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
-    """The paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
+    """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
     from benchmark.machine.storage import file_name
     from generation.build.ablation import ablate, ablation_estimate
     from generation.build.settings import BuildSettings

@@ -126,7 +126,11 @@ NormalisationOption = Annotated[
 ]
 RecordsOption = Annotated[
     list[Path] | None,
-    typer.Option("--records", help="Folder of run records, if not <out>/runs; may be repeated, and name single runs."),
+    typer.Option(
+        "--records",
+        metavar="<path>",
+        help="Folder of run records, if not <out>/runs; may be repeated, and name single runs.",
+    ),
 ]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
@@ -141,7 +145,9 @@ PresetOption = Annotated[
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md)."),
+    typer.Option(
+        "--set", metavar="<str>", help="Change a hyper-parameter, NAME=VALUE; may be repeated (docs/generation.md)."
+    ),
 ]
 DenoiserOption = Annotated[
     Path | None, typer.Option("--denoiser", help="Weights of another trajectory model, such as ig360_adv.ckpt.")

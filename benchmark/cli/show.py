@@ -26,9 +26,13 @@ from benchmark.cli.options import (
     name_list,
     print_json,
 )
+from benchmark.cli.whole_help import WholeSummaries
 from benchmark.report.words import counted
 
-leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
+leaderboard_app = typer.Typer(
+    cls=WholeSummaries,
+    help="Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records; check submissions.",
+)
 
 
 def sheets_command(
@@ -128,7 +132,9 @@ def film_command(
     to: Annotated[Path, typer.Option(help="Folder to write to.")],
     scenes: ScenesOption = None,
     limit: LimitOption = None,
-    model: Annotated[list[str] | None, typer.Option("--model", help="Planner to show; may be repeated.")] = None,
+    model: Annotated[
+        list[str] | None, typer.Option("--model", metavar="<str>", help="Planner to show; may be repeated.")
+    ] = None,
     data: DataOption = "mini",
     split: SplitOption = "adv",
     out: OutOption = api.OUT,
@@ -146,7 +152,7 @@ def film_command(
     json_output: JsonOption = False,
 ) -> None:
     """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
-    from benchmark.machine.workers import progress
+    from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
     from leaderboard.films.film import FilmLayout, FilmSettings
     from leaderboard.films.filming import FilmFormat, write_films
@@ -165,7 +171,7 @@ def film_command(
         limit=limit,
         form=FilmFormat(form.value),
         settings=FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates),
-        watch=lambda frames, total, label: progress(frames, total=total, label=label),
+        watch=lambda frames, total, label: progress(frames, total=total, label=label, count=Count("frame")),
     ):
         films.append(str(film))
         typer.echo(films[-1], err=json_output)

@@ -8,8 +8,9 @@ import typer
 
 from benchmark import api
 from benchmark.cli.options import DeviceOption, SeedOption, SplitOption, WorkersOption, name_list, print_json
+from benchmark.cli.whole_help import WholeSummaries
 
-app = typer.Typer(help="Train the small models that this package carries.", no_args_is_help=True)
+app = typer.Typer(cls=WholeSummaries, help="Train the small models that this package carries.", no_args_is_help=True)
 
 
 @app.command("denoiser")
@@ -65,7 +66,7 @@ def train_judge_command(
     weights: Annotated[Path, typer.Argument(help="Weights file of train planner, with its .json beside it.")],
     data: Annotated[Path, typer.Option(help="Data set whose split val gives the scores.")],
 ) -> None:
-    """Measure a trained miniature again; writes its facts and its card anew."""
+    """Measure a trained miniature again, and write its facts and its card anew."""
     from adapters.training.planners import judge_again
 
     print_json(judge_again(weights, data))

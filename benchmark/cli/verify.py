@@ -27,7 +27,7 @@ def verify_command(
 
 
 def doctor_command(out: OutOption = api.OUT, json_output: JsonOption = False) -> None:
-    """Whether this machine computes correctly and has what is needed."""
+    """Say whether this machine computes correctly and has what is needed."""
     from benchmark.machine.environment import checks
 
     found = checks(out)

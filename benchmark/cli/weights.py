@@ -15,17 +15,20 @@ from benchmark.cli.options import (
     WorkersOption,
     print_json,
 )
+from benchmark.cli.whole_help import WholeSummaries
 
 if TYPE_CHECKING:
     from adapters.checkpoints.arrival import KeptWeights
     from adapters.checkpoints.importing import ImportedWeights
 
-app = typer.Typer(help="Official weights of the native models.", no_args_is_help=True)
+app = typer.Typer(
+    cls=WholeSummaries, help="List, import and fetch official weights of the native models.", no_args_is_help=True
+)
 
 
 @app.command("list")
 def weights_list_command(json_output: JsonOption = False) -> None:
-    """Official files, where to get them, and what has been imported."""
+    """List official files, where to get them, and what has been imported."""
     from adapters.checkpoints.listing import known_weights
 
     known = known_weights()

@@ -18,8 +18,9 @@ from typing import Any, Final, TypeVar
 
 from benchmark.errors import InputError
 from benchmark.machine.environment import package_versions
+from benchmark.machine.progress import WATCH, Count, Work
 from benchmark.machine.storage import content_key, file_sha256
-from benchmark.machine.workers import progress, results_in_order, single_threaded
+from benchmark.machine.workers import results_in_order, single_threaded, told
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -53,7 +54,13 @@ class RayCluster:
     gpus: int = 0
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        total: int,
+        label: str,
+        count: Count | None = None,
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items.
 
@@ -62,11 +69,15 @@ class RayCluster:
                 more often than they are tried again.
         """
         # Ray says on stdout which workers were lost, where a command may print JSON.
-        with contextlib.redirect_stdout(sys.stderr), _joined(self.address) as ray:
-            yield from progress(self._results(ray, function, items, label), total=total, label=label)
+        with (
+            contextlib.redirect_stdout(sys.stderr),
+            _joined(self.address) as ray,
+            WATCH.work(label, total, count or Count()) as work,
+        ):
+            yield from self._results(ray, function, items, label, work)
 
     def _results(
-        self, ray: Any, function: Callable[[Item], Result], items: Iterable[Item], label: str
+        self, ray: Any, function: Callable[[Item], Result], items: Iterable[Item], label: str, work: Work
     ) -> Iterator[Result]:
         unit = ray.remote(num_cpus=1, num_gpus=self.gpus, max_retries=self.retries)(_unit)
         shared, expected = ray.put(function), _code_fingerprint()
@@ -77,7 +88,7 @@ class RayCluster:
             running.add(reference)
             future: Future[Result] = reference.future()
             future.add_done_callback(lambda _: running.discard(reference))
-            return future
+            return told(future, work)
 
         try:
             yield from results_in_order(submit, items, _places(ray, self.address, self.gpus))

@@ -1,4 +1,4 @@
-"""Work on many items with this machine's processes, in order, with a progress bar.
+"""Work on many items with this machine's processes, in order, saying how far it is.
 
 Results come in the order of the items whatever the number of workers; every process computes with one thread, so that
 one worker and many give the same bytes. Items are drawn only a little ahead of the results: they may be large.
@@ -8,7 +8,6 @@ import functools
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
+from benchmark.machine.progress import WATCH, Count, Work, progress
 
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
@@ -38,7 +38,13 @@ class Executor(Protocol):
     """Where units of work run."""
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        total: int,
+        label: str,
+        count: Count | None = None,
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items.
 
@@ -46,7 +52,8 @@ class Executor(Protocol):
             function: Importable (a module-level function or a partial of one).
             items: Picklable arguments; they may be made lazily and are asked for a little ahead of the results.
             total: How many items there are.
-            label: Text beside the progress bar.
+            label: What is done, for people.
+            count: What is counted of it; scenes by default.
 
         Yields:
             One result per item.
@@ -85,7 +92,13 @@ class LocalProcesses:
     workers: int = 1
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        total: int,
+        label: str,
+        count: Count | None = None,
     ) -> Iterator[Result]:
         """Apply a function to items and give the results in the order of the items.
 
@@ -96,20 +109,28 @@ class LocalProcesses:
             raise InputError(f"--workers must be at least 1, got {self.workers}")
         if self.workers == 1 or total < 2:
             single_threaded()
-            return progress(map(function, items), total=total, label=label)
-        return self._in_processes(function, items, total=total, label=label)
+            return progress(map(function, items), total=total, label=label, count=count)
+        return self._in_processes(function, items, total=total, label=label, count=count or Count())
 
     def _in_processes(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        total: int,
+        label: str,
+        count: Count,
     ) -> Iterator[Result]:
         workers, before = min(self.workers, total), set(multiprocessing.active_children())
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([*_SLOW_TO_IMPORT, *_module_of(function)])
         begun = context.Value("i", 0)
-        with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool:
-            results = results_in_order(lambda item: pool.submit(function, item), items, workers)
+        with (
+            ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool,
+            WATCH.work(label, total, count) as work,
+        ):
             try:
-                yield from progress(results, total=total, label=label)
+                yield from results_in_order(lambda item: told(pool.submit(function, item), work), items, workers)
             except BrokenProcessPool as error:
                 raise InputError(
                     f"a worker process ended abruptly ({label}), as happens where memory runs out; run the same "
@@ -123,7 +144,12 @@ class LocalProcesses:
 
 
 def map_ordered(
-    function: Callable[[Item], Result], items: Sequence[Item], *, workers: int, label: str
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    *,
+    workers: int,
+    label: str,
+    count: Count | None = None,
 ) -> Iterator[Result]:
     """`LocalProcesses.map` for items that are all there already.
 
@@ -131,7 +157,8 @@ def map_ordered(
         function: Importable (a module-level function or a partial of one).
         items: Picklable arguments.
         workers: Number of processes; 1 computes here.
-        label: Text beside the progress bar, shown only on a terminal and only for lasting work.
+        label: What is done, for people.
+        count: What is counted of it; scenes by default.
 
     Returns:
         One result per item.
@@ -139,7 +166,18 @@ def map_ordered(
     Raises:
         InputError: If ``workers`` is not positive, or a worker process is killed.
     """
-    return LocalProcesses(workers).map(function, items, total=len(items), label=label)
+    return LocalProcesses(workers).map(function, items, total=len(items), label=label, count=count)
+
+
+def told(future: "Future[Result]", work: Work) -> "Future[Result]":
+    """The same future; once it has a result, the work is told, whatever the order in which results are taken."""
+
+    def finished(done: "Future[Result]") -> None:
+        if not done.cancelled() and done.exception() is None:
+            work.add(done.result())
+
+    future.add_done_callback(finished)
+    return future
 
 
 def results_in_order(
@@ -197,6 +235,7 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
     with begun.get_lock():
         _number = begun.value
         begun.value += 1
+    WATCH.silence()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     single_threaded()
 
@@ -207,42 +246,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def progress(results: Iterable[Result], *, total: int, label: str) -> Iterator[Result]:
-    """Pass results through and show a bar with the time left on stderr, if stderr is a terminal.
-
-    Args:
-        results: What is being computed.
-        total: How many there will be.
-        label: Text beside the bar.
-
-    Yields:
-        The results.
-    """
-    if not sys.stderr.isatty():
-        yield from results
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=total)
-        for result in results:
-            yield result
-            bar.advance(task)

@@ -13,6 +13,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.machine.devices import device_of, device_of_worker
 from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
 from benchmark.machine.workers import default_workers, map_ordered, worker_number
 from benchmark.quality.definition import Definition, needed_for
@@ -183,7 +184,9 @@ def _scored(job: _Job, data: "DataSet", reopen: Callable[[], "DataSet"], workers
     work = partial(_in_worker, job, reopen)
     if open_scenes and workers == 1:
         work = partial(_here, job, data, load_networks(job.definition, job.folders, device_of(job.device)))
-    made = {rows.scene: rows for rows in map_ordered(work, open_scenes, workers=workers, label="video quality")}
+    count = Count(before=len(job.keys) - len(open_scenes))
+    scored = map_ordered(work, open_scenes, workers=workers, label="video quality", count=count)
+    made = {rows.scene: rows for rows in scored}
     for name in job.keys:
         kept = made.get(name) or _kept(job, name)
         if kept is None:

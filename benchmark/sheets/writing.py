@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import file_name, only_writer, read_kept_json, write_bytes, writing_to
 from benchmark.machine.workers import default_workers, map_ordered
 from benchmark.records.run_schema import DataFacts
@@ -132,9 +133,13 @@ def write_sheets(
         workers = settings.workers or default_workers()
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
         work = partial(written_sheet, job, data) if workers == 1 else partial(_in_worker, job, opener)
-        written = tuple(map_ordered(work, chosen, workers=workers, label="scene sheets"))
+        written = tuple(map_ordered(work, chosen, workers=workers, label="scene sheets", count=Count(kept=_was_there)))
         traced = sum(_show_rounds(job.folder(name), data.root, name) for name in chosen) if settings.rounds else None
     return WrittenSheets(directory, written, traced)
+
+
+def _was_there(sheet: WrittenSheet) -> bool:
+    return not sheet.made
 
 
 def _show_rounds(folder: Path, data_root: Path, scene: str) -> bool:

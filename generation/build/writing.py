@@ -12,14 +12,15 @@ from pydantic import ValidationError
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.roots import variant_folders
 from benchmark.errors import InputError
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, read_json, write_bytes, writing_to
 from benchmark.machine.workers import Executor
 from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.scene import Scene
-from generation.nuscenes_writer import DataSetPlan, write_scene
+from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.finish import PROVENANCE
 from generation.nuscenes_writer.plan import STATE_FOLDER
-from generation.nuscenes_writer.scenes import read_state
+from generation.nuscenes_writer.scenes import WrittenScene, read_state, was_there, written_scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ def write_scenes(
         read: Gives a recorded scene by name; called here, so that workers need not open the source.
         executor: Where scenes are rendered; the bytes do not depend on it.
         timing: Folder for notes on how long rendering took; no result depends on them.
-        label: Text beside the progress bar.
+        label: What is done, for people.
 
     Returns:
         Content keys in the order of the jobs, for `finish_data_set`.
@@ -86,14 +87,15 @@ def write_scenes(
             yield job.make(read(job.source_scene)), job
 
     work = functools.partial(_write_one, plan, timing)
-    keys = dict(zip(order, executor.map(work, shipments(), total=len(jobs), label=label), strict=True))
-    return [keys[index] for index in range(len(jobs))]
+    count = Count(kept=was_there)
+    written = dict(zip(order, executor.map(work, shipments(), total=len(jobs), label=label, count=count), strict=True))
+    return [written[index].key for index in range(len(jobs))]
 
 
-def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob]) -> str:
+def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob]) -> WrittenScene:
     scene, job = shipped
     started = time.process_time()
-    key = write_scene(
+    written = written_scene(
         plan,
         scene,
         name=job.written_as,
@@ -102,12 +104,12 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
         variant=job.variant,
         identity=job.identity,
     )
-    note = timing / f"{key}.timing.json"
+    note = timing / f"{written.key}.timing.json"
     # A scene that was complete takes no time: what it took when it was rendered stays.
     if not note.exists():
         value = {"scene": job.written_as, "seconds": {"rendering": time.process_time() - started}}
         write_bytes(note, (canonical_json(value) + "\n").encode(), durable=False)
-    return key
+    return written
 
 
 def publish_reports(root: Path, files: dict[str, bytes]) -> None:

@@ -9,8 +9,8 @@ import torch
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_seed, file_sha256
-from benchmark.machine.workers import progress
 from benchmark.weights.tensors import read_tensors, write_tensors
 from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
@@ -71,7 +71,8 @@ def write_bank(weights: Path, *, count: int = BANK_SIZE, seed: int = 0) -> Path:
         sample_actions(denoiser, size, None, np.random.default_rng(content_seed("bank", seed, chunk)))
         for chunk, size in enumerate(sizes)
     )
-    actions = np.concatenate(list(progress(chunks, total=len(sizes), label="sampling bank")))
+    trajectories = Count("trajectory", total=count, each=len)
+    actions = np.concatenate(list(progress(chunks, total=len(sizes), label="sampling bank", count=trajectories)))
     held = torch.from_numpy(actions).to(torch.float16)
     facts = {"weights_sha256": digest, "seed": seed, "count": count, "steps": STEPS}
     write_tensors(bank_beside(weights), {"actions": held}, facts)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -23,6 +23,23 @@ from generation.render.contract import Images, SweepRenderer
 FRAGMENT_SCHEMA = 1
 
 
+class WrittenScene(NamedTuple):
+    """A scene of a data set on disk.
+
+    Attributes:
+        key: Its content key, for `finish_data_set`.
+        made: Whether there was something to do.
+    """
+
+    key: str
+    made: bool
+
+
+def was_there(written: WrittenScene) -> bool:
+    """Whether nothing had to be done for a scene."""
+    return not written.made
+
+
 def write_scene(
     plan: DataSetPlan,
     scene: Scene,
@@ -31,8 +48,21 @@ def write_scene(
     source_scene: str,
     report: dict[str, Any],
     variant: int = 0,
-    identity: str | None = None,
 ) -> str:
+    """`written_scene`, its content key alone."""
+    return written_scene(plan, scene, name=name, source_scene=source_scene, report=report, variant=variant).key
+
+
+def written_scene(
+    plan: DataSetPlan,
+    scene: Scene,
+    *,
+    name: str,
+    source_scene: str,
+    report: dict[str, Any],
+    variant: int = 0,
+    identity: str | None = None,
+) -> WrittenScene:
     """Render and write one scene; a scene that is already complete is left alone.
 
     Safe to call for different scenes in different processes, and to kill at any moment: the same call then goes on
@@ -48,7 +78,7 @@ def write_scene(
         identity: What tokens are made of; the scene's motion by default, whose last bits depend on the processor.
 
     Returns:
-        The content key, for `finish_data_set`.
+        The content key, and whether there was something to do.
 
     Raises:
         InputError: If the scene has no keyframes or numbers that are not finite, the name is no file name, the target
@@ -63,7 +93,7 @@ def write_scene(
     called = labels if identity is None else {**labels, "identity": identity}
     key = scene_key(plan, scene, cameras, map_key=map_key, labels=called)
     if is_complete(plan, key, variant=variant, name=name):
-        return key
+        return WrittenScene(key, made=False)
     frames = range(len(scene.timestamps_us)) if plan.frames == "all" else scene.keyframes.tolist()
     tracks = plan.renderer.camera_tracks(scene) if isinstance(plan.renderer, SweepRenderer) else {}
     channels = channels_of(cameras, tracks)
@@ -93,7 +123,7 @@ def write_scene(
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
     write_json(plan.fragment_path(key), fragment, indent=None)
-    return key
+    return WrittenScene(key, made=True)
 
 
 def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
@@ -154,7 +155,7 @@ def attempts(
         together: Units that a worker plans side by side, which pays on an accelerator; no result depends on it.
         keep_rounds: Whether the rounds of attempts that pass verification are kept as well. Those that were kept
             without are searched again.
-        label: Text beside the progress bar.
+        label: What is done, for people.
 
     Returns:
         One stored attempt per unit.
@@ -170,7 +171,9 @@ def attempts(
         for batch in batches:
             yield [(scene_of(units[index]), units[index]) for index in batch]
 
-    done = executor.map(functools.partial(_attempted, search, keep_rounds), work(), total=len(batches), label=label)
+    vehicles = Count("vehicle", len(units) - len(missing), len(units), each=len)
+    planned = functools.partial(_attempted, search, keep_rounds)
+    done = executor.map(planned, work(), total=len(batches), label=label, count=vehicles)
     for batch, results in zip(batches, done, strict=True):
         for index, stored in zip(batch, results, strict=True):
             found[index] = stored

@@ -11,8 +11,9 @@ from enum import StrEnum
 from typing import Any
 
 from benchmark.datasets.roots import DataSet
+from benchmark.machine.progress import progress
 from benchmark.machine.storage import token
-from benchmark.machine.workers import Executor, progress
+from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
 from benchmark.scene import Scene
 from generation.search.attempts import StoredAttempt, attempts, eligibility

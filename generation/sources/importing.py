@@ -7,10 +7,12 @@ from typing import Literal
 
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.errors import InputError
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
 from benchmark.scene import Scene
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.nuscenes_writer import DataSetPlan, finish_data_set
+from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
 from generation.render.schematic import SchematicRenderer
 from generation.sources.rig import default_cameras
 
@@ -55,18 +57,20 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
         root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames, source=None
     )
     with only_writer(root):
-        written = list(map_ordered(partial(_import_one, plan), files, workers=workers, label="importing scenes"))
+        count = Count(kept=lambda imported: was_there(imported[1]))
+        work = partial(_import_one, plan)
+        written = list(map_ordered(work, files, workers=workers, label="importing scenes", count=count))
         names = [name for name, _ in written]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InputError(f"{source} holds more than one file of scene {twice[0]}; keep one of them")
-        finish_data_set(plan, [key for _, key in written])
+        finish_data_set(plan, [scene.key for _, scene in written])
     return tuple(names)
 
 
-def _import_one(plan: DataSetPlan, path: Path) -> tuple[str, str]:
+def _import_one(plan: DataSetPlan, path: Path) -> tuple[str, WrittenScene]:
     scene = with_default_rig(read_scenarionet(path))
-    return scene.name, write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
+    return scene.name, written_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
 
 
 def with_default_rig(scene: Scene) -> Scene:

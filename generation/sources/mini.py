@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Literal
 
 from benchmark.errors import InputError
+from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
 from benchmark.machine.workers import map_ordered
 from benchmark.machine.workspace import is_finished
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
 from generation.render.schematic import SchematicRenderer
 from generation.sources.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names
 
@@ -75,13 +77,14 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     job = partial(_write_one, plan, settings.seed)
     train = list(town_scene_names("train", settings.train_scenes)) if settings.train_scenes else []
     with only_writer(root):
-        keys = list(map_ordered(job, work, workers=workers, label="building the town"))
-        finish_data_set(plan, keys, extra_splits={"train": train} if train else None)
+        count = Count(kept=was_there)
+        written = list(map_ordered(job, work, workers=workers, label="building the town", count=count))
+        finish_data_set(plan, [scene.key for scene in written], extra_splits={"train": train} if train else None)
         write_json(note, made_of)
     return root
 
 
-def _write_one(plan: DataSetPlan, seed: int, work: tuple[Split, int]) -> str:
+def _write_one(plan: DataSetPlan, seed: int, work: tuple[Split, int]) -> WrittenScene:
     split, index = work
     scene = town_scene(split, index, seed=seed)
-    return write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
+    return written_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})

@@ -18,7 +18,7 @@ from leaderboard.films.film import Film, FilmSettings
 LONGEST_WEBP: Final = 400
 """Frames of an animated WebP, which is made in memory."""
 Watch = Callable[[Iterable[Picture], int, str], Iterable[Picture]]
-"""Passes frames on and shows how far the work is: frames, how many, of what."""
+"""Passes frames on and shows how far the work is: frames, how many, what is done."""
 
 
 class FilmFormat(StrEnum):
@@ -143,7 +143,7 @@ def write_film(
         require_webm()
     film = Film(read_sheet(folder), records, models, settings)
     scene = film.stored.sheet.scene
-    frames = watch(film, len(film), "frames")
+    frames = watch(film, len(film), f"filming {scene}")
     if form is FilmFormat.PNG:
         return _write_frames(to / file_name(scene), frames, len(film))
     if form is FilmFormat.WEBP and len(film) > LONGEST_WEBP:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, write_json_lines
-from benchmark.machine.workers import progress
 from benchmark.weights.training_run import TrainingRun, read_run, write_run
 from generation.diffusion.checkpoint import save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
@@ -109,7 +109,12 @@ def train_denoiser(config: TrainingConfig) -> Path:
     log_path = config.out.with_suffix(".log.jsonl")
     run.network.train()
     losses: list[float] = []
-    for step in progress(range(run.step, config.steps), total=config.steps - run.step, label="training denoiser"):
+    for step in progress(
+        range(run.step, config.steps),
+        total=config.steps - run.step,
+        label="training denoiser",
+        count=Count("step", run.step),
+    ):
         losses.append(_take_step(run, config, pool, step))
         run.step = step + 1
         if run.step % config.checkpoint_every == 0 or run.step == config.steps:

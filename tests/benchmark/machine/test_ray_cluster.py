@@ -15,6 +15,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.machine import ray_cluster
+from benchmark.machine.progress import Count
 from benchmark.machine.ray_cluster import Item, RayCluster, Result
 from benchmark.machine.workers import Executor, LocalProcesses
 from generation.build.settings import BuildSettings
@@ -133,11 +134,17 @@ class LosesANode:
     lost: list[tuple[int, int]]
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        total: int,
+        label: str,
+        count: Count | None = None,
     ) -> Iterator[Result]:
         dies = label == self.stage and not self.lost
         node = self.cluster.add_node(num_cpus=1, object_store_memory=80 * 2**20) if dies else None
-        for number, result in enumerate(self.joined.map(function, items, total=total, label=label)):
+        for number, result in enumerate(self.joined.map(function, items, total=total, label=label, count=count)):
             yield result
             if node is not None and number + 1 < total and not self.lost and busy(node.node_id):
                 self.cluster.remove_node(node, allow_graceful=False)

@@ -91,3 +91,8 @@ def threads(_: int) -> int:
     import torch
 
     return torch.get_num_threads()
+
+
+def pause(item: int) -> int:
+    time.sleep(0.25)
+    return item

@@ -9,6 +9,7 @@ from typing import TypeVar
 import pytest
 
 from benchmark.errors import InputError
+from benchmark.machine.progress import Count
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
 from generation.build.profile import runtime_table
@@ -28,7 +29,13 @@ class Forbidden:
     """An executor that must not be given anything."""
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, total: int, label: str
+        self,
+        function: Callable[[Item], Result],
+        items: Iterable[Item],
+        *,
+        total: int,
+        label: str,
+        count: Count | None = None,
     ) -> Iterator[Result]:
         assert total == 0
         assert list(items) == []

@@ -1,0 +1,163 @@
+"""What ``challenger-bench models`` says: every planner, what it sees, and what it needs that may not be here."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import EntryPoint
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from adapters.checkpoints.cache import cached_weights, weights_folder
+from adapters.models import MODELS, Model
+from adapters.registry import installed_planners
+from benchmark.report.cells import RANKS_NOTHING, Shown
+from benchmark.report.table import Table, table_of
+from benchmark.report.terminal import wrapped
+from benchmark.weights.catalogue import PublishedWeights, checkpoint_of
+
+Weights = Literal["none needed", "packaged", "imported", "missing", "its own"]
+_NETWORK_SEES: Final = "six images"
+_PACKAGED_ALWAYS: Final = ("ego-status",)
+"""Baselines that have learned something; it comes with this package."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownPlanner:
+    """One planner.
+
+    Attributes:
+        name: What ``--model`` takes.
+        sees: What it looks at.
+        weights: Whether it has the weights that it needs.
+        gpu: What a GPU is to it.
+        extra: What has to be installed for it: an extra of this package, or nothing.
+        here: Whether everything that it needs is here.
+        miniature: Whether it shows the pipeline and ranks nothing.
+        also: Other names of it.
+        comes_from: The published weights' name, or the package of an installed planner.
+    """
+
+    name: str
+    sees: str
+    weights: Weights
+    gpu: str
+    extra: str = ""
+    here: bool = True
+    miniature: bool = False
+    also: tuple[str, ...] = ()
+    comes_from: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**asdict(self), "also": list(self.also)}
+
+
+def known_planners(
+    cache: Path | None = None, installed: Mapping[str, EntryPoint] | None = None
+) -> tuple[KnownPlanner, ...]:
+    """Every planner that has a name.
+
+    Args:
+        cache: Folder of imported weights; the user's by default.
+        installed: Planners of installed packages; those that there are by default.
+
+    Returns:
+        Those of this package in the order of the table, then those of others.
+    """
+    folder, others = cache or weights_folder(), installed_planners() if installed is None else installed
+    own = [_built_in(model, folder) for name, model in MODELS.items() if name == model.name]
+    return (
+        *own,
+        *(KnownPlanner(name, "?", "its own", "?", comes_from=point.value) for name, point in others.items()),
+    )
+
+
+def planners_text(planners: tuple[KnownPlanner, ...], width: int | None = None) -> str:
+    """The planners as a table, and how to get what is missing.
+
+    Args:
+        planners: From `known_planners`.
+        width: Columns of the terminal, if it is not to be asked.
+
+    Returns:
+        Lines.
+    """
+    missing = dict.fromkeys(each.comes_from for each in planners if each.weights == "missing")
+    lines = [planners_table(planners).plain(width=width)]
+    if missing:
+        lines.append("Weights that are missing, and how to get them:")
+    for name in missing:
+        lines += _how_to_get(checkpoint_of(name), width)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
+    """One row for each planner."""
+    rows = [
+        (
+            Shown(f"{each.name} §" if each.miniature else each.name, miniature=each.miniature),
+            *(each.sees, each.weights, each.gpu, _extra(each)),
+        )
+        for each in planners
+    ]
+    others = [f"{each.name} is from an installed package: {each.comes_from}." for each in planners if each.gpu == "?"]
+    extras = dict.fromkeys(each.extra for each in planners if each.extra)
+    also = [f"{name} is short for {each.name}." for each in planners for name in each.also]
+    return table_of(
+        "models",
+        "Planners that --model takes; your own is --model package.module:Class",
+        ("planner", "sees", "weights", "GPU", "extra"),
+        rows,
+        notes=(
+            f"§ miniature: {RANKS_NOTHING} (docs/miniatures.md). On mini, a full model without weights is replaced by "
+            "its miniature, which says so.",
+            "Boxes and map, and the recorded future, are what no car sees: reference rows.",
+            "Packaged weights have the licences of what they learned from: adapters/weights/*.md.",
+            *(f"{extra} is an extra of this package: pip install challenger-bench{extra}." for extra in extras),
+            *also,
+            *others,
+        ),
+        text_columns=5,
+    )
+
+
+def _built_in(model: Model, folder: Path) -> KnownPlanner:
+    also = tuple(name for name, other in MODELS.items() if other is model and name != model.name)
+    if model.network is None:
+        packaged = model.name in _PACKAGED_ALWAYS
+        return KnownPlanner(model.name, model.sees, "packaged" if packaged else "none needed", "no", also=also)
+    weights = _weights(model, folder)
+    extra_here = not model.extra or find_spec(model.extra_package) is not None
+    return KnownPlanner(
+        model.name,
+        _NETWORK_SEES,
+        weights,
+        "no" if model.miniature is not None else "helps",
+        model.extra,
+        weights != "missing" and extra_here,
+        model.miniature is not None,
+        also,
+        model.weights or "",
+    )
+
+
+def _weights(model: Model, folder: Path) -> Weights:
+    if model.miniature is not None:
+        return "packaged" if model.packaged.is_file() else "missing"
+    return "imported" if cached_weights(folder, model.weights) else "missing"
+
+
+def _extra(planner: KnownPlanner) -> str:
+    if not planner.extra:
+        return "–"
+    return planner.extra if planner.here or planner.weights == "missing" else f"{planner.extra} (missing)"
+
+
+def _how_to_get(weights: PublishedWeights, width: int | None) -> list[str]:
+    lines = [f"  {weights.name}: challenger-bench weights fetch {weights.name}, or with a browser:"]
+    lines += [f"    {file.name}: {file.page or weights.address}" for file in weights.files]
+    return [
+        line
+        for text in (*lines, f"    then {weights.how_to_import}", f"    licence: {weights.licence}")
+        for line in wrapped(text.strip(), width, indent=text[: len(text) - len(text.lstrip())], hanging="  ")
+    ]

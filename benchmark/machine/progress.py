@@ -1,0 +1,208 @@
+"""How far lasting work is, told on stderr: a redrawn line on a terminal, a line a minute where there is none.
+
+What is counted is what the user counts (scenes, vehicles, samples), and the time left follows from what was made since
+the work began: what an earlier command had finished counts as done and makes nothing look quicker than it is. Work that
+is done by other work is not told apart: the outermost has the line.
+"""
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, TextIO, TypeVar
+
+from benchmark.report.terminal import terminal_width
+from benchmark.report.words import counted
+
+Result = TypeVar("Result")
+
+QUIET_S: Final = 2.0
+"""Shorter work is not worth a line."""
+LINE_EVERY_S: Final = 60.0
+"""Where there is no terminal; over all work of a command together."""
+_REDRAWN_EVERY_S: Final = 0.5
+
+
+def _one(_: Any) -> int:
+    return 1
+
+
+def _none(_: Any) -> bool:
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """What is counted of some work.
+
+    Attributes:
+        noun: What is counted, in the singular.
+        before: How many were finished before the work began, by an earlier command.
+        total: How many there are in all; ``before`` and one for each unit of work by default.
+        each: How many a result stands for.
+        kept: Whether a result was there before and only had to be found.
+    """
+
+    noun: str = "scene"
+    before: int = 0
+    total: int | None = None
+    each: Callable[[Any], int] = _one
+    kept: Callable[[Any], bool] = _none
+
+
+class Work:
+    """One piece of work: what of it is done.
+
+    Attributes:
+        label: What is done.
+        noun: What is counted.
+        total: How many there are in all.
+        begun_s: When it began, on the clock of its watch.
+    """
+
+    def __init__(self, label: str, units: int, count: Count, begun_s: float) -> None:
+        self.label, self.noun, self.begun_s = label, count.noun, begun_s
+        self.total = count.before + units if count.total is None else count.total
+        self._count = count
+        self._done = count.before
+        self._made = 0
+        self._lock = threading.Lock()
+
+    def add(self, result: Any) -> None:
+        """A unit is finished; may be called from any thread."""
+        each, kept = self._count.each(result), self._count.kept(result)
+        with self._lock:
+            self._done += each
+            self._made += 0 if kept else each
+
+    def sentence(self, now_s: float) -> str:
+        """How far it is: for example ``rendering: 3 of 10 scenes, 0:30, about 1:10 left``.
+
+        Args:
+            now_s: The time, on the clock of its watch.
+
+        Returns:
+            The sentence; without the time left before anything was made.
+        """
+        with self._lock:
+            done, made = self._done, self._made
+        gone_s, left = now_s - self.begun_s, self.total - done
+        said = f"{self.label}: {done:,} of {counted(self.total, self.noun)}, {clock_time(gone_s)}"
+        return f"{said}, about {clock_time(gone_s * left / made)} left" if made and left > 0 else said
+
+
+@dataclass(slots=True)
+class Watch:
+    """Tells how far work is.
+
+    Attributes:
+        stream: Where; stderr at the time of each line by default.
+        clock: Seconds; any beginning.
+        beat: Whether a thread ticks; else somebody else calls `tick`.
+    """
+
+    stream: TextIO | None = None
+    clock: Callable[[], float] = time.monotonic
+    beat: bool = True
+    _works: list[Work] = field(default_factory=list)
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _line_s: float | None = None
+    _drawn: int = 0
+    _silent: bool = False
+
+    def silence(self) -> None:
+        """Say nothing any more: in a worker, whose command tells."""
+        self._silent = True
+
+    @contextlib.contextmanager
+    def work(self, label: str, units: int, count: Count) -> Iterator[Work]:
+        """Watch a piece of work.
+
+        Args:
+            label: What is done.
+            units: Units of work.
+            count: What is counted of them.
+
+        Yields:
+            What is to be told of finished units.
+        """
+        now_s = self.clock()
+        self._line_s = now_s if self._line_s is None else self._line_s
+        work, over = Work(label, units, count, now_s), threading.Event()
+        self._works.append(work)
+        beats = self.beat and not self._silent and len(self._works) == 1
+        if beats:
+            threading.Thread(target=self._tick_until, args=(over,), daemon=True).start()
+        try:
+            yield work
+        finally:
+            over.set()
+            with self._lock:
+                self._works.remove(work)
+                self._clear()
+
+    def tick(self) -> None:
+        """Tell what there is to tell now."""
+        with self._lock:
+            if self._silent or not self._works:
+                return
+            stream, now_s, work = self.stream or sys.stderr, self.clock(), self._works[0]
+            if now_s - work.begun_s < QUIET_S:
+                return
+            if stream.isatty():
+                line = work.sentence(now_s)[: terminal_width() - 1]
+                stream.write(f"\r{line.ljust(self._drawn)}")
+                stream.flush()
+                self._drawn = len(line)
+            elif self._line_s is not None and now_s - self._line_s >= LINE_EVERY_S:
+                self._line_s = now_s
+                stream.write(f"{work.sentence(now_s)}\n")
+                stream.flush()
+
+    def _tick_until(self, over: threading.Event) -> None:
+        while not over.wait(_REDRAWN_EVERY_S):
+            # Whoever closed the stream does not want to know.
+            with contextlib.suppress(OSError, ValueError):
+                self.tick()
+
+    def _clear(self) -> None:
+        if self._drawn:
+            stream = self.stream or sys.stderr
+            with contextlib.suppress(OSError, ValueError):
+                stream.write(f"\r{' ' * self._drawn}\r")
+                stream.flush()
+            self._drawn = 0
+
+
+WATCH: Final = Watch()
+"""The one of this process."""
+
+
+def progress(
+    results: Iterable[Result], *, total: int, label: str, count: Count | None = None, watch: Watch = WATCH
+) -> Iterator[Result]:
+    """Pass results through and tell how far the work is.
+
+    Args:
+        results: What is being computed.
+        total: How many there will be.
+        label: What is done.
+        count: What is counted; scenes by default.
+        watch: Who tells.
+
+    Yields:
+        The results.
+    """
+    with watch.work(label, total, count or Count()) as work:
+        for result in results:
+            work.add(result)
+            yield result
+
+
+def clock_time(seconds: float) -> str:
+    """A duration as minutes and seconds, or hours, minutes and seconds: ``0:41``, ``12:05``, ``1:02:03``."""
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

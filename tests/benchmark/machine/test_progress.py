@@ -1,0 +1,154 @@
+"""Progress says what is true: counts of what the user counts, time left from work done, with a clock of our own."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from benchmark.machine.progress import Count, Watch, clock_time, progress
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@dataclass
+class Clock:
+    """A clock that somebody turns."""
+
+    seconds: float = 100.0
+
+    def __call__(self) -> float:
+        return self.seconds
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def watched(watch: Watch, clock: Clock, each_s: float, units: int, count: Count | None = None) -> Iterator[str]:
+    """Units of work, with what was told by the end of each."""
+
+    def work() -> Iterator[int]:
+        for unit in range(units):
+            clock.seconds += each_s
+            yield unit
+
+    stream = watch.stream
+    assert isinstance(stream, io.StringIO)
+    for _ in progress(work(), total=units, label="rendering", count=count, watch=watch):
+        before = len(stream.getvalue())
+        watch.tick()
+        yield stream.getvalue()[before:]
+
+
+def test_a_terminal_has_one_line_with_the_time_left_from_work_done() -> None:
+    clock, stream = Clock(), Terminal()
+    lines = list(watched(Watch(stream, clock, beat=False), clock, 10.0, 3))
+    assert [line.strip() for line in lines] == [
+        "rendering: 1 of 3 scenes, 0:10, about 0:20 left",
+        "rendering: 2 of 3 scenes, 0:20, about 0:10 left",
+        "rendering: 3 of 3 scenes, 0:30",
+    ]
+    assert all(line.startswith("\r") for line in lines) and "\n" not in stream.getvalue()
+    assert stream.getvalue().endswith("\r") and stream.getvalue().split("\r")[-2].strip() == "", "the line is gone"
+
+
+def test_a_shorter_line_covers_the_longer_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    clock, stream = Clock(), Terminal()
+    lines = list(watched(Watch(stream, clock, beat=False), clock, 10.0, 3))
+    assert len(lines[2]) == len(lines[1])
+    monkeypatch.setenv("COLUMNS", "40")
+    assert all(len(line) <= 40 for line in watched(Watch(Terminal(), clock, beat=False), clock, 10.0, 3))
+
+
+def test_short_work_says_nothing() -> None:
+    clock, stream = Clock(), Terminal()
+    assert list(watched(Watch(stream, clock, beat=False), clock, 0.4, 4)) == [""] * 4
+    assert stream.getvalue() == ""
+
+
+def test_without_a_terminal_there_is_a_line_a_minute_over_all_work() -> None:
+    clock, stream = Clock(), io.StringIO()
+    watch = Watch(stream, clock, beat=False)
+    for _ in range(3):
+        list(watched(watch, clock, 25.0, 4))
+    assert stream.getvalue().splitlines() == [
+        "rendering: 3 of 4 scenes, 1:15, about 0:25 left",
+        "rendering: 2 of 4 scenes, 0:50, about 0:50 left",
+        "rendering: 1 of 4 scenes, 0:25, about 1:15 left",
+        "rendering: 4 of 4 scenes, 1:40",
+    ]
+
+
+def test_what_was_there_before_makes_nothing_look_quicker() -> None:
+    clock, stream = Clock(), Terminal()
+    count = Count("vehicle", before=2, total=6, kept=lambda unit: unit < 2)
+    lines = [line.strip() for line in watched(Watch(stream, clock, beat=False), clock, 10.0, 4, count)]
+    assert lines == [
+        "rendering: 3 of 6 vehicles, 0:10",
+        "rendering: 4 of 6 vehicles, 0:20",
+        "rendering: 5 of 6 vehicles, 0:30, about 0:30 left",
+        "rendering: 6 of 6 vehicles, 0:40",
+    ]
+
+
+def test_a_result_may_stand_for_several() -> None:
+    clock, stream = Clock(), Terminal()
+    count = Count("sample", total=9, each=lambda unit: 1 + 2 * unit)
+    lines = [line.strip() for line in watched(Watch(stream, clock, beat=False), clock, 60.0, 3, count)]
+    assert [line.split(", ")[0] for line in lines] == [f"rendering: {done} of 9 samples" for done in (1, 4, 9)]
+    assert lines[1].endswith("about 2:30 left")
+
+
+def test_work_within_work_has_no_line_of_its_own() -> None:
+    clock, stream = Clock(), Terminal()
+    watch = Watch(stream, clock, beat=False)
+    with watch.work("outer", 2, Count()):
+        assert all("outer: 0 of 2" in line for line in watched(watch, clock, 10.0, 2))
+
+
+def test_a_silent_watch_says_nothing() -> None:
+    clock, stream = Clock(), Terminal()
+    watch = Watch(stream, clock, beat=False)
+    watch.silence()
+    assert list(watched(watch, clock, 100.0, 2)) == ["", ""]
+
+
+def test_durations() -> None:
+    assert [clock_time(seconds) for seconds in (-1.0, 0.4, 41.0, 725.0, 3723.0)] == [
+        *("0:00", "0:00", "0:41", "12:05", "1:02:03")
+    ]
+
+
+PROGRAM = """
+import json, sys
+from benchmark.machine import progress
+from benchmark.machine.workers import LocalProcesses
+from tests.benchmark.machine import units_of_work
+if __name__ == "__main__":
+    progress.QUIET_S = 0.0
+    progress.LINE_EVERY_S = 0.2
+    progress._REDRAWN_EVERY_S = 0.05
+    count = progress.Count("pause")
+    results = LocalProcesses(int(sys.argv[1])).map(units_of_work.pause, range(8), total=8, label="pausing", count=count)
+    print(json.dumps(list(results)))
+"""
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_heart_beats_on_stderr_and_stdout_is_the_commands_own(workers: str) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    program = [sys.executable, "-c", PROGRAM, workers]
+    said = subprocess.run(program, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+    assert json.loads(said.stdout) == list(range(8))
+    lines = said.stderr.splitlines()
+    assert len(lines) >= 3 and all(line.startswith("pausing: ") and " of 8 pauses, 0:0" in line for line in lines)
+    done = [int(line.split()[1]) for line in lines]
+    assert done == sorted(done)
