@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
@@ -68,8 +68,8 @@ class EvalSettings:
         unknown = sorted(set(self.scenes or ()) - set(names))
         if unknown:
             raise InputError(
-                f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; it has "
-                f"{len(names)} scenes, among them {', '.join(names[:3])}"
+                f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
+                f"{did_you_mean(unknown[0], names)}it has {len(names)} scenes, among them {', '.join(names[:3])}"
             )
         if self.limit is not None and self.limit < 1:
             raise InputError(f"--limit must be at least 1, got {self.limit}")

@@ -1,0 +1,187 @@
+"""Data sets, splits and scenes before any is opened or built: what is known of them, and what would be built first."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from benchmark import api
+from benchmark.cli.beforehand.places import gigabytes, require_place, require_room
+from benchmark.errors import InputError, did_you_mean
+
+_BYTES_OF_AN_IMAGE: Final = 25_000
+"""Of the embedded town at 448 x 256, with its rows in the tables: 0.36 GB for 10 scenes, 241 frames, six cameras."""
+_IMAGES_OF_A_SCENE: Final = 241 * 6
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What a command will work on.
+
+    Attributes:
+        scenes: Names of the scenes that it will take; ``None`` where they are known only once they are made.
+        builds: What has to be built first, for people: what, where, how long, how large.
+    """
+
+    scenes: tuple[str, ...] | None
+    builds: tuple[str, ...] = ()
+
+    def plan(self, then: str) -> tuple[str, ...]:
+        """What ``--dry-run`` says where something has to be built first."""
+        return (*(f"would first build {each}" for each in self.builds), f"would then {then}")
+
+    def counted(self) -> str:
+        """How many scenes, for people."""
+        if self.scenes is None:
+            return "all scenes"
+        return f"{len(self.scenes)} scene{'' if len(self.scenes) == 1 else 's'}"
+
+
+def town_bytes(scenes: int) -> int:
+    """How much of a disk scenes of the embedded town take with all images, about."""
+    return scenes * _IMAGES_OF_A_SCENE * _BYTES_OF_AN_IMAGE
+
+
+def require_data(
+    data: str,
+    tables: str | None,
+    split: str,
+    out: Path,
+    *,
+    scenes: Sequence[str] | None = None,
+    limit: int | None = None,
+) -> Ahead:
+    """Refuse a data set, a split or scenes that there are not and that will not be built.
+
+    Args:
+        data: What ``--data`` names.
+        tables: Version folder.
+        split: The split that the command works on; generated ones of the embedded data are built where they are absent.
+        out: Folder below which generated splits lie.
+        scenes: Only these scenes.
+        limit: Only the first so many.
+
+    Returns:
+        What is known of the scenes, and what would be built.
+
+    Raises:
+        InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
+    """
+    from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, GENERATED_SPLITS, is_finished
+
+    space, name = api.workspace(out), Path(data).resolve().name
+    made = space.split_root(name, split)
+    if data == EMBEDDED:
+        return _embedded(split, out, scenes, limit)
+    if data == DEMONSTRATED:
+        there = space.demonstrated(split if split in GENERATED_SPLITS and is_finished(made) else "val")
+        return Ahead(_chosen(listed_scenes(there, split), split, scenes, limit))
+    if split in GENERATED_SPLITS and is_finished(made):
+        return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit))
+    every = listed_scenes(Path(data), version=tables)
+    try:
+        of_split = listed_scenes(Path(data), split, version=tables)
+    except InputError as error:
+        if split not in GENERATED_SPLITS or not every:
+            raise
+        raise InputError(
+            f"split {split!r} of {name} is not at {made}; make it with: challenger-bench generate --data {data} "
+            f"--split {split} --out {out}"
+        ) from error
+    return Ahead(_chosen(of_split, split, scenes, limit))
+
+
+def require_source(
+    data: str, tables: str | None, split: str, out: Path, *, scenes: Sequence[str] | None, limit: int | None
+) -> Ahead:
+    """Refuse what nothing can be generated from, as `require_data`; ``scenes`` may be any of the data set."""
+    from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED
+
+    if data == EMBEDDED:
+        if split != "val":
+            raise InputError(f"the embedded data set mini has no split {split!r} of its own; the only one is val")
+        return _embedded("val", out, scenes, limit)
+    root = api.workspace(out).demonstrated("val") if data == DEMONSTRATED else Path(data)
+    of_split = listed_scenes(root, split, version=tables)
+    known = of_split if scenes is None else listed_scenes(root, version=tables)
+    return Ahead(_chosen(known, split, scenes, limit))
+
+
+def require_root(root: str, tables: str | None, out: Path, scenes: Sequence[str] | None = None) -> Ahead:
+    """Refuse a data set that there is not, or scenes that are not in it, whatever the split; as `require_data`."""
+    from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED
+
+    if root == EMBEDDED:
+        return _embedded("val", out, scenes, None)
+    folder = api.workspace(out).demonstrated("val") if root == DEMONSTRATED else Path(root)
+    return Ahead(_chosen(listed_scenes(folder, version=tables), None, scenes, None))
+
+
+def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> Ahead:
+    """The embedded data set, of which everything is known before it is built."""
+    from benchmark.datasets.listing import listed_scenes
+    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, is_finished
+    from generation.sources.mini import TownSettings
+    from generation.sources.town.scenes import town_scene_names
+
+    splits = ("val", *GENERATED_SPLITS)
+    if split not in splits:
+        raise InputError(
+            f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
+            f"{', '.join(splits)}"
+        )
+    settings, made = TownSettings(), api.workspace(out).split_root(EMBEDDED, split)
+    root, recorded = cache_root() / settings.folder_name(EMBEDDED), town_scene_names("val", settings.val_scenes)
+    builds = []
+    if not is_finished(root):
+        needed = town_bytes(settings.val_scenes)
+        require_place(root, "CHALLENGER_BENCH_CACHE")
+        require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
+        builds.append(f"the embedded data set in {root} (once, about two minutes, {gigabytes(needed)})")
+    if split == "val":
+        return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
+    if is_finished(made):
+        return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit), tuple(builds))
+    known = _scenes_to_be_made(split, recorded)
+    least = town_bytes(len(recorded))
+    require_place(made, "--out")
+    require_room(made, least, f"split {split} of the embedded data set", "--out")
+    builds.append(f"split {split} of it in {made} (once, some minutes, at least {gigabytes(least)})")
+    if known is None:
+        _require_made_of(recorded, split, scenes)
+        return Ahead(None, tuple(builds))
+    return Ahead(_chosen(known, split, scenes, limit), tuple(builds))
+
+
+def _scenes_to_be_made(split: str, recorded: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Names of the scenes of an unbuilt split of the embedded data; ``None`` where only the search will tell."""
+    return recorded if split == "val-r" else None
+
+
+def _require_made_of(recorded: tuple[str, ...], split: str, scenes: Sequence[str] | None) -> None:
+    """A generated scene is called like the recorded one and a suffix, whatever the search finds."""
+    strange = [name for name in scenes or () if not any(name.startswith(f"{known}-") for known in recorded)]
+    if strange:
+        raise InputError(
+            f"split {split!r} can have no scene {strange[0]}; {did_you_mean(strange[0], recorded)}its scenes are made "
+            f"of {recorded[0]} to {recorded[-1]} and called like them, with a suffix"
+        )
+
+
+def _chosen(
+    known: tuple[str, ...], split: str | None, scenes: Sequence[str] | None, limit: int | None
+) -> tuple[str, ...]:
+    unknown = sorted(set(scenes or ()) - set(known))
+    if unknown:
+        where = "there is" if split is None else f"split {split!r} has"
+        raise InputError(
+            f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
+            f"{did_you_mean(unknown[0], known)}it has {len(known)} scenes, among them {', '.join(known[:3])}"
+        )
+    wanted = known if scenes is None else tuple(name for name in known if name in set(scenes))
+    if not wanted:
+        raise InputError("--scenes names no scene; leave it out or name one")
+    return wanted[:limit]
