@@ -13,7 +13,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 
 PACKAGED: Final = Path(__file__).parent / "weights"
 """Folder of the weights that come with this package."""
@@ -189,7 +189,7 @@ def published_model(name: str) -> Model:
     """A network with published weights by name; raises `InputError` if there is none."""
     known = published_models()
     if name not in known:
-        raise InputError(f"{name!r} is no model with weights; those are {', '.join(known)}")
+        raise InputError(f"{name!r} is no model with weights; {did_you_mean(name, known)}those are {', '.join(known)}")
     return known[name]
 
 
@@ -197,7 +197,7 @@ def miniature(name: str) -> Model:
     """A miniature by name; raises `InputError` if there is none."""
     known = miniatures()
     if name not in known:
-        raise InputError(f"{name!r} is no miniature; those are {', '.join(known)}")
+        raise InputError(f"{name!r} is no miniature; {did_you_mean(name, known)}those are {', '.join(known)}")
     return known[name]
 
 

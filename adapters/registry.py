@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from adapters.models import MODELS, published_as
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts
@@ -117,6 +117,7 @@ def planner(
     Raises:
         InputError: If the name is unknown, or the class cannot be imported, is no planner, or takes no checkpoint.
     """
+    require_known(name)
     installed = installed_planners()
     if name in MODELS and MODELS[name].network is not None:
         made = partial(_import(_MAKER_OF_NETWORKS, name), MODELS[name])
@@ -124,15 +125,23 @@ def planner(
         made = _import(MODELS[name].planner, name)
     elif name in installed:
         made = _load(installed[name])
-    elif ":" in name:
-        made = _import(name, name)
     else:
-        known = ", ".join((*MODELS, *installed))
-        raise InputError(f"unknown model {name!r}; known are {known}; your own is --model package.module:Class")
+        _look_here()
+        made = _import(name, name)
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
     offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
     return _checked(_build(made, name, offered), name)
+
+
+def require_known(name: str) -> None:
+    """Raise `InputError` for what names no planner; nothing of it is imported."""
+    known = (*MODELS, *installed_planners())
+    if name not in known and ":" not in name:
+        raise InputError(
+            f"unknown model {name!r}; {did_you_mean(name, known)}known are {', '.join(known)}; your own is --model "
+            "package.module:Class"
+        )
 
 
 def made_by(name: str) -> str:
@@ -149,6 +158,13 @@ def installed_planners() -> dict[str, EntryPoint]:
     return {point.name: point for point in found if point.name not in MODELS}
 
 
+def _look_here() -> None:
+    """Find modules in the current folder as ``python -m`` does; an installed command does not look there by itself."""
+    here = str(Path.cwd())
+    if not {"", here} & set(sys.path):
+        sys.path.insert(0, here)
+
+
 def _import(reference: str, name: str) -> Any:
     module_name, _, attribute = reference.partition(":")
     try:
@@ -156,8 +172,8 @@ def _import(reference: str, name: str) -> Any:
             module = importlib.import_module(module_name)
     except ImportError as error:
         raise InputError(
-            f"model {name!r}: cannot import {module_name} ({error}); install it in this environment or put its "
-            "folder on PYTHONPATH"
+            f"model {name!r}: cannot import {module_name} ({error}); run the command in the folder that holds "
+            f"{module_name.partition('.')[0]}, put that on PYTHONPATH, or install it in this environment"
         ) from error
     except (ValueError, TypeError) as error:
         if not module_name or module_name.startswith("."):

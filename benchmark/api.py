@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,6 +74,16 @@ def tell(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
+_said: set[str] = set()
+
+
+def say_once(sentence: str) -> None:
+    """Say what holds for a whole command, however often it is found out."""
+    if sentence not in _said:
+        _said.add(sentence)
+        tell(sentence)
+
+
 def worker_count(count: int) -> int:
     """Number of processes: 0 is all processors; raises `InputError` if negative."""
     from benchmark.machine.workers import default_workers
@@ -90,13 +100,15 @@ def workspace(out: Path = OUT) -> "Workspace":
     return Workspace(out)
 
 
-def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: int = 0) -> "DataSet":
+def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: int = 0, out: Path = OUT) -> "DataSet":
     """Open a data set; the embedded one is built into the user's cache the first time.
 
     Args:
-        data: ``mini`` (embedded) or the root of a nuScenes-format data set.
+        data: ``mini`` (embedded), ``demo`` (the small town of `benchmark.demo`), or the root of a nuScenes-format data
+            set.
         tables: Version folder below the root, if there are several.
         workers: Processes that build the embedded data set; 0 takes all processors.
+        out: Folder below which the small town of the demo lies.
 
     Returns:
         The data set.
@@ -105,8 +117,10 @@ def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: 
         InputError: If there is no such data set, or it is broken.
     """
     from benchmark.datasets.roots import open_data as open_root
-    from benchmark.machine.workspace import EMBEDDED, cache_root, is_finished
+    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, cache_root, is_finished
 
+    if str(data) == DEMONSTRATED:
+        return open_root(workspace(out).demonstrated("val"), name=DEMONSTRATED)
     if str(data) != EMBEDDED:
         return open_root(Path(data), version=tables)
     from generation.sources.mini import TownSettings, build_town
@@ -218,13 +232,35 @@ def load_planner(
     Raises:
         InputError: If the planner is unknown or cannot be built.
     """
-    from adapters.checkpoints.loading import stand_in
     from adapters.registry import planner_factory
 
-    chosen = stand_in(name, checkpoint, str(data))
+    chosen = model_that_runs(name, checkpoint, data=data)
     if chosen != name:
-        tell(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
+        say_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
     return planner_factory(chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+
+
+def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Path = "mini") -> str:
+    """What `load_planner` builds: a miniature on embedded data where the full model has no weights.
+
+    Args:
+        name: Planner name or ``package.module:Class``.
+        checkpoint: Its weights, if not its own.
+        data: What it will drive on.
+
+    Returns:
+        The planner's name.
+
+    Raises:
+        InputError: If there is no such planner, or it is a network that has no weights; nothing is loaded.
+    """
+    from adapters.checkpoints.stand_in import require_weights, stand_in
+    from adapters.registry import require_known
+
+    require_known(name)
+    chosen = stand_in(name, checkpoint, str(data))
+    require_weights(chosen, checkpoint)
+    return chosen
 
 
 def planner_under_test(
@@ -359,12 +395,15 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
 
 def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
     from adapters.verification.models import verified_models, verify_model
-    from generation.verification.magicdrive import verify_magicdrive
 
     known = (*verified_models(), "magicdrive")
     if model not in known:
         missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
-        raise InputError(f"{missing}; known are {', '.join(known)}")
+        raise InputError(f"{missing}; {did_you_mean(model or '', known)}known are {', '.join(known)}")
     if golden is None:
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
-    return verify_magicdrive(golden) if model == "magicdrive" else verify_model(model, golden)
+    if model != "magicdrive":
+        return verify_model(model, golden)
+    from generation.verification.magicdrive import verify_magicdrive
+
+    return verify_magicdrive(golden)

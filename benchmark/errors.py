@@ -1,4 +1,7 @@
-"""The one exception that a user is meant to read."""
+"""The one exception that a user is meant to read, and what helps after a slip of the finger."""
+
+import difflib
+from collections.abc import Iterable
 
 
 class InputError(Exception):
@@ -7,3 +10,18 @@ class InputError(Exception):
     The command line prints it without a traceback and exits with code 2. Anything else that escapes is a defect
     of this project and keeps its traceback.
     """
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The question that a message asks where a name is nearly one that there is.
+
+    Args:
+        name: What was given.
+        known: What there is.
+
+    Returns:
+        ``did you mean uniad or uniad-mini? `` with the closest three at most; nothing where none is close.
+    """
+    close = difflib.get_close_matches(name, sorted(set(known)))
+    *others, last = close or [""]
+    return f"did you mean {', '.join(others)}{' or ' if others else ''}{last}? " if last else ""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from benchmark.datasets.scene_facts import frozen_split_of
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
@@ -71,8 +71,9 @@ class EvalSettings:
         unknown = sorted(set(self.scenes or ()) - set(names))
         if unknown:
             raise InputError(
-                f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; it has "
-                f"{counted(len(names), 'scene')}, among them {', '.join(names[:3])}"
+                f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
+                f"{did_you_mean(unknown[0], names)}it has {counted(len(names), 'scene')}, among them "
+                f"{', '.join(names[:3])}"
             )
         if self.limit is not None and self.limit < 1:
             raise InputError(f"--limit must be at least 1, got {self.limit}")

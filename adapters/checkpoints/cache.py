@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from benchmark.errors import InputError
-from benchmark.machine.workspace import cache_root
+from benchmark.machine.workspace import weights_root
 from benchmark.weights.tensors import read_header, read_tensors, write_tensors
 
 _AGAIN: Final = "import or fetch them again"
@@ -44,7 +44,7 @@ class Provenance(BaseModel):
 
 def weights_folder() -> Path:
     """Where imported weights are kept."""
-    return cache_root() / "weights"
+    return weights_root()
 
 
 def weights_path(folder: Path, provenance: Provenance) -> Path:

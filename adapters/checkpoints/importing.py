@@ -21,14 +21,15 @@ from adapters.checkpoints.cache import (
 )
 from adapters.checkpoints.matching import matched
 from adapters.checkpoints.motion_anchors import anchors_beside, published_beside, with_motion_anchors
-from adapters.models import Model, miniatures, published_model
+from adapters.checkpoints.stand_in import no_weights, official_weights, what_to_get
+from adapters.models import Model, published_model
 from adapters.networks.sparse.anchors import with_anchors
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_sha256, only_writer
 from benchmark.report.words import counted
 from benchmark.runs.code_identity import outside_identity
-from benchmark.weights.catalogue import CHECKPOINTS, PublishedWeights
+from benchmark.weights.catalogue import PublishedWeights
 from benchmark.weights.fetch import fetch_files
 from benchmark.weights.foreign import read_checkpoint
 
@@ -100,7 +101,7 @@ def import_checkpoint(
     found, tensors = matched(path, _with_anchors(path, checkpoint.tensors, anchors), model)
     wanted, said_by = _normalisation(path, checkpoint.configuration, found, normalisation)
     digest = file_sha256(path)
-    official = _published(found.name)
+    official = official_weights(found.name)
     provenance = Provenance(
         model=found.name,
         source=path.name,
@@ -162,7 +163,7 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
     if checkpoint is None:
         return _imported(model, folder)
     if not checkpoint.is_file():
-        raise InputError(f"there is no checkpoint {checkpoint}; {_what_to_get(model)}")
+        raise InputError(f"there is no checkpoint {checkpoint}; {what_to_get(model)}")
     if checkpoint.suffix == ".safetensors":
         provenance = read_provenance(checkpoint)
         if provenance.model != model:
@@ -191,7 +192,7 @@ def _with_anchors(path: Path, tensors: Mapping[str, Tensor], anchors: Path | Non
 def _imported(model: str, folder: Path) -> Path:
     known = cached_weights(folder, model)
     if not known:
-        raise InputError(f"there are no weights for {model}; {_what_to_get(model)}{_miniature_of(model)}")
+        raise no_weights(model)
     return _only(model, known)
 
 
@@ -200,23 +201,6 @@ def _only(model: str, known: Mapping[Path, Provenance]) -> Path:
         some = ", ".join(f"{path} (from {found.source})" for path, found in known.items())
         raise InputError(f"there are several weights for {model}: {some}; choose one with --checkpoint")
     return next(iter(known))
-
-
-def _published(model: str) -> PublishedWeights | None:
-    return next((entry for entry in CHECKPOINTS if entry.name == model), None)
-
-
-def _what_to_get(model: str) -> str:
-    official = _published(model)
-    if official is None:
-        return "give a file with --checkpoint"
-    files = " and ".join(f"{file.name} from {file.page}" for file in official.files)
-    return f"get {files} (or run: challenger-bench weights fetch {model}), then run: {official.how_to_import}"
-
-
-def _miniature_of(model: str) -> str:
-    small = next((name for name, each in miniatures().items() if model in each.small.stands_for), None)
-    return "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
 
 
 def _normalisation(path: Path, configuration: str, model: Model, asked: str | None) -> tuple[str, str]:

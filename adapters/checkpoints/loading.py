@@ -4,14 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from adapters.camera_inputs import normalisation_of
-from adapters.checkpoints.cache import cached_weights, load_weights, read_shapes, weights_folder
+from adapters.checkpoints.cache import load_weights, read_shapes
 from adapters.checkpoints.importing import resolve_checkpoint
-from adapters.models import MODELS, Model, miniatures, resolve
+from adapters.models import Model, resolve
 from adapters.planner import NativePlanner
 from benchmark.errors import InputError
 from benchmark.machine.devices import Precision
 from benchmark.machine.storage import file_sha256
-from benchmark.machine.workspace import EMBEDDED
 
 
 def planner_of(
@@ -53,26 +52,6 @@ def planner_of(
         precision=precision,
     )
     return made
-
-
-def stand_in(name: str, checkpoint: Path | None, data_name: str) -> str:
-    """The model that really runs: a miniature where it may stand in for a full one.
-
-    Args:
-        name: The model that was asked for.
-        checkpoint: Its weights, if any were named.
-        data_name: Name of the data set.
-
-    Returns:
-        The name of a miniature on the embedded data set if the full model has no weights; else ``name``.
-    """
-    if checkpoint is not None or data_name != EMBEDDED or name not in MODELS:
-        return name
-    full = MODELS[name].name
-    small = next((each for each in miniatures().values() if full in each.small.stands_for), None)
-    if small is None or not small.packaged.is_file():
-        return name
-    return name if cached_weights(weights_folder(), full) else small.name
 
 
 def _weights_file(model: Model, checkpoint: Path | None) -> Path:

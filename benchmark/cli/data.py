@@ -11,6 +11,7 @@ from benchmark.cli.options import (
     FramesOption,
     JsonOption,
     LimitOption,
+    OutOption,
     QuickRendererName,
     ScenesOption,
     SeedOption,
@@ -30,15 +31,19 @@ app = typer.Typer(cls=WholeSummaries, help="Look at, check, import and build dat
 
 @app.command("info")
 def data_info_command(
-    root: Annotated[str, typer.Argument(help="mini or the root of a data set.")] = "mini",
+    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set.")] = "mini",
+    out: OutOption = api.OUT,
     tables: TablesOption = None,
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
     """Say what a data set holds: splits, scenes, samples, annotations, fingerprint."""
+    from benchmark.cli.beforehand.data_sets import require_root
     from benchmark.datasets.contents import contents, contents_text
 
-    found = contents(api.open_data(root, tables=tables, workers=workers))
+    api.worker_count(workers)
+    require_root(root, tables, out)
+    found = contents(api.open_data(root, tables=tables, workers=workers, out=out))
     if json_output:
         print_json(found)
     else:
@@ -47,17 +52,25 @@ def data_info_command(
 
 @app.command("stats")
 def data_stats_command(
-    root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")] = "mini",
+    root: Annotated[
+        str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")
+    ] = "mini",
     split: Annotated[str | None, typer.Option(help="Only this split; every row of the tables if not given.")] = None,
+    out: OutOption = api.OUT,
     tables: TablesOption = None,
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
     """Print the paper's data-set table for any split, and what generated adversaries do where."""
+    from benchmark.cli.beforehand.data_sets import require_source
     from benchmark.datasets.statistics import statistics
-    from benchmark.machine.workspace import EMBEDDED
+    from benchmark.machine.workspace import EMBEDDED_NAMES
 
-    folder = api.open_data(root, tables=tables, workers=workers).root if root == EMBEDDED else Path(root)
+    api.worker_count(workers)
+    if split is not None:
+        require_source(root, tables, split, out, scenes=None, limit=None)
+    known = root in EMBEDDED_NAMES
+    folder = api.open_data(root, tables=tables, workers=workers, out=out).root if known else Path(root)
     found = statistics(folder, split=split, version=tables)
     if json_output:
         print_json(found.as_json())
@@ -67,20 +80,27 @@ def data_stats_command(
 
 @app.command("show")
 def data_show_command(
-    root: Annotated[str, typer.Argument(help="mini or the root of a data set, generated ones included.")],
+    root: Annotated[str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")],
     to: Annotated[Path, typer.Option(help="Folder for the pictures.")],
     conditions: Annotated[bool, typer.Option("--conditions", help="Draw what MagicDriveDiT would be told.")] = False,
+    out: OutOption = api.OUT,
     tables: TablesOption = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     workers: WorkersOption = 0,
 ) -> None:
     """Draw each scene: from above over time, and the camera that sees the adversary best."""
+    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.cli.beforehand.places import require_place
+
+    api.worker_count(workers)
+    require_root(root, tables, out, name_list(scenes))
+    require_place(to, "--to")
     from generation.render.magicdrive.condition_pictures import write_condition_pictures
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
-    dataset = api.open_data(root, tables=tables, workers=workers)
+    dataset = api.open_data(root, tables=tables, workers=workers, out=out)
     names = (name_list(scenes) or dataset.scene_names(None))[:limit]
     write = write_condition_pictures if conditions else write_pictures
     written = write(dataset, names, to, SchematicRenderer())
@@ -122,10 +142,12 @@ def data_import_command(
     json_output: JsonOption = False,
 ) -> None:
     """Bring recordings of another form into nuScenes format."""
+    from benchmark.cli.beforehand.places import require_place
     from generation.sources.importing import ImportSettings, import_scenarionet
 
     if form != "scenarionet":
         raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
+    require_place(out, "--out")
     width, height = image_size(size)
     settings = ImportSettings(width, height, frames.value, images=renderer is not QuickRendererName.NONE)
     names = import_scenarionet(source, out, settings, workers=api.worker_count(workers))
@@ -147,6 +169,7 @@ def data_build_command(
     workers: WorkersOption = 0,
 ) -> None:
     """Build the embedded town, with any number of scenes; the same command resumes."""
+    from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.workspace import EMBEDDED, cache_root
     from generation.sources.mini import TownSettings, build_town
 
@@ -154,4 +177,5 @@ def data_build_command(
     images = renderer is not QuickRendererName.NONE
     settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images)
     target = root or cache_root() / settings.folder_name(EMBEDDED)
+    require_place(target, "--root")
     typer.echo(str(build_town(target, settings, workers=api.worker_count(workers))))

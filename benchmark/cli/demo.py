@@ -25,12 +25,18 @@ def demo_command(
     json_output: JsonOption = False,
 ) -> None:
     """Tell the whole story on the embedded data: generate, evaluate, transfer, tables, site."""
+    from benchmark.cli.beforehand.data_sets import town_bytes
+    from benchmark.cli.beforehand.places import require_place, require_room
+
     if check and not full:
         raise InputError("--check belongs to demo --full, whose results it looks at")
     if check:
         stale = stale_demo(to)
         print_json({"stale": stale}) if json_output else typer.echo("\n".join(stale) or f"{to} is current")
         raise typer.Exit(1 if stale else 0)
+    api.worker_count(workers)
+    require_place(out, "--out")
+    require_room(out, town_bytes(town_scenes), "the demo", "--out")
     if full:
         files = [str(path) for path in full_demo(out, to, workers=workers)]
         print_json({"files": files}) if json_output else typer.echo("\n".join(files))

@@ -27,6 +27,7 @@ from benchmark.cli.options import (
     WorkersOption,
     name_list,
     print_json,
+    say_plan,
 )
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -79,28 +80,41 @@ def eval_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run planners on a split, write run records, and print the table."""
+    from benchmark.cli.beforehand.data_sets import require_data
+    from benchmark.cli.beforehand.names import require_models
+    from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate
 
     if not model and plans is None:
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
     if native is not None and plans is None:
         raise InputError("--native belongs to --plans; planners that --model names say it themselves")
-    shown = _protocols_to_show(protocol)
-    source = api.open_data(data, tables=tables, workers=workers)
-    dataset = api.open_split(source, split, out, workers=workers)
-    settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=api.worker_count(workers))
+    shown, count = _protocols_to_show(protocol), api.worker_count(workers)
+    require_models(model, checkpoint, data=data, device=device, precision=precision)
+    if plans is not None:
+        require_plans(plans, native)
+    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
+    require_place(out, "--out")
+    if dry_run and ahead.builds:
+        runs = [*model, *([] if plans is None else [str(plans)])]
+        say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
+        return
+    settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=count)
+    # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(name, checkpoint, data=data, seed=seed, device=device, precision=precision) for name in model
     ]
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    dataset = api.open_split(source, split, out, workers=workers)
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
         chosen = settings.chosen(dataset, split)
         factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native))
     if dry_run:
-        count = len(settings.chosen(dataset, split))
+        where = f"{counted(len(settings.chosen(dataset, split)), 'scene')} of {split}"
         names = ", ".join(factory.facts.name for factory in factories)
-        typer.echo(f"would run {names} on {counted(count, 'scene')} of {split}")
+        say_plan([f"would run {names} on {where}"], json_output=json_output)
         return
     run_root = api.workspace(out).run_root()
     records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
@@ -118,10 +132,18 @@ def rescore_command(
     json_output: JsonOption = False,
 ) -> None:
     """Judge the stored plans of run records anew under every protocol, without running a planner."""
+    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.cli.beforehand.places import require_folder
     from benchmark.runs.rescoring import rescore_all
 
-    source = api.open_data(data, tables=tables, workers=workers)
     folders = records or [api.workspace(out).run_root()]
+    api.worker_count(workers)
+    require_root(data, tables, out)
+    for folder in records or ():
+        require_folder(folder, "--records")
+    if not records and not folders[0].is_dir():
+        raise InputError(f"there are no run records at {folders[0]}; run challenger-bench eval first")
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
     results = [result for folder in folders for result in rescore_all(folder, opener, source.name)]
     if json_output:
@@ -143,10 +165,17 @@ def transfer_command(
     json_output: JsonOption = False,
 ) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
-    from benchmark.records.run import find_records
+    from benchmark.cli.beforehand.places import require_output_file
+    from benchmark.drawing.plots import FORMATS
+    from benchmark.protocols import protocol as known_protocol
+    from benchmark.records.inventory import recorded, said_of
+    from benchmark.records.run import NATIVE, find_records
     from leaderboard.figures.heat_map import write_heat_map
     from leaderboard.tables.transfer import agreement_table, transfer_matrices, transfer_table
 
+    if protocol != NATIVE:
+        known_protocol(protocol)
+    require_output_file(figure, "--figure", FORMATS)
     folders = records or [api.workspace(out).run_root()]
     known = find_records(*folders)
     for record in known:
@@ -156,7 +185,8 @@ def transfer_command(
     if not matrices:
         raise InputError(
             f"no complete run records of split {split!r} below {', '.join(map(str, folders))}"
-            f"{'' if data is None else f' for data set {data!r}'}; run challenger-bench eval --split {split} first"
+            f"{'' if data is None else f' for data set {data!r}'}; {said_of(recorded(folders))}; name one of these or "
+            f"run challenger-bench eval --split {split} first"
         )
     if figure is not None:
         if len(matrices) > 1:
@@ -191,16 +221,32 @@ def quality_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
+    from benchmark.cli.beforehand.data_sets import require_data
+    from benchmark.cli.beforehand.names import require_device, require_quality_weights
+    from benchmark.cli.beforehand.places import require_folder, require_place
     from benchmark.quality.definition import Definition, mask_source
-    from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
-    from leaderboard.tables.quality import quality_tables
 
     files: Literal["own", "lossless"] = "lossless" if lossless else "own"
     definition = Definition(mask_source(masks), frames.value, files, batch=batch)
+    api.worker_count(workers)
+    require_device(device)
+    require_folder(weights_folder, "--weights-folder")
+    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
+    require_place(out, "--out")
+    if dry_run and ahead.builds:
+        then = f"score {ahead.counted()} of {split}; masks from {masks}"
+        say_plan(ahead.plan(then), json_output=json_output)
+        return
+    if not dry_run:
+        require_quality_weights(definition, weights_folder)
+    from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
+    from leaderboard.tables.quality import quality_tables
+
     settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
-    dataset = api.open_split(api.open_data(data, tables=tables, workers=workers), split, out, workers=workers)
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    dataset = api.open_split(source, split, out, workers=workers)
     if dry_run:
-        typer.echo(plan_of(dataset, split, settings))
+        say_plan([plan_of(dataset, split, settings)], json_output=json_output)
         return
     record = measure_quality(dataset, split, api.workspace(out).quality_root(), settings)
     if json_output:

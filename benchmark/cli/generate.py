@@ -48,8 +48,9 @@ from benchmark.cli.options import (
     image_size,
     name_list,
     print_json,
+    say_plan,
 )
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from generation.build.report import BuildReport
@@ -121,12 +122,12 @@ def generate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from generation.build.settings import BuildSettings
-    from generation.build.split import build_split, require_generated, source_scenes
+    from benchmark.cli.beforehand.data_sets import require_source
+    from benchmark.cli.beforehand.places import require_place
     from generation.search.presets import hyper_parameters, trajectory_model
     from generation.splits.freezing import require_freezable
 
-    require_generated(split)
+    _require_generated(split)
     frozen = None if from_file is None else _frozen(from_file, split, context)
     if freeze is not None:
         require_freezable(split, freeze)
@@ -134,13 +135,26 @@ def generate_command(
     hyper = hyper_parameters(preset.value, shortcuts, changes or ())
     if surrogate is None and surrogate_checkpoint is not None:
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
+    _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
+    if renderer is RendererName.MAGICDRIVE:
+        _require_magicdrive(render_device, weights_folder, dry_run=dry_run)
+    image_size(size)
+    place = executor_of(executor, address, workers)
+    ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
+    require_place(out, "--out")
+    if dry_run and ahead.builds:
+        then = f"build split {split} from {ahead.counted()}; --dry-run says how much work that is once they are there"
+        say_plan(ahead.plan(then), json_output=json_output)
+        return
+    from generation.build.settings import BuildSettings
+    from generation.build.split import build_split, source_scenes
+
     under_test = None
     if surrogate is not None:
         under_test = api.planner_under_test(surrogate, surrogate_checkpoint, data=data, seed=seed, workers=workers)
     drawing: Renderer | None = None
     if renderer is RendererName.SCHEMATIC:
         drawing = api.schematic_renderer(image_size(size))
-    place = executor_of(executor, address, workers)
     rendering, photorealistic = None, None
     if renderer is RendererName.MAGICDRIVE:
         from generation.render.magicdrive.command import magicdrive_renderer, rendering_executor
@@ -159,7 +173,7 @@ def generate_command(
         # Estimates for a GPU are wanted on machines that have none.
         rendering = None if dry_run else rendering_executor(place, render_device)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
-    source = api.open_data(data, tables=tables, workers=workers)
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
     settings = BuildSettings(
         out=api.workspace(out).split_root(source.name, split),
         hyper=hyper,
@@ -208,6 +222,39 @@ def _frozen(file: str, split: str, context: typer.Context) -> "NamedSplit":
     return frozen_split(file)
 
 
+def _require_generated(split: str) -> None:
+    """Raise `InputError` for a split that cannot be generated."""
+    from benchmark.machine.workspace import GENERATED_SPLITS
+
+    if split not in GENERATED_SPLITS:
+        close = did_you_mean(split, GENERATED_SPLITS)
+        raise InputError(f"cannot generate split {split!r}; {close}those that can be generated are val-r and adv")
+
+
+def _require_tools(planner: str | None, checkpoint: Path | None, data: str, device: str, denoiser: Path | None) -> None:
+    """Refuse a planner under test or a trajectory model that could not run."""
+    from benchmark.cli.beforehand.names import require_device, require_models
+    from benchmark.cli.beforehand.places import require_file
+
+    if planner is not None:
+        require_models([planner], checkpoint, data=data)
+    require_device(device)
+    require_file(denoiser, "--denoiser")
+
+
+def _require_magicdrive(device: str, weights_folder: Path | None, *, dry_run: bool) -> None:
+    """Refuse the photorealistic renderer where its weights are absent; estimates need none."""
+    from benchmark.cli.beforehand.names import require_device
+    from benchmark.cli.beforehand.places import require_folder
+
+    require_device(device)
+    require_folder(weights_folder, "--weights-folder")
+    if not dry_run:
+        from generation.render.magicdrive.weights import NetworkFiles
+
+        NetworkFiles.find(weights_folder)
+
+
 def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:
     """What was done and, if asked for, where the time went."""
     runtime = report.runtime if profile else None
@@ -245,15 +292,25 @@ def ablate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
+    from benchmark.cli.beforehand.data_sets import require_source
+    from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.storage import file_name
-    from generation.build.ablation import ablate, ablation_estimate
-    from generation.build.settings import BuildSettings
     from generation.search.presets import hyper_parameters, trajectory_model
 
-    planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
     hyper = hyper_parameters(preset.value, {"candidate_limit": vehicles, "candidates": candidates}, changes or ())
+    _require_tools(model, checkpoint, data, device, denoiser)
     drawing, place = api.schematic_renderer(image_size(size)), executor_of(executor, address, workers)
-    source = api.open_data(data, tables=tables, workers=workers)
+    ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
+    require_place(out, "--out")
+    if dry_run and ahead.builds:
+        then = f"search {ahead.counted()} four times, with {model} driving; --dry-run says how long once they are there"
+        say_plan(ahead.plan(then), json_output=json_output)
+        return
+    from generation.build.ablation import ablate, ablation_estimate
+    from generation.build.settings import BuildSettings
+
+    planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
     settings = BuildSettings(
         out=api.workspace(out).ablation_root() / source.name / file_name(planner.factory.facts.name),
         hyper=hyper,
@@ -268,7 +325,7 @@ def ablate_command(
         together=together,
     )
     if dry_run:
-        typer.echo(ablation_estimate(source, planner, settings))
+        say_plan([ablation_estimate(source, planner, settings)], json_output=json_output)
         return
     report = ablate(source, planner, settings)
     if json_output:

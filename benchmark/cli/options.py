@@ -1,6 +1,7 @@
 """Options that several commands share, and how their texts are read."""
 
 import json
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -114,7 +115,10 @@ class ExecutorName(StrEnum):
     RAY = "ray"
 
 
-DataOption = Annotated[str, typer.Option("--data", help="mini (embedded) or the root of a nuScenes-format data set.")]
+DataOption = Annotated[
+    str,
+    typer.Option("--data", help="mini (embedded), demo (what demo made) or the root of a nuScenes-format data set."),
+]
 TablesOption = Annotated[
     str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
 ]
@@ -216,9 +220,19 @@ def executor_of(name: ExecutorName, address: str | None, workers: int) -> "Execu
         if address is not None:
             raise InputError("--address belongs to --executor ray; add it or leave the address out")
         return LocalProcesses(api.worker_count(workers))
-    from benchmark.machine.ray_cluster import RayCluster
+    from benchmark.cli.beforehand.names import require_package
+    from benchmark.machine.ray_cluster import NOT_INSTALLED, RayCluster
 
+    require_package("ray", NOT_INSTALLED)
     return RayCluster(address or "auto")
+
+
+def say_plan(sentences: Sequence[str], *, json_output: bool) -> None:
+    """What ``--dry-run`` prints."""
+    if json_output:
+        print_json({"would": list(sentences)})
+    else:
+        typer.echo("\n".join(sentences))
 
 
 def print_json(value: Any) -> None:

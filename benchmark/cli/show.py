@@ -25,6 +25,7 @@ from benchmark.cli.options import (
     WorkersOption,
     name_list,
     print_json,
+    say_plan,
 )
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.report.words import counted
@@ -54,13 +55,20 @@ def sheets_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Write scene sheets: what films, pictures and the site show of a split; the same command goes on."""
+    from benchmark.cli.beforehand.data_sets import require_data
+    from benchmark.cli.beforehand.places import require_place
     from benchmark.sheets.writing import SheetSettings, plan_of
 
     settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
-    source, root = api.open_data(data, tables=tables, workers=workers), api.workspace(out).sheet_root()
+    ahead = require_data(data, tables, split, out, scenes=settings.scenes, limit=limit)
+    require_place(out, "--out")
+    if dry_run and ahead.builds:
+        say_plan(ahead.plan(f"write sheets of {ahead.counted()} of {split}"), json_output=json_output)
+        return
+    source, root = api.open_data(data, tables=tables, workers=workers, out=out), api.workspace(out).sheet_root()
     dataset = api.open_split(source, split, out, workers=workers)
     if dry_run:
-        typer.echo(plan_of(dataset, split, root, settings))
+        say_plan([plan_of(dataset, split, root, settings)], json_output=json_output)
         return
     written = api.write_sheets(dataset, split, root, settings)
     if json_output:
@@ -82,7 +90,11 @@ def leaderboard_command(
     """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
     if context.invoked_subcommand is not None:
         return
+    from benchmark.cli.beforehand.places import require_folder, require_place
+
     folder = to or out / "leaderboard"
+    for place in records or ():
+        require_folder(place, "--records")
     if check:
         stale = api.stale_leaderboard(out, folder, records, site=site)
         if json_output:
@@ -90,6 +102,7 @@ def leaderboard_command(
         else:
             typer.echo("\n".join(stale) or f"{folder} is current")
         raise typer.Exit(1 if stale else 0)
+    require_place(folder, "--to" if to else "--out")
     written = api.write_leaderboard(out, folder, records, site=site)
     if json_output:
         print_json({"files": [str(path) for path in written]})
@@ -110,9 +123,14 @@ def submit_check_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
+    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.cli.beforehand.places import require_folder
     from benchmark.runs.submissions import Level, check_submission
 
-    source = api.open_data(data, tables=tables, workers=workers)
+    api.worker_count(workers)
+    require_folder(folder, "the folder of submitted records,")
+    require_root(data, tables, out)
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
     sound, findings = check_submission(folder, source.name, opener)
     if json_output:
@@ -152,13 +170,19 @@ def film_command(
     json_output: JsonOption = False,
 ) -> None:
     """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
+    from benchmark.cli.beforehand.names import planners_shown
+    from benchmark.cli.beforehand.places import require_folder, require_place
     from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
     from leaderboard.films.film import FilmLayout, FilmSettings
-    from leaderboard.films.filming import FilmFormat, write_films
+    from leaderboard.films.filming import FilmFormat, planner_folder, write_films
 
     judge = protocol if protocol == "native" else known_protocol(protocol).name
     shown, space = FilmLayout(layout.value), api.workspace(out)
+    for place in records or ():
+        require_folder(place, "--records")
+    require_place(to, "--to")
+    model = planners_shown(model or (), records or [planner_folder(space.run_root(), data, split)])
     films = []
     for film in write_films(
         space.sheet_root(),
@@ -166,7 +190,7 @@ def film_command(
         data,
         split,
         to,
-        model or (),
+        model,
         scenes=name_list(scenes),
         limit=limit,
         form=FilmFormat(form.value),

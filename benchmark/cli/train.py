@@ -24,6 +24,10 @@ def train_denoiser_command(
     seed: SeedOption = 0,
 ) -> None:
     """Train the trajectory model and describe it; the same command resumes."""
+    from benchmark.cli.beforehand.places import require_folder, require_output_file
+
+    require_folder(tracks, "--tracks")
+    require_output_file(out, "--out")
     from generation.diffusion.bank import write_bank
     from generation.diffusion.training.card import write_model_card
     from generation.diffusion.training.loop import TrainingConfig, train_denoiser
@@ -53,6 +57,18 @@ def train_planner_command(
     workers: WorkersOption = 0,
 ) -> None:
     """Train a miniature of a native model on a data set; the same command resumes."""
+    from benchmark.cli.beforehand.names import require_device, require_trainable
+    from benchmark.cli.beforehand.places import require_file, require_output_file
+    from benchmark.datasets.listing import listed_scenes
+
+    require_trainable(model)
+    require_device(device)
+    require_output_file(out, "--out", (".safetensors",))
+    for path, option in ((image_encoder, "--image-encoder"), (start_from, "--start-from")):
+        require_file(path, option)
+    listed_scenes(data, split)
+    if judged_on is not None:
+        listed_scenes(judged_on, "val")
     from adapters.training.planners import PlannerTraining, train_planner
 
     processes, start = api.worker_count(workers), (image_encoder, start_from, judged_on)
@@ -67,6 +83,11 @@ def train_judge_command(
     data: Annotated[Path, typer.Option(help="Data set whose split val gives the scores.")],
 ) -> None:
     """Measure a trained miniature again, and write its facts and its card anew."""
+    from benchmark.cli.beforehand.places import require_file
+    from benchmark.datasets.listing import listed_scenes
+
+    require_file(weights, "the weights")
+    listed_scenes(data, "val")
     from adapters.training.planners import judge_again
 
     print_json(judge_again(weights, data))
@@ -79,6 +100,10 @@ def train_ego_status_command(
     seed: SeedOption = 0,
 ) -> None:
     """Train the planner that sees its own motion and the command only."""
+    from benchmark.cli.beforehand.places import require_folder, require_output_file
+
+    require_folder(tracks, "--tracks")
+    require_output_file(out, "--out")
     from adapters.training.ego_status import train_ego_status
 
     print_json(train_ego_status(tracks, out, seed=seed))

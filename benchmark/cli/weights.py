@@ -50,6 +50,16 @@ def weights_import_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check an official checkpoint without running anything in it, and keep its weights."""
+    from benchmark.cli.beforehand.names import require_normalisation, require_published
+    from benchmark.cli.beforehand.places import require_file
+    from benchmark.errors import InputError
+
+    if not path.exists():
+        raise InputError(f"there is no file or folder {path}; name one that is there")
+    if model is not None:
+        require_published(model)
+    require_normalisation(normalisation)
+    require_file(anchors, "--anchors")
     from adapters.checkpoints.arrival import import_weights
 
     _tell(import_weights(path, model, normalisation=normalisation, anchors=anchors), json_output=json_output)
@@ -62,6 +72,10 @@ def weights_fetch_command(
     json_output: JsonOption = False,
 ) -> None:
     """Fetch an official file, or a folder of published weights, from the internet and import it."""
+    from benchmark.cli.beforehand.names import require_normalisation, require_published
+
+    require_published(name, files=True)
+    require_normalisation(normalisation)
     from adapters.checkpoints.arrival import fetch_weights
 
     _tell(fetch_weights(name, normalisation=normalisation), json_output=json_output)
@@ -78,6 +92,14 @@ def weights_anchors_command(
     json_output: JsonOption = False,
 ) -> None:
     """Compute anchors from a data set by k-means, for weights that come without them."""
+    from benchmark.cli.beforehand.data_sets import require_source
+    from benchmark.cli.beforehand.names import require_clustered
+    from benchmark.cli.beforehand.places import require_output_file
+
+    api.worker_count(workers)
+    require_clustered(model)
+    require_output_file(out, "--out", (".safetensors",))
+    require_source(data, tables, split, api.OUT, scenes=None, limit=None)
     from adapters.checkpoints.anchor_files import write_anchors
 
     source = api.open_data(data, tables=tables, workers=workers)

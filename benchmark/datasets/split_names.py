@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import read_json
 
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
@@ -85,7 +85,7 @@ def scenes_of_split(
         return known[split]
     there = sorted({*custom, *known})
     only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
-    raise InputError(f"{where} has no split {split!r}; {only}")
+    raise InputError(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
 
 
 def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -31,6 +31,9 @@ CONNECTION_S: Final = 5.0
 """How long an address may take to accept a connection."""
 ANSWER_S: Final = 20.0
 """How long a cluster may take to say that it is well; one that is takes some three seconds."""
+NOT_INSTALLED: Final = (
+    "the executor ray needs the package Ray, which is not installed; install challenger-bench[ray] on all nodes"
+)
 _ADVICE: Final = "start it with ray start --head and give the HOST:PORT that it prints as --address"
 _PACKAGES: Final = ("adapters", "benchmark", "generation", "leaderboard")
 
@@ -132,9 +135,7 @@ def _joined(address: str | None) -> Iterator[Any]:
         import ray
         import ray.exceptions
     except ImportError as error:
-        raise InputError(
-            "the executor ray needs the package Ray, which is not installed; install challenger-bench[ray] on all nodes"
-        ) from error
+        raise InputError(NOT_INSTALLED) from error
     if ray.is_initialized():
         yield ray
         return

@@ -11,6 +11,10 @@ from benchmark.errors import InputError
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
 EMBEDDED = "mini"
+DEMONSTRATED = "demo"
+"""The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
+EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
+"""What ``--data`` takes beside the root of a data set; a folder of such a name is written ``./demo``."""
 
 
 def cache_root() -> Path:
@@ -20,6 +24,11 @@ def cache_root() -> Path:
         return Path(explicit).expanduser()
     general = os.environ.get("XDG_CACHE_HOME")
     return (Path(general) if general else Path.home() / ".cache") / "challenger-bench"
+
+
+def weights_root() -> Path:
+    """Folder of weights that were imported or fetched."""
+    return cache_root() / "weights"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +44,16 @@ class Workspace:
     def split_root(self, data_name: str, split: str) -> Path:
         """Root of a generated split."""
         return self.out / "data" / data_name / split
+
+    def demonstrated(self, split: str) -> Path:
+        """Root of a split that ``challenger-bench demo`` made; raises `InputError` where it has not run."""
+        root = self.split_root(DEMONSTRATED, split)
+        if not is_finished(root):
+            raise InputError(
+                f"--data demo is what the demo makes, and there is nothing at {root}; run: challenger-bench demo --out "
+                f"{self.out}"
+            )
+        return root
 
     def run_root(self) -> Path:
         """Folder of all run records."""

@@ -1,6 +1,6 @@
 """Protocols by name: every definition of collision and L2 that a run is judged by."""
 
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.protocols.contract import CollisionProtocol, Outcomes
 from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
@@ -41,7 +41,7 @@ def protocol(name: str) -> CollisionProtocol:
         InputError: If there is none of this name.
     """
     if name not in PROTOCOLS:
-        raise InputError(f"unknown protocol {name!r}; known are {', '.join(PROTOCOLS)}")
+        raise InputError(f"unknown protocol {name!r}; {did_you_mean(name, PROTOCOLS)}known are {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, get_args
 
 from benchmark.constants import FOUR_WHEELED_CATEGORIES
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.weights.catalogue import DINO, GROUNDING_DINO, MUSIQ, SAM2, PublishedWeights
 
 MaskSource = Literal["grounded-sam2", "sam2-boxes", "boxes"]
@@ -75,7 +75,10 @@ def mask_source(name: str) -> MaskSource:
     """A source of masks by name; raises `InputError` if there is none."""
     found = next((source for source in MASK_SOURCES if source == name), None)
     if found is None:
-        raise InputError(f"there is no source of masks {name!r}; use one of {', '.join(MASK_SOURCES)}")
+        raise InputError(
+            f"there is no source of masks {name!r}; {did_you_mean(name, MASK_SOURCES)}use one of "
+            f"{', '.join(MASK_SOURCES)}"
+        )
     return found
 
 

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 
 HUB: Final = "https://huggingface.co"
 
@@ -116,7 +116,8 @@ def checkpoint_of(name: str) -> PublishedWeights:
     found = next((entry for entry in CHECKPOINTS if name in (entry.name, entry.files[0].name)), None)
     if found is None:
         known = ", ".join(f"{entry.name} ({entry.files[0].name})" for entry in CHECKPOINTS)
-        raise InputError(f"there is no official weights file {name!r}; known are {known}")
+        close = did_you_mean(name, [each for entry in CHECKPOINTS for each in (entry.name, entry.files[0].name)])
+        raise InputError(f"there is no official weights file {name!r}; {close}known are {known}")
     return found
 
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, writing_to
-from benchmark.machine.workspace import cache_root
+from benchmark.machine.workspace import weights_root
 from benchmark.weights.catalogue import FOLDERS, PublishedWeights
 from benchmark.weights.fetch import fetch_files, require_published
 
@@ -30,7 +30,7 @@ def hub_folder(cache: Path | None = None) -> Path:
     Returns:
         A folder that need not exist.
     """
-    return (cache or cache_root() / "weights") / "hub"
+    return (cache or weights_root()) / "hub"
 
 
 def missing_in(folder: Path, weights: PublishedWeights) -> tuple[str, ...]:

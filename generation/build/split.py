@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet
-from benchmark.errors import InputError
+from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import canonical_json, only_writer
 from benchmark.machine.workspace import GENERATED_SPLITS
 from benchmark.records.attempts import ATTEMPTS_FILE
@@ -113,7 +113,8 @@ def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
         unknown = [name for name in settings.scenes if name not in known]
         if unknown:
             raise InputError(
-                f"{source.name} has no scene {', '.join(unknown)}; it has {', '.join(sorted(known)[:8])} ..."
+                f"{source.name} has no scene {', '.join(unknown)}; {did_you_mean(unknown[0], known)}it has "
+                f"{', '.join(sorted(known)[:8])} ..."
             )
         names = tuple(dict.fromkeys(settings.scenes))
     if not names:

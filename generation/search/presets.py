@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from generation.diffusion.prior import SamplerSettings
-from generation.search.definition import PackagedPrior
 from generation.search.hyperparameters import HyperParameters
+
+if TYPE_CHECKING:
+    from generation.search.definition import PackagedPrior
 
 Preset = Literal["default", "paper"]
 
@@ -40,7 +41,7 @@ def trajectory_model(
     *,
     calls: int | None = None,
     dropout: bool = False,
-) -> PackagedPrior:
+) -> "PackagedPrior":
     """The trajectory model that proposes candidates; with the paper's preset nothing that it draws is drawn again.
 
     Args:
@@ -53,5 +54,9 @@ def trajectory_model(
     Returns:
         What makes the model in each process.
     """
+    # Settings are checked where nothing runs yet, and torch is slow to import.
+    from generation.diffusion.prior import SamplerSettings
+    from generation.search.definition import PackagedPrior
+
     sampler = SamplerSettings(mutation_steps=calls, drivable=preset != "paper", dropout=dropout)
     return PackagedPrior(weights, device, sampler)

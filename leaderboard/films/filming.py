@@ -10,7 +10,7 @@ from benchmark.drawing.lettering import Picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, read_sheet, scene_folder, split_folder
+from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, SPLIT_FILE, read_sheet, scene_folder, split_folder
 from benchmark.report.words import split_of
 from leaderboard.films.encoding import animated_webp, require_webm, webm
 from leaderboard.films.film import Film, FilmSettings
@@ -59,13 +59,19 @@ def sheet_folders(root: Path, data: str, split: str, scenes: Sequence[str] | Non
     if scenes is None:
         found = sorted(split_folder(root, data_name, split).glob(f"{SCENES_FOLDER}/*/{SHEET_FILE}"))
         if not found:
-            raise InputError(f"{split_of(split, data_name)} has no scene sheet below {root}; {make}")
+            raise InputError(f"{split_of(split, data_name)} has no scene sheet below {root}; {_others(root)}{make}")
         return [path.parent for path in found]
     folders = [scene_folder(root, data_name, split, scene) for scene in scenes]
     for scene, folder in zip(scenes, folders):
         if not (folder / SHEET_FILE).is_file():
             raise InputError(f"scene {scene} of {split_of(split, data_name)} has no sheet at {folder}; {make}")
     return folders
+
+
+def _others(root: Path) -> str:
+    """What there are sheets of instead."""
+    found = sorted(f"{path.parent.name} of {path.parent.parent.name}" for path in root.glob(f"*/*/{SPLIT_FILE}"))
+    return f"there are those of split {', '.join(found)}; name one with --data and --split, or " if found else ""
 
 
 def write_films(

@@ -41,8 +41,10 @@ def refusal(*arguments: str | Path) -> str:
     """The sentence with which a command refuses its arguments; in this process, which is quick."""
     try:
         typer.main.get_command(app).main([*map(str, arguments)], prog_name="challenger-bench", standalone_mode=False)
-    except (InputError, typer.TyperException) as error:
+    except InputError as error:
         return str(error)
+    except typer.TyperException as error:
+        return str(error.format_message() if hasattr(error, "format_message") else error)
     raise AssertionError(f"{arguments} is not refused")
 
 

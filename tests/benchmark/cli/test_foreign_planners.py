@@ -1,6 +1,8 @@
 """Planners written by strangers: whatever they do, the command says what happened and never a wrong number."""
 
 import os
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 
@@ -144,3 +146,48 @@ def test_some_images_missing_is_an_error_and_all_missing_is_a_scene_without_imag
     finally:
         for image, data in kept.items():
             image.write_bytes(data)
+
+
+IN_THIS_FOLDER = """
+import os
+from pathlib import Path
+import numpy as np
+from benchmark.planning import Plan, PlanFrame
+
+class MyPlanner:
+    name = "my-planner"
+    def __init__(self): Path(f"built-{os.getpid()}").touch()
+    def reset(self, scene): pass
+    def plan(self, observation): return Plan(np.zeros((6, 2)), PlanFrame.EGO)
+"""
+CONSOLE_SCRIPT = """
+from importlib.metadata import entry_points
+import benchmark.evaluation
+benchmark.evaluation.PROCESSES_PAY_AFTER_S = -1.0
+(script,) = entry_points(group="console_scripts", name="challenger-bench")
+script.load()()
+"""
+
+
+def test_a_planner_in_the_current_folder_is_found_in_every_process(tmp_path: Path) -> None:
+    """An installed command does not look into the current folder by itself, as `python -m` does."""
+    data, here = tmp_path / "road", tmp_path / "mine"
+    plan = DataSetPlan(root=data, split="val", version="v1.0-mini")
+    scenes = [scene_on_straight_road(name=name, seconds=4.0) for name in ("a", "b", "c")]
+    finish_data_set(
+        plan, [write_scene(plan, each, name=each.name, source_scene=each.name, report={}) for each in scenes]
+    )
+    (here / "my_package").mkdir(parents=True)
+    (here / "my_package" / "planner.py").write_text(IN_THIS_FOLDER)
+    project = Path(__file__).resolve().parents[3]
+    arguments = ["eval", "--data", str(data), "--model", "my_package.planner:MyPlanner", "--workers", "2"]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", CONSOLE_SCRIPT, *arguments],
+        cwd=here,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(project)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "my-planner" in done.stdout and len(list(here.glob("built-*"))) > 1

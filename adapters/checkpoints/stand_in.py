@@ -1,0 +1,83 @@
+"""Which model really runs, and whether it has weights; no file is opened, and torch not imported, where none is."""
+
+from pathlib import Path
+
+from adapters.models import MODELS, miniatures
+from benchmark.errors import InputError
+from benchmark.machine.workspace import EMBEDDED_NAMES, weights_root
+from benchmark.weights.catalogue import CHECKPOINTS, PublishedWeights
+
+
+def stand_in(name: str, checkpoint: Path | None, data_name: str) -> str:
+    """The model that really runs: a miniature where it may stand in for a full one.
+
+    Args:
+        name: The model that was asked for.
+        checkpoint: Its weights, if any were named.
+        data_name: Name of the data set.
+
+    Returns:
+        The name of a miniature on embedded data if the full model has no weights; else ``name``.
+    """
+    if checkpoint is not None or data_name not in EMBEDDED_NAMES:
+        return name
+    small = miniature_of(name)
+    return name if small is None or has_weights(name) else small
+
+
+def miniature_of(name: str) -> str | None:
+    """The miniature of a full model whose weights are in this installation, or ``None``."""
+    full = MODELS[name].name if name in MODELS else name
+    found = (each for each in miniatures().values() if full in each.small.stands_for and each.packaged.is_file())
+    return next((each.name for each in found), None)
+
+
+def has_weights(name: str) -> bool:
+    """Whether a full model has weights that were imported."""
+    model, folder = MODELS[name], weights_root()
+    if not any(folder.glob("*.safetensors")):
+        return False
+    # Which model they are for stands in the files.
+    from adapters.checkpoints.cache import cached_weights
+
+    return bool(cached_weights(folder, model.weights or model.name))
+
+
+def require_weights(name: str, checkpoint: Path | None) -> None:
+    """Refuse a network that has no weights, before anything is made ready for it.
+
+    Args:
+        name: The model that will run.
+        checkpoint: Its weights, if any were named.
+
+    Raises:
+        InputError: If there are none; it says what to get and where.
+    """
+    model = MODELS.get(name)
+    if checkpoint is not None and not checkpoint.exists():
+        raise InputError(f"there is no checkpoint {checkpoint}")
+    if model is None or model.network is None or checkpoint is not None:
+        return
+    if model.miniature is None and not has_weights(name):
+        raise no_weights(model.weights or model.name)
+
+
+def no_weights(model: str) -> InputError:
+    """What to say where a full model has no weights."""
+    small = miniature_of(model)
+    instead = "" if small is None else f"; or try its small sibling, which comes with this package: --model {small}"
+    return InputError(f"there are no weights for {model}; {what_to_get(model)}{instead}")
+
+
+def official_weights(model: str) -> PublishedWeights | None:
+    """The official file of a model, if one is known."""
+    return next((entry for entry in CHECKPOINTS if entry.name == model), None)
+
+
+def what_to_get(model: str) -> str:
+    """Where the weights of a model are had."""
+    official = official_weights(model)
+    if official is None:
+        return "give a file with --checkpoint"
+    files = " and ".join(f"{file.name} from {file.page}" for file in official.files)
+    return f"get {files} (or run: challenger-bench weights fetch {model}), then run: {official.how_to_import}"

@@ -1,0 +1,1 @@
+"""What is cheap to check, checked before anything that costs: nothing is built, and nothing left behind."""

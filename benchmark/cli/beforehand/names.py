@@ -1,0 +1,151 @@
+"""Options that name something: planners, devices, packages, settings of the search."""
+
+import importlib.util
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmark import api
+from benchmark.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from benchmark.quality.definition import Definition
+
+_DEVICE: Final = re.compile(r"auto|cpu|cuda(:\d+)?")
+_PRECISIONS: Final = ("float32", "bfloat16")
+
+
+def require_models(
+    names: Sequence[str],
+    checkpoint: Path | None = None,
+    *,
+    data: str,
+    device: str | None = None,
+    precision: str | None = None,
+) -> None:
+    """Refuse planners that there are not, that have no weights, or that cannot run so.
+
+    Args:
+        names: As ``--model`` takes them.
+        checkpoint: Their weights, if any were named.
+        data: What ``--data`` names.
+        device: Where a network runs.
+        precision: Of a network.
+
+    Raises:
+        InputError: If one is unknown, weights are absent, or there is no such device or precision.
+    """
+    from adapters.models import MODELS
+
+    for name in names:
+        runs = api.model_that_runs(name, checkpoint, data=data)
+        # What devices and precisions a stranger's planner has is for the stranger to say.
+        if runs not in MODELS or MODELS[runs].network is None:
+            continue
+        if device is not None:
+            require_device(device)
+        if precision is not None and precision not in _PRECISIONS:
+            raise InputError(f"there is no precision {precision!r}; use {' or '.join(_PRECISIONS)}")
+
+
+def planners_shown(names: Sequence[str], records: Sequence[Path]) -> list[str]:
+    """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
+
+    Args:
+        names: Planner names as ``--model`` takes them, or as tables show them.
+        records: Folders of run records.
+
+    Returns:
+        The names that the records have; a name stays as it is where they have none of it.
+
+    Raises:
+        InputError: If neither a planner nor a record has such a name.
+    """
+    from adapters.checkpoints.stand_in import miniature_of
+    from adapters.models import MODELS
+    from benchmark.records.inventory import recorded, said_of
+
+    found = recorded(records)
+    ran, shown = {each.planner for each in found}, []
+    for name in names:
+        own = MODELS[name].name if name in MODELS else name
+        small = miniature_of(own)
+        if name not in ran and own not in ran and small in ran:
+            api.say_once(
+                f"there are no records of {own}: {small}, which ran in its place, is shown (docs/miniatures.md)"
+            )
+        known = {*ran, *MODELS}
+        # Tables may show a planner with what tells its versions apart: "vad-base (seed 1)".
+        if name.partition(" (")[0] not in known and ":" not in name:
+            raise InputError(f"no planner is called {name!r}; {did_you_mean(name, known)}{said_of(found)}")
+        shown.append(next((each for each in (name, own, small) if each is not None and each in ran), name))
+    return shown
+
+
+def require_device(name: str) -> None:
+    """Refuse what names no device; whether this machine has it is only known to torch, which is slow to import."""
+    if not _DEVICE.fullmatch(name):
+        raise InputError(f"there is no device {name!r}; use cpu, cuda, cuda:1 or auto")
+
+
+def require_search(preset: str, settings: Mapping[str, Any], changes: Sequence[str]) -> None:
+    """Refuse settings of the search that there are not; raises `InputError`."""
+    from generation.search.presets import hyper_parameters
+
+    hyper_parameters("paper" if preset == "paper" else "default", settings, changes)
+
+
+def require_published(name: str, *, files: bool = False) -> None:
+    """Raise `InputError` for what names no model with published weights and, with ``files``, no file of theirs."""
+    from adapters.models import published_model
+    from benchmark.weights.catalogue import FOLDERS, checkpoint_of
+
+    if name not in {entry.name for entry in FOLDERS}:
+        checkpoint_of(name) if files else published_model(name)
+
+
+def require_normalisation(name: str | None) -> None:
+    """Raise `InputError` for what names no pixel values that networks want; ``None`` is none, which is fine."""
+    from adapters.camera_inputs import normalisation_of
+
+    if name is not None:
+        normalisation_of(name)
+
+
+def require_clustered(model: str) -> None:
+    """Raise `InputError` for what names no model that starts from anchors."""
+    from adapters.models import published_models
+
+    known = [name for name, each in published_models().items() if each.net.clustered]
+    if model not in known:
+        raise InputError(
+            f"{model!r} is no model with anchors; {did_you_mean(model, known)}those are {', '.join(known)}"
+        )
+
+
+def require_trainable(model: str) -> None:
+    """Raise `InputError` for what names no network that is trained here."""
+    from adapters.models import miniature
+
+    if model != "image-encoder":
+        miniature(model)
+
+
+def require_package(module: str, sentence: str) -> None:
+    """Raise `InputError` with a sentence where an optional package is not installed; nothing is imported."""
+    if importlib.util.find_spec(module) is None:
+        raise InputError(sentence)
+
+
+def require_quality_weights(definition: "Definition", given: Path | None) -> None:
+    """Refuse networks that are not here, before a split is built for them."""
+    from benchmark.quality.definition import needed_for
+    from benchmark.weights.folders import folder_of
+
+    for weights in needed_for(definition.masks):
+        folder_of(weights, given)
+    require_package(
+        "transformers",
+        "video quality needs the package transformers; install it with: pip install 'challenger-bench[quality]'",
+    )

@@ -1,0 +1,114 @@
+"""Files that are read, and places that are written to."""
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmark.errors import InputError
+
+
+def require_file(path: Path | None, option: str, endings: Sequence[str] = ()) -> None:
+    """Refuse a file that is not there or of another kind; ``None`` is no file, which is fine.
+
+    Args:
+        path: The file.
+        option: What named it, for the message.
+        endings: Of its name; any by default.
+
+    Raises:
+        InputError: If it is absent, a folder, or ends otherwise.
+    """
+    if path is None:
+        return
+    if endings and path.suffix.lower() not in endings:
+        raise InputError(f"{option} {path} must end in {' or '.join(endings)}; name another file")
+    if not path.is_file():
+        what = "is a folder, not a file" if path.is_dir() else "does not exist"
+        raise InputError(f"{option} {path} {what}; name a file that is there")
+
+
+def require_plans(plans: Path, native: str | None) -> None:
+    """Refuse a plan file that cannot be read, whatever it is for."""
+    from adapters.plan_file import read_plan_file
+    from benchmark.runs.plan_rows import known_native
+
+    known_native(native, f"plan file {plans}")
+    require_file(plans, "--plans", (".csv", ".parquet", ".json"))
+    read_plan_file(plans)
+
+
+def require_folder(path: Path | None, option: str) -> None:
+    """Raise `InputError` for a folder to read from that is not there; ``None`` is none, which is fine."""
+    if path is not None and not path.is_dir():
+        what = "is a file, not a folder" if path.is_file() else "does not exist"
+        raise InputError(f"{option} {path} {what}; name a folder that is there")
+
+
+def require_place(path: Path, option: str) -> None:
+    """Refuse a folder that could not be written to: a file is opened in the nearest one there is, without a name.
+
+    Args:
+        path: The folder; it need not exist.
+        option: What named it, for the message.
+
+    Raises:
+        InputError: If it, or what it would lie in, is a file, read-only, or full.
+    """
+    nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{option} {path} cannot be a folder: {nearest} is a file; name another place")
+    try:
+        with tempfile.TemporaryFile(dir=nearest) as file:
+            file.write(bytes(4096))
+    except OSError as error:
+        raise InputError(
+            f"cannot write below {nearest}: {error.strerror or error}; free some space or name another place with "
+            f"{option}"
+        ) from error
+
+
+def require_output_file(path: Path | None, option: str, endings: Sequence[str] = ()) -> None:
+    """Refuse a file that could not be written; ``None`` is none, which is fine.
+
+    Args:
+        path: The file; it is replaced if it is there.
+        option: What named it, for the message.
+        endings: Of its name; any by default.
+
+    Raises:
+        InputError: If it is a folder, ends otherwise, or lies where nothing can be written.
+    """
+    if path is None:
+        return
+    if endings and path.suffix.lower() not in endings:
+        raise InputError(f"{option} {path} must end in {' or '.join(endings)}; name another file")
+    if path.is_dir():
+        raise InputError(f"{option} {path} is a folder; name a file in it")
+    require_place(path.parent, option)
+
+
+def require_room(folder: Path, needed: int, what: str, option: str) -> None:
+    """Refuse to begin what a disk has no room for.
+
+    Args:
+        folder: Where it would lie; it need not exist.
+        needed: Bytes, at least.
+        what: What it is, for the message.
+        option: What would name another place.
+
+    Raises:
+        InputError: If less is free.
+    """
+    nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(nearest).free
+    if free < needed:
+        raise InputError(
+            f"{what} needs about {gigabytes(needed)} in {folder} and {gigabytes(free)} are free; free some space or "
+            f"name another place with {option}"
+        )
+
+
+def gigabytes(count: int) -> str:
+    """A number of bytes for people."""
+    return f"{count / 1e9:.2g} GB" if count < 1e10 else f"{count / 1e9:.0f} GB"

@@ -1,0 +1,195 @@
+"""Every command with each wrong argument and what the refusal says, and every dry run; nothing needs to be built.
+
+In the arguments ``{new}`` is a folder that does not exist, ``{file}`` a text file, ``{empty}`` an empty folder and
+``{csv}`` a plan file without rows.
+"""
+
+import contextlib
+import io
+import json
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+_OUT = "--out {new}/out"
+_HEAVY = {"torch", "nuscenes"}
+WRONG: tuple[tuple[str, str], ...] = (
+    (f"eval {_OUT}", "name a planner"),
+    (f"eval --model unaid {_OUT}", "did you mean uniad?"),
+    (f"eval --model unaid --split adv {_OUT}", "did you mean uniad?"),
+    (f"eval --model uniad-unoptimised {_OUT}", "no weights for uniad"),
+    (f"eval --model my_missing.planner:Mine {_OUT}", "cannot import my_missing"),
+    (f"eval --model idm --split vla {_OUT}", "it has val, val-r, adv"),
+    (f"eval --model idm --scenes scene-800 {_OUT}", "did you mean scene-800"),
+    (f"eval --model idm --split val-r --scenes scene-1 {_OUT}", "scene-1"),
+    (f"eval --model idm --split adv --scenes scene-1 {_OUT}", "scene-1"),
+    (f"eval --model idm --protocol exakt {_OUT}", "did you mean exact?"),
+    (f"eval --model idm --native uniad {_OUT}", "--plans"),
+    (f"eval --plans {{csv}} --native unaid {_OUT}", "native protocol"),
+    (f"eval --plans {{new}}/plans.csv {_OUT}", "does not exist"),
+    (f"eval --plans {{empty}} {_OUT}", "must end in .csv"),
+    (f"eval --plans {{csv}} {_OUT}", "no column"),
+    (f"eval --model vad --checkpoint {{new}}/vad.pth {_OUT}", "there is no checkpoint"),
+    (f"eval --model uniad --device gpu {_OUT}", "no device 'gpu'"),
+    (f"eval --model uniad --precision float8 {_OUT}", "no precision 'float8'"),
+    (f"eval --model idm --workers -1 {_OUT}", "--workers"),
+    (f"eval --model idm --limit 0 {_OUT}", "--limit"),
+    ("eval --model idm --out {file}/out", "is a file"),
+    ("eval --model idm --out /proc/out", "cannot write below /proc"),
+    (f"eval --model idm --data {{new}} {_OUT}", "there is no folder"),
+    (f"eval --model idm --data {{file}} {_OUT}", "is not a folder"),
+    (f"eval --model idm --data {{empty}} {_OUT}", "no version folder"),
+    (f"eval --model idm --data demo {_OUT}", "challenger-bench demo"),
+    (f"generate --split avd {_OUT}", "did you mean adv?"),
+    (f"generate --source-split adv {_OUT}", "the only one is val"),
+    (f"generate --surrogate nobody {_OUT}", "nobody"),
+    (f"generate --surrogate-checkpoint {{file}} {_OUT}", "--surrogate"),
+    (f"generate --set roundz=1 {_OUT}", "rounds"),
+    (f"generate --size 3x3 {_OUT}", "--size"),
+    (f"generate --address localhost:6379 {_OUT}", "--executor"),
+    (f"generate --denoiser {{new}}/model.ckpt {_OUT}", "--denoiser"),
+    (f"generate --device gpu {_OUT}", "no device 'gpu'"),
+    (f"generate --scenes scene-1 {_OUT}", "scene-1"),
+    (f"generate --renderer magicdrive {_OUT}", "weights"),
+    (f"generate --renderer magicdrive --weights-folder {{new}} {_OUT}", "--weights-folder"),
+    ("generate --out {file}", "is a file"),
+    (f"generate --data {{new}} {_OUT}", "there is no folder"),
+    (f"ablate --model nobody {_OUT}", "nobody"),
+    (f"ablate --set temperature=nan {_OUT}", "temperature"),
+    (f"ablate --scenes scene-1 {_OUT}", "scene-1"),
+    (f"ablate --source-split vla {_OUT}", "val"),
+    ("ablate --out {file}/out", "is a file"),
+    (f"transfer --protocol exakt {_OUT}", "did you mean exact?"),
+    (f"transfer --figure {{new}}/matrix.pdf {_OUT}", ".png"),
+    (f"transfer --figure {{file}}/matrix.png {_OUT}", "is a file"),
+    (f"transfer {_OUT}", "eval"),
+    (f"rescore --data {{new}} {_OUT}", "there is no folder"),
+    (f"rescore {_OUT}", "run challenger-bench eval first"),
+    (f"rescore --records {{file}} {_OUT}", "is a file"),
+    (f"quality --masks boxs {_OUT}", "did you mean boxes"),
+    (f"quality --split vla {_OUT}", "it has val"),
+    (f"quality --scenes scene-1 {_OUT}", "scene-1"),
+    (f"quality --device gpu {_OUT}", "no device 'gpu'"),
+    (f"quality {_OUT}", "no weights"),
+    (f"quality --weights-folder {{file}} {_OUT}", "--weights-folder"),
+    ("quality --out {file}", "is a file"),
+    (f"sheets --split vla {_OUT}", "it has val"),
+    (f"sheets --scenes scene-1 {_OUT}", "scene-1"),
+    (f"sheets --cell-width 1 {_OUT}", "--cell-width"),
+    ("sheets --out {file}", "is a file"),
+    (f"film --to {{new}}/films {_OUT}", "no scene sheet"),
+    (f"film --to {{new}}/films --model unaid {_OUT}", "did you mean uniad"),
+    (f"film --to {{new}}/films --protocol exakt {_OUT}", "did you mean exact?"),
+    (f"film --to {{new}}/films --fps 0 {_OUT}", "--fps"),
+    (f"film --to {{new}}/films --width 100 {_OUT}", "--width"),
+    (f"film --to {{file}} {_OUT}", "is a file"),
+    (f"leaderboard {_OUT}", "eval"),
+    (f"leaderboard --records {{new}} {_OUT}", "--records"),
+    (f"leaderboard --to {{file}} {_OUT}", "is a file"),
+    (f"leaderboard submit-check {{new}} {_OUT}", "does not exist"),
+    (f"leaderboard submit-check {{empty}} --data {{new}} {_OUT}", "there is no folder"),
+    ("data info {new}", "there is no folder"),
+    ("data stats mini --split vla", "val"),
+    ("data stats {empty}", "no version folder"),
+    ("data show mini --to {new}/pictures --scenes scene-1", "scene-1"),
+    ("data show demo --to {new}/pictures --out {new}/out", "challenger-bench demo"),
+    ("data show mini --to {file}", "is a file"),
+    ("data check {new}", "there is no folder"),
+    ("data import waymo {empty} --out {new}/root", "scenarionet"),
+    ("data import scenarionet {new} --out {new}/root", "there is no folder"),
+    ("data import scenarionet {empty} --out {file}", "is a file"),
+    ("data import scenarionet {empty} --out {new}/root --size big", "--size"),
+    ("data build --size big", "--size"),
+    ("data build --town-scenes 0", "--town-scenes"),
+    ("data build --root {file}", "is a file"),
+    ("train denoiser --tracks {new} --out {new}/weights.pt", "--tracks"),
+    ("train planner --model unaid-mini --data {empty} --out {new}/w.safetensors", "did you mean uniad-mini"),
+    ("train planner --model vad-mini --data {new} --out {new}/w.safetensors", "there is no folder"),
+    ("train planner --model vad-mini --data {empty} --out {new}/w.pt", ".safetensors"),
+    ("train judge {new}/w.safetensors --data {empty}", "does not exist"),
+    ("train ego-status --tracks {file} --out {new}/w.safetensors", "--tracks"),
+    ("weights import {new}/VAD_tiny.pth", "no file or folder"),
+    ("weights import {file} --model vat-tiny", "did you mean vad-tiny"),
+    ("weights import {file} --normalisation rgb", "rgb"),
+    ("weights fetch vad-tinny", "did you mean vad-tiny"),
+    ("weights anchors --model uniad --data mini --out {new}/a.safetensors", "sparsedrive"),
+    ("weights anchors --model sparsedrive --data {new} --out {new}/a.safetensors", "there is no folder"),
+    ("verify model", "--model"),
+    ("verify model --model vat-tiny", "did you mean vad-tiny"),
+    ("verify physics --golden {new}", "--golden"),
+    ("verify physics --model vad-tiny", "--model"),
+    ("demo --check", "--full"),
+    ("demo --out {file}", "is a file"),
+    ("demo --town-scenes 0", "town"),
+    ("demo --workers -1", "--workers"),
+)
+DRY: tuple[tuple[str, str], ...] = (
+    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad on all scenes of adv"),
+    (f"eval --dry-run --model idm --json {_OUT}", "run idm on 10 scenes of val"),
+    (f"sheets --dry-run --limit 2 --split val-r {_OUT}", "write sheets of 2 scenes of val-r"),
+    (f"quality --dry-run --masks boxes {_OUT}", "score 10 scenes of val"),
+    (f"generate --dry-run --surrogate vad {_OUT}", "build split adv from 10 scenes"),
+    (f"ablate --dry-run --scenes scene-8003 {_OUT}", "search 1 scene four times"),
+)
+"""What each says that it would do once the embedded data set is built."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """What became of one command.
+
+    Attributes:
+        sentence: With which it was refused; else what it printed.
+        refused: Whether it was.
+        seconds: How long that took, in a process that has run commands before.
+        left: What lies in the cache or in the new folder afterwards.
+        imported: Which of torch and the devkit it imported.
+    """
+
+    sentence: str
+    refused: bool
+    seconds: float
+    left: list[str]
+    imported: list[str]
+
+
+def all_refusals(folder: Path) -> dict[str, Refusal]:
+    """Run all of `WRONG` and `DRY` in one other process, on an empty cache; what became of each by its arguments."""
+    places = {name: str(folder / name) for name in ("new", "file", "empty")} | {"csv": str(folder / "plans.csv")}
+    (folder / "empty").mkdir()
+    for name in ("file", "plans.csv"):
+        (folder / name).write_text("a,b\n1,2\n")
+    work = json.dumps([arguments.format(**places) for arguments, _ in (*WRONG, *DRY)])
+    done = subprocess.run(
+        [sys.executable, "-m", __name__, str(folder / "cache"), str(folder / "new")],
+        input=work,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = [Refusal(**row) for row in json.loads(done.stdout.splitlines()[-1])]
+    return {arguments: refusal for (arguments, _), refusal in zip((*WRONG, *DRY), found, strict=True)}
+
+
+def _refused(arguments: str, places: list[Path]) -> Refusal:
+    from tests.benchmark.cli.cli_runs import refusal
+
+    heavy, began = _HEAVY & set(sys.modules), time.perf_counter()
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        try:
+            sentence, refused = refusal(*arguments.split()), True
+        except AssertionError:
+            sentence, refused = printed.getvalue(), False
+    seconds = time.perf_counter() - began
+    left = [str(path) for place in places for path in (place, *place.rglob("*")) if path.exists()]
+    return Refusal(sentence, refused, seconds, left, sorted((_HEAVY & set(sys.modules)) - heavy))
+
+
+if __name__ == "__main__":
+    import os
+
+    os.environ["CHALLENGER_BENCH_CACHE"] = sys.argv[1]
+    watched = [Path(sys.argv[1]), Path(sys.argv[2])]
+    print(json.dumps([asdict(_refused(arguments, watched)) for arguments in json.load(sys.stdin)]))

@@ -1,0 +1,28 @@
+"""What is cheap to check is checked before anything is built: each wrong argument of every command, an empty cache."""
+
+import pytest
+
+from tests.benchmark.cli.refusals import DRY, WRONG, Refusal, all_refusals
+
+
+@pytest.fixture(scope="module")
+def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Refusal]:
+    return all_refusals(tmp_path_factory.mktemp("refusals"))
+
+
+@pytest.mark.parametrize(("arguments", "says"), WRONG)
+def test_a_wrong_argument_is_refused_at_once(refusals: dict[str, Refusal], arguments: str, says: str) -> None:
+    refused = refusals[arguments]
+    assert refused.refused and says in refused.sentence and "\n" not in refused.sentence
+    assert refused.left == [] and refused.imported == []
+
+
+@pytest.mark.parametrize(("arguments", "says"), DRY)
+def test_a_dry_run_builds_nothing_and_says_what_would_be(
+    refusals: dict[str, Refusal], arguments: str, says: str
+) -> None:
+    dry = refusals[arguments]
+    assert not dry.refused and f"would then {says}" in dry.sentence
+    assert "would first build the embedded data set in" in dry.sentence and "about two minutes, 0.36 GB" in dry.sentence
+    assert ("split adv of it" in dry.sentence) == ("--split adv" in arguments)
+    assert dry.left == [] and dry.imported == []
