@@ -129,7 +129,7 @@ RecordsOption = Annotated[
     typer.Option("--records", help="Folder of run records, if not <out>/runs; may be repeated, and name single runs."),
 ]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed; on this kind of processor, the same bytes each time.")]
 WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
