@@ -137,7 +137,7 @@ RecordsOption = Annotated[
     ),
 ]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed; the same seed gives the same bytes.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed; on this kind of processor, the same bytes each time.")]
 WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
 WideOption = Annotated[

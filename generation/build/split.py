@@ -1,6 +1,6 @@
 """Building a split: choose vehicles, plan adversaries, keep the most challenging, render and write nuScenes format.
 
-Every step is resumable and gives the same bytes for any executor.
+Every step is resumable and gives the same bytes for any executor, on processors of one kind (docs/frozen-splits.md).
 """
 
 from collections.abc import Sequence
