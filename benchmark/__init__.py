@@ -68,9 +68,9 @@ _DEFINED_IN: Final = {
     "adapters.training.planners": ["train_planner", "judge_again", "PlannerTraining"],
     "adapters.training.ego_status": ["train_ego_status"],
     "adapters.checkpoints.listing": ["known_weights"],
-    "adapters.known_planners": ["known_planners"],
     "adapters.checkpoints.arrival": ["import_weights", "fetch_weights"],
     "adapters.checkpoints.anchor_files": ["write_anchors"],
+    "adapters.known_planners": ["known_planners"],
     "benchmark.cli.demonstration": ["demo", "full_demo", "stale_demo"],
 }
 _RENAMED: Final = {
@@ -104,9 +104,9 @@ if TYPE_CHECKING:
         import_scenarionet as import_scenarionet,
         import_weights as import_weights,
         judge_again as judge_again,
-        known_planners as known_planners,
         known_weights as known_weights,
         load_planner as load_planner,
+        known_planners as known_planners,
         magicdrive_renderer as magicdrive_renderer,
         open_data as open_data,
         open_split as open_split,
