@@ -73,6 +73,7 @@ _DEFINED_IN: Final = {
     "adapters.checkpoints.listing": ["known_weights"],
     "adapters.checkpoints.arrival": ["import_weights", "fetch_weights"],
     "adapters.checkpoints.anchor_files": ["write_anchors"],
+    "adapters.known_planners": ["known_planners"],
     "benchmark.cli.demonstration": ["demo", "full_demo", "stale_demo"],
 }
 _RENAMED: Final = {
@@ -111,6 +112,7 @@ if TYPE_CHECKING:
         known_scenes as known_scenes,
         known_weights as known_weights,
         load_planner as load_planner,
+        known_planners as known_planners,
         magicdrive_renderer as magicdrive_renderer,
         open_data as open_data,
         open_split as open_split,

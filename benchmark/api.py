@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from adapters.checkpoints.anchor_files import write_anchors as write_anchors
     from adapters.checkpoints.arrival import fetch_weights as fetch_weights, import_weights as import_weights
     from adapters.checkpoints.listing import known_weights as known_weights
+    from adapters.known_planners import known_planners as known_planners
     from adapters.plan_file import plan_file_factory as plan_file_factory
     from adapters.training.ego_status import train_ego_status as train_ego_status
     from adapters.training.planners import (

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from adapters.checkpoints.cache import Provenance, cached_weights, weights_folder
+from benchmark.report.terminal import wrapped
 from benchmark.weights.catalogue import CHECKPOINTS, FOLDERS, PublishedWeights
 from benchmark.weights.folders import kept_folder
 
@@ -74,7 +75,8 @@ class KnownWeights:
                 for path, found in self.imported.items()
                 if found is not None
             ]
-        return "\n".join(lines if self.imported else [*lines, "  not imported"])
+        every = lines if self.imported else [*lines, "  not imported"]
+        return "\n".join(line for text in every for line in _wrapped(text))
 
 
 def known_weights(
@@ -90,6 +92,11 @@ def known_weights(
         One for each entry.
     """
     return tuple(KnownWeights(entry, _imported(entry, cache or weights_folder())) for entry in entries)
+
+
+def _wrapped(text: str) -> list[str]:
+    indent = text[: len(text) - len(text.lstrip())]
+    return wrapped(text.strip(), indent=indent, hanging="  ")
 
 
 def _imported(weights: PublishedWeights, cache: Path) -> dict[Path, Provenance | None]:

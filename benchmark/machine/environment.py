@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmark.report.words import counted
+
 PACKAGES = (
     "challenger-bench",
     "numpy",
@@ -149,7 +151,7 @@ def _threads() -> MachineCheck:
     import torch
 
     return MachineCheck(
-        "torch", True, f"PyTorch {torch.__version__}, {torch.get_num_threads()} threads until work starts"
+        "torch", True, f"PyTorch {torch.__version__}, {counted(torch.get_num_threads(), 'thread')} until work starts"
     )
 
 

@@ -70,7 +70,7 @@ def aligned(
     Returns:
         The lines.
     """
-    heads = [re.sub(r" (?=\W( |$))", _BOUND, head) for head in heads]
+    heads, rows = [_bound(head) for head in heads], [[_bound(cell) for cell in row] for row in rows]
     least = least or (0,) * len(heads)
     bodies = [max(few, 0, *(len(row[column]) for row in rows)) for column, few in enumerate(least)]
     whole = [max(body, len(head)) for body, head in zip(bodies, heads)]
@@ -95,6 +95,10 @@ def aligned(
             [heads[column] for column in chosen], part, [*texts, *(numbers[place] for place in block)], text_columns
         )
     return lines
+
+
+def _bound(text: str) -> str:
+    return re.sub(r" (?=\W( |$))", _BOUND, text)
 
 
 def _total(widths: Sequence[int]) -> int:

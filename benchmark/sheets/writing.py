@@ -84,8 +84,10 @@ class WrittenSheets:
     def sentence(self) -> str:
         """The same in words."""
         total = self.as_json()
+        made, there = total["made"], len(self.scenes) - total["made"]
+        when = f"{made} made, the others were there" if made and there else "made now" if made else "there already"
         return (
-            f"{counted(len(self.scenes), 'sheet')} in {self.directory} ({total['made']} made, the others were there): "
+            f"{counted(len(self.scenes), 'sheet')} in {self.directory} ({when}): "
             f"{total['sheet_bytes'] / 1e6:.1f} MB, with {counted(total['pictures'], 'picture')} of "
             f"{total['picture_bytes'] / 1e6:.1f} MB"
             + ("" if self.traced is None else f"\nrounds of refinement of {counted(self.traced, 'scene')}")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, wrap_angle
+from benchmark.report.table import table_of
 from benchmark.report.words import counted
 
 
@@ -47,7 +48,7 @@ class Check:
 
 
 def report(checks: Sequence[Check]) -> str:
-    """One line per quantity and a closing sentence.
+    """One row a quantity, notes on them, and a closing sentence.
 
     Args:
         checks: In the order to print.
@@ -55,14 +56,26 @@ def report(checks: Sequence[Check]) -> str:
     Returns:
         Lines of text.
     """
-    width = max((len(check.quantity) for check in checks), default=0)
-    lines = [
-        f"{'ok  ' if check.ok else 'FAIL'}  {check.quantity:<{width}}  largest error {check.error:9.3g}, "
-        f"allowed {check.tolerance:9.3g}, {counted(check.count, 'value')}{f' ({check.note})' if check.note else ''}"
+    rows = [
+        (
+            "ok" if check.ok else "FAIL",
+            check.quantity,
+            f"{check.error:.3g}",
+            f"{check.tolerance:.3g}",
+            f"{check.count:,}",
+        )
         for check in checks
     ]
     failed = sum(not check.ok for check in checks)
-    return "\n".join([*lines, f"{len(checks) - failed} of {counted(len(checks), 'quantity')} agree"])
+    table = table_of(
+        "checks",
+        "",
+        ("", "quantity", "largest error", "allowed", "values"),
+        rows,
+        notes=[f"{check.quantity}: {check.note}." for check in checks if check.note],
+        text_columns=2,
+    )
+    return f"{table.plain()}{len(checks) - failed} of {counted(len(checks), 'quantity')} agree"
 
 
 @dataclass(slots=True)

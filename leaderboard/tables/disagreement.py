@@ -63,7 +63,7 @@ def disagreement_table(data_name: str, split: str, records: Sequence[RunRecord])
         ),
         [_row(record, protocol, one, shown) for record, protocol, one in found],
         notes=notes,
-        brief=Brief(title, (*range(7), 7 + len(shown)), notes, text_columns=2),
+        brief=Brief(title, (0, 1, 2, 5, 6, 7 + len(shown)), notes, text_columns=2),
         text_columns=2,
         groups=(
             ("", 2),

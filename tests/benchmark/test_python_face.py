@@ -26,6 +26,7 @@ FUNCTION_OF = {
     "generate": "generate",
     "ablate": "ablate",
     "eval": "evaluate",
+    "models": "known_planners",
     "rescore": "rescore_all",
     "transfer": "transfer_matrices",
     "quality": "measure_quality",

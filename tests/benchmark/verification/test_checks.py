@@ -17,10 +17,18 @@ def test_nan_and_nothing_compared_are_no_success() -> None:
 
 def test_report_has_a_line_for_each_and_counts() -> None:
     text = report([Check("speed (m/s)", 1e-9, 1e-6, 1200), Check("hits", 2, 0, 7, "worst in a.npz")])
-    first, second, last = text.splitlines()
-    assert first.startswith("ok ") and "1,200 values" in first
-    assert second.startswith("FAIL") and "worst in a.npz" in second
+    head, first, second, note, last = text.splitlines()
+    assert head.split() == ["quantity", "largest", "error", "allowed", "values"]
+    assert first.startswith("ok ") and first.endswith("1,200")
+    assert second.startswith("FAIL") and note == "hits: worst in a.npz."
     assert last == "1 of 2 quantities agree"
+
+
+def test_a_report_fits_the_terminal() -> None:
+    check = Check(
+        "the difference of a quantity whose name takes a lot of words to say", 1e-9, 1e-6, 10**9, "seen " * 30
+    )
+    assert all(len(line) <= 80 for line in report([check, Check("short", 0.0, 0.0, 1)]).splitlines())
 
 
 def test_json_has_no_nan() -> None:
