@@ -20,6 +20,7 @@ from benchmark.machine.workers import map_ordered
 from benchmark.planning import Planner
 from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.run import RunRecord, write_record
+from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
 from benchmark.runs.run_directory import run_directory, tidy
 from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
@@ -134,6 +135,7 @@ def evaluate(
         results = list(_results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, facts.name))
         rows = [row for result in results for row in result.rows]
         record = write_record(directory, described, rows, versions, seed=settings.seed)
+        write_failures(directory, record.rows)
         tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
     return record
 

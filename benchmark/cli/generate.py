@@ -49,6 +49,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -178,6 +179,16 @@ def generate_command(
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
     _tell(build_split(source, split, settings), profile=profile, json_output=json_output)
+    if not dry_run:
+        say_next(
+            f"data set: {settings.out}",
+            (f"data show {settings.out} --to pictures", "a picture of each scene"),
+            (
+                f"eval --split {split} --model idm{same_place(data, out, tables)}",
+                "a planner on it; yours: docs/planners.md",
+            ),
+            json_output=json_output,
+        )
 
 
 def _require_generated(split: str) -> None:

@@ -26,6 +26,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.what_next import same_place, say_next
 
 leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
 
@@ -69,6 +70,13 @@ def sheets_command(
         print_json(written.as_json())
     else:
         typer.echo(written.sentence())
+    again = same_place(data, out)
+    say_next(
+        f"sheets: {written.directory}",
+        (f"film --split {split} --limit 1 --to films{again}", "a film of a scene; --model shows planners that ran"),
+        (f"leaderboard{same_place('mini', out)}", "tables and a site that plays all scenes"),
+        json_output=json_output,
+    )
 
 
 @leaderboard_app.callback(invoke_without_command=True)
@@ -104,6 +112,12 @@ def leaderboard_command(
         typer.echo(
             f"{len(written)} files in {folder}; start with {folder / ('site/index.html' if site else 'README.md')}"
         )
+    page = f", {folder / 'site/index.html'} in any browser" if site else ""
+    say_next(
+        f"to read: {folder / 'README.md'}{page}",
+        (f"leaderboard --check{same_place('mini', out)}", "whether it is current, after further runs"),
+        json_output=json_output,
+    )
 
 
 @leaderboard_app.command("submit-check")
@@ -190,3 +204,8 @@ def film_command(
         typer.echo(films[-1], err=json_output)
     if json_output:
         print_json({"films": films})
+    say_next(
+        f"films: {to}",
+        (f"leaderboard{same_place('mini', out)}", "a site that plays all scenes"),
+        json_output=json_output,
+    )

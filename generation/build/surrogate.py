@@ -15,6 +15,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import write_bytes, writing_to
 from benchmark.records.run import RunRecord, scene_failures
+from benchmark.runs.failures import FAILURES_FILE, first_failure
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import claim_files, read_state
@@ -148,7 +149,8 @@ def require_all_planned(record: RunRecord) -> None:
     if record.summary.failed:
         raise InputError(
             f"{record.planner} raised on {record.summary.failed} of {record.summary.samples} samples, so it cannot be "
-            f"said which scenes it copes with; the tracebacks are in {record.directory / 'samples.jsonl'}, correct the "
+            f"said which scenes it copes with; the first: {first_failure(record.rows)}; all tracebacks are in "
+            f"{record.directory / FAILURES_FILE}, correct the "
             "planner, or have images drawn if it needs them, and run the same command again"
         )
 
