@@ -257,6 +257,11 @@ def quality_command(
         print_json({"directory": str(record.directory), **facts})
     else:
         typer.echo(quality_tables([record])[0].plain())
+    say_next(
+        f"record: {record.directory}",
+        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
+        json_output=json_output,
+    )
 
 
 def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:

@@ -300,3 +300,8 @@ def ablate_command(
         print_json(report.model_dump(mode="json", by_alias=True))
     else:
         typer.echo(report.table().plain(), nl=False)
+    say_next(
+        f"study: {settings.out}",
+        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
+        json_output=json_output,
+    )

@@ -185,7 +185,8 @@ def film_command(
     for place in records or ():
         require_folder(place, "--records")
     require_place(to, "--to")
-    model = planners_shown(model or (), records or [planner_folder(space.run_root(), data, split)])
+    runs = space.run_root()
+    model = planners_shown(model or (), records or [planner_folder(runs, data, split)], runs)
     films = []
     for film in write_films(
         space.sheet_root(),
