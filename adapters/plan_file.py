@@ -11,6 +11,7 @@ JSON is a list of objects with these keys. Columns that are not named here are a
 noticed. Every sample of the split needs exactly one row.
 """
 
+import json
 from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from benchmark.evaluation import EvalSettings
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
@@ -148,6 +150,7 @@ def plan_file_factory(
     limit: int | None = None,
     name: str | None = None,
     native: str | None = None,
+    records: "Sequence[Path]" = (),
 ) -> PlanFileFactory:
     """The planner of a plan file, checked against the samples it is for.
 
@@ -159,6 +162,7 @@ def plan_file_factory(
         limit: Only the first so many of them.
         name: Shown in tables; the file's name without its ending by default.
         native: Protocol of the repository that the planner comes from, if it is known here.
+        records: Folders of run records, to say what a file of other data is for.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.
@@ -168,7 +172,10 @@ def plan_file_factory(
     """
     known_native(native, f"plan file {path}")
     plans = read_plan_file(path)
-    plans.require(data, split, EvalSettings(scenes=scenes, limit=limit).chosen(data, split))
+    try:
+        plans.require(data, split, EvalSettings(scenes=scenes, limit=limit).chosen(data, split))
+    except InputError as error:
+        raise _foreign(plans, data, split, records) or error from None
     facts = PlannerFacts(
         name=name or path.stem,
         privileged=False,
@@ -179,6 +186,26 @@ def plan_file_factory(
         published_as=published_as(name or path.stem),
     )
     return PlanFileFactory(path, facts)
+
+
+def _foreign(plans: PlanFile, data: "DataSet", split: str, records: Sequence[Path]) -> InputError | None:
+    """What to say of a file of which no row belongs to the split; ``None`` if some do."""
+
+    def keys(of_split: str) -> set[tuple[Hashable, ...]]:
+        return {plans._key(truth) for scene in data.scene_names(of_split) for truth in data.truth(scene)}
+
+    if keys(split) & set(plans.keys):
+        return None
+    mine = next((other for other in data.splits() if other != split and keys(other) & set(plans.keys)), None)
+    there = where_planned(records, [tuple(json.dumps(part) for part in key) for key in plans.keys[:_SHOWN]])
+    seems = "whose samples it names is not known here; name the data set that it was made for with --data"
+    if mine is not None:
+        seems = f"they are samples of its split {mine!r}; name that with --split"
+    elif there is not None:
+        seems = f"they are samples of split {there.split!r} of {there.data}, of which there are records"
+    return InputError(
+        f"{plans.path}: none of its {len(plans.keys)} rows belongs to split {split!r} of {data.name}; {seems}"
+    )
 
 
 def read_plan_file(path: Path) -> PlanFile:

@@ -23,6 +23,7 @@ from benchmark.planning import Planner
 from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.run import RunRecord, write_record
 from benchmark.report.words import counted
+from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
 from benchmark.runs.run_directory import run_directory, tidy
 from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
@@ -141,6 +142,7 @@ def evaluate(
         results = list(progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)))
         rows = [row for result in results for row in result.rows]
         record = write_record(directory, described, rows, versions, seed=settings.seed)
+        write_failures(directory, record.rows)
         tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
     return record
 

@@ -9,6 +9,7 @@ import typer
 from benchmark import api
 from benchmark.cli.demonstration import RESULTS, demo, full_demo, stale_demo
 from benchmark.cli.options import JsonOption, OutOption, WideOption, WorkersOption, print_json
+from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 
 
@@ -55,3 +56,10 @@ def demo_command(
     for name, matrix in transfer_matrices(records, "adv").items():
         tell(transfer_table(name, matrix).plain(wide=wide))
     tell(f"site: {out / 'leaderboard' / 'site' / 'index.html'}   tables: {out / 'leaderboard' / 'README.md'}")
+    again = same_place("demo", out)
+    say_next(
+        f"scenes: {out / 'data' / 'demo' / 'adv'}",
+        (f"film --limit 1 --model uniad --model idm --to films{again}", "a scene as a film"),
+        (f"eval --split adv --model my_package.planner:MyPlanner{again}", "your own planner: docs/planners.md"),
+        json_output=json_output,
+    )

@@ -29,6 +29,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
@@ -106,21 +107,30 @@ def eval_command(
     ]
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     dataset = api.open_split(source, split, out, workers=workers)
+    run_root = api.workspace(out).run_root()
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
         chosen = settings.chosen(dataset, split)
-        factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native))
+        factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native, records=[run_root]))
     if dry_run:
         where = f"{counted(len(settings.chosen(dataset, split)), 'scene')} of {split}"
         names = ", ".join(factory.facts.name for factory in factories)
         say_plan([f"would run {names} on {where}"], json_output=json_output)
         return
-    run_root = api.workspace(out).run_root()
     records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
-    _show_runs(source.name, records, shown, allow_partial=allow_partial, wide=wide, json_output=json_output)
+    sound = _show_runs(source.name, records, shown, allow_partial=allow_partial, wide=wide, json_output=json_output)
+    again = same_place(data, out, tables)
+    say_next(
+        f"records: {', '.join(str(record.directory) for record in records)}",
+        (f"sheets --split {split}{again}", "what films and the site show of the scenes"),
+        (f"leaderboard{same_place('mini', out)}", "tables, figures and a site of all records"),
+        json_output=json_output,
+    )
+    if not sound:
+        raise typer.Exit(1)
 
 
 def rescore_command(
@@ -254,6 +264,11 @@ def quality_command(
         print_json({"directory": str(record.directory), **facts})
     else:
         typer.echo(quality_tables([record])[0].plain(wide=wide))
+    say_next(
+        f"record: {record.directory}",
+        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
+        json_output=json_output,
+    )
 
 
 def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:
@@ -296,8 +311,9 @@ def _show_runs(
     allow_partial: bool,
     wide: bool,
     json_output: bool,
-) -> None:
-    """Print the tables of runs; a run that failed on samples is an error unless allowed, and then said."""
+) -> bool:
+    """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
+    from benchmark.runs.failures import FAILURES_FILE, first_failure
     from leaderboard.tables.collision import run_tables
 
     partial = [record for record in records if not record.complete]
@@ -313,9 +329,8 @@ def _show_runs(
     for record in partial:
         typer.echo(
             f"{record.planner} failed on {record.summary.failed} of {counted(record.summary.samples, 'sample')} "
-            f"(tracebacks in {record.directory}); "
+            f"(the first: {first_failure(record.rows)}; all tracebacks: {record.directory / FAILURES_FILE}); "
             + ("rates leave them out" if allow_partial else "--allow-partial prints the rates of the others"),
             err=True,
         )
-    if partial and not allow_partial:
-        raise typer.Exit(1)
+    return allow_partial or not partial

@@ -50,6 +50,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -201,11 +202,21 @@ def generate_command(
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
     if frozen is None:
         _tell(build_split(source, split, settings), profile=profile, json_output=json_output)
-        return
-    from generation.splits.building import build_frozen
+    else:
+        from generation.splits.building import build_frozen
 
-    built = build_frozen(source, frozen, settings)
-    print_json(built.as_json()) if json_output else typer.echo(built.summary())
+        built = build_frozen(source, frozen, settings)
+        print_json(built.as_json()) if json_output else typer.echo(built.summary())
+    if not dry_run:
+        say_next(
+            f"data set: {settings.out}",
+            (f"data show {settings.out} --to pictures", "a picture of each scene"),
+            (
+                f"eval --split {split} --model idm{same_place(data, out, tables)}",
+                "a planner on it; yours: docs/planners.md",
+            ),
+            json_output=json_output,
+        )
 
 
 def _frozen(file: str, split: str, context: typer.Context) -> "NamedSplit":
@@ -332,3 +343,8 @@ def ablate_command(
         print_json(report.model_dump(mode="json", by_alias=True))
     else:
         typer.echo(report.table().plain(wide=wide), nl=False)
+    say_next(
+        f"study: {settings.out}",
+        (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
+        json_output=json_output,
+    )

@@ -27,6 +27,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.what_next import same_place, say_next
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.report.words import counted
 
@@ -75,6 +76,13 @@ def sheets_command(
         print_json(written.as_json())
     else:
         typer.echo(written.sentence())
+    again = same_place(data, out)
+    say_next(
+        f"sheets: {written.directory}",
+        (f"film --split {split} --limit 1 --to films{again}", "a film of a scene; --model shows planners that ran"),
+        (f"leaderboard{same_place('mini', out)}", "tables and a site that plays all scenes"),
+        json_output=json_output,
+    )
 
 
 @leaderboard_app.callback(invoke_without_command=True)
@@ -111,6 +119,12 @@ def leaderboard_command(
             f"{counted(len(written), 'file')} in {folder}; start with "
             f"{folder / ('site/index.html' if site else 'README.md')}"
         )
+    page = f", {folder / 'site/index.html'} in any browser" if site else ""
+    say_next(
+        f"to read: {folder / 'README.md'}{page}",
+        (f"leaderboard --check{same_place('mini', out)}", "whether it is current, after further runs"),
+        json_output=json_output,
+    )
 
 
 @leaderboard_app.command("submit-check")
@@ -182,7 +196,8 @@ def film_command(
     for place in records or ():
         require_folder(place, "--records")
     require_place(to, "--to")
-    model = planners_shown(model or (), records or [planner_folder(space.run_root(), data, split)])
+    runs = space.run_root()
+    model = planners_shown(model or (), records or [planner_folder(runs, data, split)], runs)
     films = []
     for film in write_films(
         space.sheet_root(),
@@ -201,3 +216,8 @@ def film_command(
         typer.echo(films[-1], err=json_output)
     if json_output:
         print_json({"films": films})
+    say_next(
+        f"films: {to}",
+        (f"leaderboard{same_place('mini', out)}", "a site that plays all scenes"),
+        json_output=json_output,
+    )

@@ -1,12 +1,12 @@
 """Which run records there are, from their ``run.json`` alone: for sentences that say what there is instead."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmark.machine.storage import read_kept_json
-from benchmark.records.store import RUN_FILE
+from benchmark.records.store import ROWS_FILE, RUN_FILE
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -42,6 +42,24 @@ def recorded(folders: Iterable[Path]) -> tuple[Recorded, ...]:
             except (KeyError, TypeError):
                 continue
     return tuple(sorted(found))
+
+
+def where_planned(folders: Iterable[Path], samples: Sequence[tuple[str, ...]]) -> Recorded | None:
+    """The first record that has some samples: what a plan file of other data seems to be for.
+
+    Args:
+        folders: Where to look; they need not exist.
+        samples: What names each sample in the rows of records: its token, or its scene and time.
+
+    Returns:
+        What the record is of, or ``None``.
+    """
+    for folder in folders:
+        for path in sorted(folder.rglob(ROWS_FILE)):
+            with path.open(encoding="utf-8", errors="replace") as lines:
+                if any(all(part in line for part in each) for line in lines for each in samples):
+                    return next(iter(recorded([path.parent])), None)
+    return None
 
 
 def said_of(found: Iterable[Recorded]) -> str:

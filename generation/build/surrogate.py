@@ -16,6 +16,7 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import write_bytes, writing_to
 from benchmark.records.run import RunRecord, scene_failures
 from benchmark.report.words import counted
+from benchmark.runs.failures import FAILURES_FILE, first_failure
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import claim_files, read_state
@@ -148,9 +149,9 @@ def require_all_planned(record: RunRecord) -> None:
     """
     if record.summary.failed:
         raise InputError(
-            f"{record.planner} raised on {record.summary.failed} of "
-            f"{counted(record.summary.samples, 'sample')}, so it cannot be "
-            f"said which scenes it copes with; the tracebacks are in {record.directory / 'samples.jsonl'}, correct the "
+            f"{record.planner} raised on {record.summary.failed} of {counted(record.summary.samples, 'sample')}, so it "
+            f"cannot be said which scenes it copes with; the first: {first_failure(record.rows)}; all tracebacks are "
+            f"in {record.directory / FAILURES_FILE}, correct the "
             "planner, or have images drawn if it needs them, and run the same command again"
         )
 

@@ -4,6 +4,7 @@ import importlib.util
 import json
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,19 @@ def test_missing_and_extra_rows_are_named(tmp_path: Path) -> None:
     extra = [{**rows[0], "sample_token": f"{index:032x}"} for index in range(5)]
     with pytest.raises(InputError, match=r"rows for 5 samples 0{32}, .* and 2 more"):
         plan_file_factory(write(tmp_path / "b.csv", rows + extra), data, "val")
+
+
+@pytest.mark.parametrize("by_time", [False, True])
+def test_a_file_for_other_data_says_so_and_for_which(tmp_path: Path, by_time: bool) -> None:
+    data = town_of_two()
+    mine = write(tmp_path / "mine.csv", rows_for(data, by_time=by_time))
+    named = {f"{name}-x": replace(scene, name=f"{name}-x") for name, scene in data.scenes.items()}
+    other = FakeData(named, name="other")
+    with pytest.raises(InputError, match=r"none of its 32 rows belongs to split 'val' of other; .* is not known here"):
+        plan_file_factory(mine, other, "val", records=[tmp_path / "runs"])
+    evaluate(data, "val", plan_file_factory(mine, data, "val"), tmp_path / "runs")
+    with pytest.raises(InputError, match=f"they are samples of split 'val' of {data.name}, of which there are records"):
+        plan_file_factory(mine, other, "val", records=[tmp_path / "runs"])
 
 
 Rows = list[dict[str, Any]]

@@ -49,18 +49,19 @@ def require_models(
             raise InputError(f"there is no precision {precision!r}; use {' or '.join(_PRECISIONS)}")
 
 
-def planners_shown(names: Sequence[str], records: Sequence[Path]) -> list[str]:
+def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
     """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
 
     Args:
         names: Planner names as ``--model`` takes them, or as tables show them.
-        records: Folders of run records.
+        records: Folders of the run records that will be shown.
+        everywhere: Folder of all run records, to say what there is instead.
 
     Returns:
         The names that the records have; a name stays as it is where they have none of it.
 
     Raises:
-        InputError: If neither a planner nor a record has such a name.
+        InputError: If neither a planner nor a record has such a name, or there are no records at all.
     """
     from adapters.checkpoints.stand_in import miniature_of
     from adapters.models import MODELS
@@ -80,6 +81,11 @@ def planners_shown(names: Sequence[str], records: Sequence[Path]) -> list[str]:
         if name.partition(" (")[0] not in known and ":" not in name:
             raise InputError(f"no planner is called {name!r}; {did_you_mean(name, known)}{said_of(found)}")
         shown.append(next((each for each in (name, own, small) if each is not None and each in ran), name))
+    if names and not found:
+        raise InputError(
+            f"there are no run records at {', '.join(map(str, records))}; {said_of(recorded([everywhere]))}; name "
+            "these with --data and --split, or run challenger-bench eval first"
+        )
     return shown
 
 

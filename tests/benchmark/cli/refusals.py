@@ -81,6 +81,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("sheets --out {file}", "is a file"),
     (f"film --to {{new}}/films {_OUT}", "no scene sheet"),
     (f"film --to {{new}}/films --model unaid {_OUT}", "did you mean uniad"),
+    (f"film --to {{new}}/films --model uniad {_OUT}", "there are no run records"),
     (f"film --to {{new}}/films --protocol exakt {_OUT}", "did you mean exact?"),
     (f"film --to {{new}}/films --fps 0 {_OUT}", "--fps"),
     (f"film --to {{new}}/films --width 100 {_OUT}", "--width"),
