@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.drawing.plots import png_size
+from benchmark.drawing.plots import DARK, page_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport
@@ -29,9 +29,17 @@ Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
 TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
 """Hold one folder for each data set and nothing else, so that what is no longer made there can be told."""
+_DARK_FIGURES: Final = "figures-dark"
+"""Of the site alone."""
 SITE_FOLDER: Final = "site"
 """Holds the site and nothing else."""
 _ON_THE_SITE: Final = (".tex", ".csv", ".json")
+_RATES: Final = "collision rates"
+_GROUPS: Final = {
+    "planners and transfer": ("planners", "transfer", "agreement"),
+    "causes and protocols": ("diagnosis", "disagreement"),
+}
+"""What the site shows together, by the first word of a table's name; all others are `_RATES`."""
 OURS = (".tex", ".csv", ".json", ".md", ".png", ".svg")
 
 
@@ -89,12 +97,23 @@ class _Made:
         tables: Tables in the order in which they are read.
         figures: Figures, with their place below the leaderboard's folder.
         records: Run records that stand in tables.
+        of_site: Files that only the site has.
     """
 
     files: Files = field(default_factory=dict)
     tables: list[PlacedTable] = field(default_factory=list)
     figures: list[PlacedFigure] = field(default_factory=list)
     records: list[RunRecord] = field(default_factory=list)
+    of_site: Files = field(default_factory=dict)
+
+    def draw(self, data_name: str, figure: NamedFigure) -> None:
+        """Add a figure and its files."""
+        folder = file_name(data_name)
+        vector = _picture(folder, figure.name, ".svg")
+        dark = f"{_DARK_FIGURES}{vector.removeprefix(FIGURES_FOLDER)}"
+        self.files |= {_picture(folder, figure.name): figure.png, vector: figure.svg}
+        self.of_site[dark] = figure.dark
+        self.figures.append(PlacedFigure(data_name, figure.title, vector, dark, page_size(figure.png)))
 
     def place(self, data_name: str, group: str, tables: Sequence[Table]) -> None:
         """Add tables and their files; those of no data set are published ones."""
@@ -138,20 +157,18 @@ def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[
     """Add tables, pages and pictures of one data set; its section of ``README.md``."""
     name, folder = data_set.data_name, file_name(data_set.data_name)
     made.records += data_set.records
-    made.place(name, "exact and own protocols", data_set.front)
+    for group in dict.fromkeys(map(_group, data_set.front)):
+        made.place(name, group, [table for table in data_set.front if _group(table) == group])
     for protocol, tables in data_set.others.items():
         made.place(name, f"protocol {protocol}", tables)
         made.files[_page(folder, protocol)] = _page_text(data_set, protocol).encode()
     titles = {table.name: table.title for table in data_set.front}
     for table_name, matrix in data_set.matrices.items():
-        picture = _picture(folder, table_name)
-        made.files[picture] = heat_map(matrix, ".png")
-        made.figures.append(PlacedFigure(name, titles[table_name], picture, png_size(made.files[picture])))
+        drawn = (heat_map(matrix, ".png"), heat_map(matrix, ".svg"), heat_map(matrix, ".svg", DARK))
+        made.draw(name, NamedFigure(table_name, titles[table_name], *drawn))
     figures = (*data_set_figures(name, data_set.records), *refinement_figures(name, sheets))
     for figure in figures:
-        vector = _picture(folder, figure.name, ".svg")
-        made.files |= {_picture(folder, figure.name): figure.png, vector: figure.svg}
-        made.figures.append(PlacedFigure(name, figure.title, vector, png_size(figure.png)))
+        made.draw(name, figure)
     return _section(data_set, figures, folder)
 
 
@@ -262,6 +279,12 @@ def _add_quality(made: _Made, records: Sequence[QualityRecord]) -> list[str]:
     return lines
 
 
+def _group(table: Table) -> str:
+    """What a table under ``exact`` and the planners' own protocols is shown together with."""
+    kind = table.name.partition("-")[0]
+    return next((group for group, kinds in _GROUPS.items() if kind in kinds), _RATES)
+
+
 def _page_text(data_set: DataSetTables, protocol: str) -> str:
     heading = f"# {escape_markdown(data_set.data_name)}: protocol {escape_markdown(protocol)}"
     return "\n".join([heading, "", *(table.markdown() for table in data_set.others[protocol])])
@@ -296,7 +319,7 @@ def _all_files(
         return dict(made.files)
     shown = {figure.path for figure in made.figures}
     downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
-    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads)
+    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads | made.of_site)
     return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 

@@ -47,7 +47,7 @@ def sheets_command(
     pictures: Annotated[
         SheetPictures, typer.Option(help="Pictures of all cameras at 2 Hz keyframes, at all 12 Hz frames, or none.")
     ] = SheetPictures.KEYFRAMES,
-    cell_width: Annotated[int, typer.Option(help="Width of one camera in them, pixels; never enlarged.")] = 320,
+    cell_width: Annotated[int, typer.Option(help="Width of one camera in them, pixels; never enlarged.")] = 480,
     rounds: Annotated[
         bool, typer.Option("--rounds", help="Also the rounds of refinement that generate --keep-rounds kept.")
     ] = False,

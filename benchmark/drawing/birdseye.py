@@ -12,7 +12,7 @@ from benchmark.drawing.captions import draw_captions
 from benchmark.drawing.ground import SheetGround, draw_ground, ground_of
 from benchmark.drawing.lettering import Picture
 from benchmark.drawing.overlays import CandidatesOverlay, Overlay, PlanOverlay
-from benchmark.drawing.palette import ADVERSARY, CYCLE, EGO, INK, PAPER, PERSON, THING, VEHICLE, Rgb, mixed
+from benchmark.drawing.palette import ADVERSARY, EGO, ON_LIGHT, GroundColours, Rgb, mixed
 from benchmark.drawing.placing import agent_box, ego_box, frame_seconds
 from benchmark.drawing.planned import draw_candidates, draw_contacts, draw_expectations, draw_plan
 from benchmark.errors import InputError
@@ -30,11 +30,12 @@ _FINE_PX_M: Final = 4.0
 class SceneFromAbove:
     """Draws frames of one sheet; what does not change is made ready once."""
 
-    def __init__(self, sheet: Sheet) -> None:
+    def __init__(self, sheet: Sheet, colours: GroundColours = ON_LIGHT) -> None:
         """Make the map ready.
 
         Args:
             sheet: The scene.
+            colours: Of everything but ego, adversary and plans; plans are drawn for `ON_LIGHT`.
 
         Raises:
             InputError: If the sheet has no frames, or not as many ego poses as frames.
@@ -47,7 +48,8 @@ class SceneFromAbove:
             )
         self.sheet = sheet
         self.seconds: Floats = frame_seconds(sheet)
-        self._ground: SheetGround = ground_of(sheet)
+        self._colours = colours
+        self._ground: SheetGround = ground_of(sheet, colours)
         self._ego: list[Floats] = [ego_box(sheet, frame) for frame in range(len(self.seconds))]
 
     def draw(
@@ -134,19 +136,19 @@ class SceneFromAbove:
         centre = {int(each): box[:2] for each, box in zip(frames, boxes) if box is not None}
         behind = [centre[each] for each in sorted(centre) if each <= frame]
         ahead = [centre[each] for each in sorted(centre) if each >= frame]
-        stroke(image, view, np.array(behind).reshape(-1, 2), mixed(colour, PAPER, 0.45), 1)
-        stroke(image, view, np.array(ahead).reshape(-1, 2), mixed(colour, PAPER, 0.25), 2)
+        stroke(image, view, np.array(behind).reshape(-1, 2), mixed(colour, self._colours.paper, 0.45), 1)
+        stroke(image, view, np.array(ahead).reshape(-1, 2), mixed(colour, self._colours.paper, 0.25), 2)
         for dot in np.arange(1, round(2 * FUTURE_S) + 1) / 2:
             nearest = int(np.argmin(np.abs(self.seconds - self.seconds[frame] - dot)))
             if nearest in centre and abs(self.seconds[nearest] - self.seconds[frame] - dot) < 0.05:
-                mark_at(image, view.pixels(centre[nearest]), "circle", 2.5, colour, PAPER)
+                mark_at(image, view.pixels(centre[nearest]), "circle", 2.5, colour, self._colours.paper)
 
     def _draw_boxes(self, image: Picture, view: GroundView, frame: int) -> None:
         for agent in sorted(self.sheet.agents, key=lambda each: each.adversary):
             box = agent_box(agent, frame)
             if box is not None and view.sees(box_corners(box)):
-                _draw_agent(image, view, agent, box)
-        _draw_car(image, view, self._ego[frame], EGO, edge_px=2)
+                _draw_agent(image, view, agent, box, self._colours)
+        _draw_car(image, view, self._ego[frame], EGO, self._colours, edge_px=2)
 
 
 def draw_birdseye(
@@ -185,35 +187,37 @@ def draw_birdseye(
     return image
 
 
-def colour_of(agent: SheetAgent) -> Rgb:
+def colour_of(agent: SheetAgent, colours: GroundColours = ON_LIGHT) -> Rgb:
     """Colour of an object by what it is."""
     if agent.adversary:
         return ADVERSARY
     if agent.category in ("vehicle.bicycle", "vehicle.motorcycle"):
-        return CYCLE
+        return colours.cycle
     if agent.category in VEHICLE_CATEGORIES:
-        return VEHICLE
-    return PERSON if agent.category.startswith(("human", "animal")) else THING
+        return colours.vehicle
+    return colours.person if agent.category.startswith(("human", "animal")) else colours.thing
 
 
-def _draw_agent(image: Picture, view: GroundView, agent: SheetAgent, box: Floats) -> None:
-    colour = colour_of(agent)
-    if colour is PERSON and float(box[2]) * view.scale_px_m < 2.0 * _SMALLEST_PERSON_PX:
+def _draw_agent(image: Picture, view: GroundView, agent: SheetAgent, box: Floats, colours: GroundColours) -> None:
+    colour = colour_of(agent, colours)
+    if colour is colours.person and float(box[2]) * view.scale_px_m < 2.0 * _SMALLEST_PERSON_PX:
         mark_at(image, view.pixels(box[:2]), "circle", _SMALLEST_PERSON_PX, colour)
-    elif colour in (VEHICLE, ADVERSARY, CYCLE):
-        _draw_car(image, view, box, colour, edge_px=2 if agent.adversary else 1)
+    elif colour in (colours.vehicle, ADVERSARY, colours.cycle):
+        _draw_car(image, view, box, colour, colours, edge_px=2 if agent.adversary else 1)
     else:
         fill_box(image, view, box, colour)
 
 
-def _draw_car(image: Picture, view: GroundView, box: Floats, colour: Rgb, *, edge_px: int) -> None:
+def _draw_car(
+    image: Picture, view: GroundView, box: Floats, colour: Rgb, colours: GroundColours, *, edge_px: int
+) -> None:
     """A box with an edge and a light wedge at its front."""
     fill_box(image, view, box, colour)
     if view.scale_px_m < _FINE_PX_M:
         return
-    outline_box(image, view, box, INK if edge_px > 1 else mixed(colour, INK, 0.6), edge_px)
+    outline_box(image, view, box, colours.ink if edge_px > 1 else mixed(colour, colours.ink, 0.6), edge_px)
     ahead = np.array([np.cos(box[4]), np.sin(box[4])])
     left = np.array([-ahead[1], ahead[0]])
     tip, base = box[:2] + 0.42 * box[2] * ahead, box[:2] + 0.2 * box[2] * ahead
     wedge = np.array([tip, base + 0.3 * box[3] * left, base - 0.3 * box[3] * left])
-    stroke(image, view, wedge, PAPER, 1, closed=True)
+    stroke(image, view, wedge, colours.paper, 1, closed=True)

@@ -17,8 +17,8 @@ from benchmark.drawing.palette import (
     EGO,
     FAINT_INK,
     INK,
+    ON_LIGHT,
     PAPER,
-    VEHICLE,
     PlannerStyle,
     Rgb,
     mixed,
@@ -59,7 +59,7 @@ def legend_of(sheet: Sheet, overlays: Sequence[Overlay]) -> list[LegendEntry]:
     if adversaries:
         entries.append(LegendEntry("box", ADVERSARY, "adversary" if adversaries == 1 else "adversaries"))
     if len(sheet.agents) > adversaries:
-        entries.append(LegendEntry("box", VEHICLE, "others"))
+        entries.append(LegendEntry("box", ON_LIGHT.vehicle, "others"))
     entries.append(LegendEntry("way", EGO, "recorded, 3 s"))
     if any(plan.plan is not None and plan.plan.forecasts is not None for plan in plans):
         entries.append(LegendEntry("forecast", FAINT_INK, "forecasts"))

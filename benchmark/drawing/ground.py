@@ -9,17 +9,7 @@ import numpy as np
 
 from benchmark.drawing.canvas import GroundView, dashes, fill_rings, stroke, stroke_all
 from benchmark.drawing.lettering import Picture
-from benchmark.drawing.palette import (
-    CAR_PARK,
-    CROSSING,
-    KERB,
-    LAND,
-    PAINT,
-    ROAD,
-    STRIPE,
-    WALKWAY,
-    Rgb,
-)
+from benchmark.drawing.palette import ON_LIGHT, GroundColours, Rgb
 from benchmark.geometry import Floats
 from benchmark.records.scenes import Point, Polygon, Sheet, SheetLine
 
@@ -73,6 +63,7 @@ class SheetGround:
         above: Car parks and crossings.
         stripes: Of the crossings.
         paint: Strokes of painted lines.
+        colours: Of all of it.
     """
 
     below: Layer
@@ -80,28 +71,34 @@ class SheetGround:
     above: tuple[Layer, ...]
     stripes: Layer
     paint: tuple[Layer, ...]
+    colours: GroundColours
 
 
-def ground_of(sheet: Sheet) -> SheetGround:
+def ground_of(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> SheetGround:
     """Make a sheet's map ready.
 
     Args:
         sheet: The sheet.
+        colours: To draw it in.
 
     Returns:
         Its map; empty where it has none.
     """
     road = sheet.road
     crossings = [area for area in _areas(road.crossings) if area]
-    strokes = {name: [_strokes(line) for line in road.dividers if line.paint.endswith(f"-{name}")] for name in PAINT}
+    strokes = {
+        name: [_strokes(line) for line in road.dividers if line.paint.endswith(f"-{name}")] for name in colours.paint
+    }
     return SheetGround(
-        below=Layer.of(_areas(road.walkways), WALKWAY),
-        drivable=Layer.of(_areas(road.drivable), ROAD),
-        above=(Layer.of(_areas(road.carparks), CAR_PARK), Layer.of(crossings, CROSSING)),
-        stripes=Layer.of((_stripes(area[0]) for area in crossings), STRIPE),
+        below=Layer.of(_areas(road.walkways), colours.walkway),
+        drivable=Layer.of(_areas(road.drivable), colours.road),
+        above=(Layer.of(_areas(road.carparks), colours.car_park), Layer.of(crossings, colours.crossing)),
+        stripes=Layer.of((_stripes(area[0]) for area in crossings), colours.stripe),
         paint=tuple(
-            Layer.of(((stroke,) for line in lines for stroke in line), PAINT[name]) for name, lines in strokes.items()
+            Layer.of(((stroke,) for line in lines for stroke in line), colours.paint[name])
+            for name, lines in strokes.items()
         ),
+        colours=colours,
     )
 
 
@@ -113,12 +110,12 @@ def draw_ground(image: Picture, view: GroundView, ground: SheetGround) -> None:
         view: Where metres fall.
         ground: The map.
     """
-    cv2.rectangle(image, (0, 0), (view.width_px, view.height_px), LAND, -1)
+    cv2.rectangle(image, (0, 0), (view.width_px, view.height_px), ground.colours.land, -1)
     _fill(image, view, ground.below)
     # First all kerbs, then all surfaces: between two surfaces that touch there is no kerb.
     for area in ground.drivable.near(view):
         for ring in area:
-            stroke(image, view, ring, KERB, 3, closed=True)
+            stroke(image, view, ring, ground.colours.kerb, 3, closed=True)
     for layer in (ground.drivable, *ground.above):
         _fill(image, view, layer)
     if _STRIPE_M * view.scale_px_m >= _SMALLEST_STRIPE_PX:

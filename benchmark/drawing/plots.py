@@ -4,28 +4,90 @@ import io
 import struct
 import warnings
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from benchmark.drawing.palette import (
+    ON_DARK,
+    ON_LIGHT,
+    PLANNERS_ON_DARK,
+    PLANNERS_ON_LIGHT,
+    GroundColours,
+    Rgb,
+    hexadecimal,
+)
+
 FORMATS: Final = (".png", ".svg")
 _DPI = 120
+_PAGE_DPI = 96
+"""Pixels of a page to an inch: at this size letters of 8.5 points are 11 pixels high."""
 
 
-def picture(draw: Callable[[], Figure], suffix: str) -> bytes:
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """Colours of a plot on a light or a dark page.
+
+    Attributes:
+        paper: Behind everything.
+        ink: Letters, axes, edges.
+        faint: Letters that matter less.
+        rule: Lines of a grid.
+        empty: Cells without a number.
+        good: What did not collide.
+        contact: What collided.
+        ground: Of scenes from above.
+        planners: Of planners by their place; they repeat.
+        dark: Whether what is brighter stands out more.
+    """
+
+    paper: str
+    ink: str
+    faint: str
+    rule: str
+    empty: str
+    good: str
+    contact: str
+    ground: GroundColours
+    planners: tuple[Rgb, ...]
+    dark: bool = False
+
+    def planner(self, place: int) -> str:
+        """Colour of the planner at a place."""
+        return hexadecimal(self.planners[place % len(self.planners)])
+
+    def settings(self) -> dict[str, Any]:
+        """The same as settings of matplotlib."""
+        inked = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+        plain = ("figure.facecolor", "axes.facecolor", "savefig.facecolor", "savefig.edgecolor")
+        return dict.fromkeys(inked, self.ink) | dict.fromkeys(plain, self.paper)
+
+
+LIGHT: Final = Theme(
+    "#ffffff", "#1b1e21", "#444444", "#dddddd", "#f2f2f2", "#b9d3e8", "#b00020", ON_LIGHT, PLANNERS_ON_LIGHT
+)
+DARK: Final = Theme(
+    "#1a1e22", "#e4e7e9", "#b4bcc4", "#343b41", "#2a3036", "#3f5a72", "#ff5c77", ON_DARK, PLANNERS_ON_DARK, dark=True
+)
+
+
+def picture(draw: Callable[[], Figure], suffix: str, theme: Theme = LIGHT) -> bytes:
     """A figure's bytes, whatever settings of matplotlib the user has.
 
     Args:
         draw: Makes the figure (`new_figure`).
         suffix: One of `FORMATS`.
+        theme: Colours of letters, axes and paper.
 
     Returns:
         PNG or SVG.
     """
     # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
-    settings = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
+    settings: Any = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
+    settings |= theme.settings()
     settings.pop("backend", None)
     stream = io.BytesIO()
     with warnings.catch_warnings(), mpl.rc_context(settings):
@@ -45,6 +107,12 @@ def png_size(picture: bytes) -> tuple[int, int]:
         return 0, 0
     width, height = struct.unpack(">II", picture[16:24])
     return width, height
+
+
+def page_size(picture: bytes) -> tuple[int, int]:
+    """(width, height) of a PNG of `picture` on a page, where its letters are as large as they were meant."""
+    width, height = png_size(picture)
+    return round(width * _PAGE_DPI / _DPI), round(height * _PAGE_DPI / _DPI)
 
 
 def new_figure(width_inches: float, height_inches: float) -> Figure:

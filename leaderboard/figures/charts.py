@@ -14,21 +14,21 @@ from matplotlib.ticker import MaxNLocator
 
 from benchmark.constants import HORIZON_STEPS
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import new_figure, picture
+from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
 from benchmark.report.words import titled
 from leaderboard.tables.rows import in_table_order, judges, marked, splits_of
 
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c6d31")
-"""Told apart with and without colour-blindness (Okabe and Ito's, the yellow replaced); they repeat after eight."""
 MARKERS: Final = "osD^vPX*"
-"""Told apart in print; with colours they repeat after 64 planners."""
-PANELS: Final = 5
+"""Told apart in print; with the palette's six colours they repeat after 24 planners."""
+PANELS: Final = 4
 """Planners beside each other; more go into further lines."""
+_PAIRED_INCHES: Final = 5.7
+"""Width of figures of which two stand beside each other on a page."""
+_LEGEND_COLUMNS: Final = 3
 UNLABELLED: Final = "unlabelled"
-_OK, _FAIL = "#b9d3e8", "#c1442e"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,15 @@ class NamedFigure:
         name: File stem.
         title: What it shows.
         png: For screens.
-        svg: For print.
+        svg: For print and light pages.
+        dark: SVG for dark pages.
     """
 
     name: str
     title: str
     png: bytes
     svg: bytes
+    dark: bytes
 
 
 def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[NamedFigure, ...]:
@@ -74,13 +76,15 @@ def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[Name
         drawn.append((f"disagreement-{split}", title, partial(disagreement_figure, data_name, split, records)))
     found = []
     for name, title, draw in drawn:
-        png, svg = draw(".png"), draw(".svg")
-        if png is not None and svg is not None:
-            found.append(NamedFigure(name, title, png, svg))
+        png, svg, dark = draw(".png"), draw(".svg"), draw(".svg", theme=DARK)
+        if png is not None and svg is not None and dark is not None:
+            found.append(NamedFigure(name, title, png, svg, dark))
     return tuple(found)
 
 
-def rates_over_horizon(data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str) -> bytes | None:
+def rates_over_horizon(
+    data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str, theme: Theme = LIGHT
+) -> bytes | None:
     """Collision rate at 1, 2 and 3 s of every planner, a panel a split, with 95 % bands.
 
     Args:
@@ -88,6 +92,7 @@ def rates_over_horizon(data_name: str, protocol: str, records: Sequence[RunRecor
         protocol: Whose verdicts, or ``native``.
         records: Runs on this data set.
         suffix: ``.png`` or ``.svg``.
+        theme: Its colours.
 
     Returns:
         The picture, or ``None`` where no record has verdicts of the protocol.
@@ -95,10 +100,12 @@ def rates_over_horizon(data_name: str, protocol: str, records: Sequence[RunRecor
     runs = [run for run in in_table_order(records) if protocol_of(run, protocol) in run.summary.protocols]
     if not runs:
         return None
-    return picture(lambda: _horizon_figure(data_name, protocol, runs), suffix)
+    return picture(lambda: _horizon_figure(data_name, protocol, runs, theme), suffix, theme)
 
 
-def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord], suffix: str) -> bytes | None:
+def disagreement_figure(
+    data_name: str, split: str, records: Sequence[RunRecord], suffix: str, theme: Theme = LIGHT
+) -> bytes | None:
     """How much of what ``exact`` sees each protocol misses, and how much of what it reports is false.
 
     Args:
@@ -106,6 +113,7 @@ def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord]
         split: The split.
         records: Runs on this data set.
         suffix: ``.png`` or ``.svg``.
+        theme: Its colours.
 
     Returns:
         The picture, or ``None`` where no record of the split was judged by ``exact`` and another protocol.
@@ -114,10 +122,12 @@ def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord]
     found = [(run, comparisons(run)) for run in runs]
     if not any(compared for _, compared in found):
         return None
-    return picture(lambda: _disagreement(data_name, split, found), suffix)
+    return picture(lambda: _disagreement(data_name, split, found, theme), suffix, theme)
 
 
-def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str) -> bytes | None:
+def manoeuvre_figure(
+    data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str, theme: Theme = LIGHT
+) -> bytes | None:
     """How many adversarial scenes there are of each manoeuvre, and how many of them each planner fails.
 
     Args:
@@ -125,6 +135,7 @@ def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]
         protocol: Whose verdicts, or ``native``.
         records: Runs on this data set; those of split ``adv`` whose records say what the adversaries do are drawn.
         suffix: ``.png`` or ``.svg``.
+        theme: Its colours.
 
     Returns:
         The picture, or ``None`` where there is no such record.
@@ -136,15 +147,17 @@ def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]
     ]
     if not runs:
         return None
-    return picture(lambda: _manoeuvre_panels(data_name, protocol, runs), suffix)
+    return picture(lambda: _manoeuvre_panels(data_name, protocol, runs, theme), suffix, theme)
 
 
-def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord]) -> Figure:
+def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], theme: Theme) -> Figure:
     shown = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
     names_of = {run.planner: _name(run) for run in runs}
-    style = {name: _style(place) for place, name in enumerate(planners)}
-    figure = new_figure(1.2 + 2.6 * len(shown) + 2.6, max(3.2, 0.9 + 0.24 * len(planners)))
+    style = {name: _style(place, theme) for place, name in enumerate(planners)}
+    lines_of_legend = -(-len(planners) // _LEGEND_COLUMNS)
+    below = 0.15 + 0.2 * lines_of_legend
+    figure = new_figure(max(_PAIRED_INCHES, 0.8 + 1.9 * len(shown)), 2.9 + below)
     panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     for axes, split in zip(panels, shown):
         for run in runs:
@@ -152,15 +165,17 @@ def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord]) ->
                 _band(axes, run, protocol_of(run, protocol), style[run.planner])
         axes.set_title(drawable(split), parse_math=False)
         axes.set_xticks([float(name.removesuffix("s")) for name in HORIZON_STEPS], list(HORIZON_STEPS))
-        axes.grid(axis="y", color="#dddddd", linewidth=0.6)
+        axes.grid(axis="y", color=theme.rule, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("collision rate (%)")
     # Panels share this axis: its end is known once all are drawn.
     panels[0].set_ylim(bottom=0)
     lines = [mpl.lines.Line2D([], [], **style[name]) for name in planners]
     names = [names_of[name] for name in planners]
-    figure.tight_layout(rect=(0, 0, 1 - 2.5 / figure.get_figwidth(), 0.93))
-    legend = figure.legend(lines, names, loc="center right", frameon=False, fontsize="small")
+    figure.tight_layout(rect=(0, below / figure.get_figheight(), 1, 0.93))
+    legend = figure.legend(
+        lines, names, loc="lower center", ncols=_LEGEND_COLUMNS, frameon=False, fontsize="small", columnspacing=1.2
+    )
     _plain_text(legend.get_texts())
     _heading(figure, f"{drawable(data_name)}: collision rate over the horizon, {judges(protocol)}")
     return figure
@@ -184,9 +199,11 @@ def _band(axes: Axes, run: RunRecord, judge: str, style: dict[str, Any]) -> None
         axes.fill_between(seconds, low, high, color=style["color"], alpha=0.12, linewidth=0)
 
 
-def _disagreement(data_name: str, split: str, found: Sequence[tuple[RunRecord, dict[str, Any]]]) -> Figure:
+def _disagreement(
+    data_name: str, split: str, found: Sequence[tuple[RunRecord, dict[str, Any]]], theme: Theme
+) -> Figure:
     protocols = list(dict.fromkeys(name for _, compared in found for name in compared))
-    figure = new_figure(8.2, 1.3 + (0.3 + 0.09 * len(found)) * len(protocols) + 0.11 * len(found))
+    figure = new_figure(_PAIRED_INCHES, 1.3 + (0.3 + 0.09 * len(found)) * len(protocols) + 0.11 * len(found))
     panels = figure.subplots(1, 2, sharey=True)
     height = 0.8 / len(found)
     for place, (_, compared) in enumerate(found):
@@ -197,19 +214,19 @@ def _disagreement(data_name: str, split: str, found: Sequence[tuple[RunRecord, d
             at = row - 0.4 + height * (place + 0.5)
             for axes, share in zip(panels, (samples.missed_share, samples.false_share)):
                 if share is None:
-                    axes.plot(0.0, at, marker="|", color=_style(place)["color"], markersize=5)
+                    axes.plot(0.0, at, marker="|", color=theme.planner(place), markersize=5)
                 else:
-                    axes.barh(at, 100 * share, height * 0.9, color=_style(place)["color"])
+                    axes.barh(at, 100 * share, height * 0.9, color=theme.planner(place))
     for axes, title in zip(panels, ("missed, % of what exact sees", "false, % of what is reported")):
         axes.set_xlim(0, 100)
         axes.set_title(title, fontsize="medium")
-        axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+        axes.grid(axis="x", color=theme.rule, linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_yticks(range(len(protocols)), [drawable(name) for name in protocols], parse_math=False)
     panels[0].set_ylim(len(protocols) - 0.5, -0.5)
     figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
-    patches = [Patch(color=_style(place)["color"]) for place in range(len(found))]
+    patches = [Patch(color=theme.planner(place)) for place in range(len(found))]
     names = [_name(run) for run, _ in found]
     legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
     _plain_text(legend.get_texts())
@@ -217,7 +234,7 @@ def _disagreement(data_name: str, split: str, found: Sequence[tuple[RunRecord, d
     return figure
 
 
-def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord]) -> Figure:
+def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], theme: Theme) -> Figure:
     total = Counter(name for run in runs for name in _manoeuvres(run).values())
     order = sorted(total, key=lambda name: (-total[name], name))
     lines = -(-len(runs) // PANELS)
@@ -231,8 +248,8 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord]) 
         scenes = Counter(manoeuvres.values())
         failed = Counter(manoeuvres[scene] for scene, fails in failures.items() if fails and scene in manoeuvres)
         rows = range(len(order))
-        axes.barh(rows, [scenes[name] for name in order], 0.72, color=_OK)
-        axes.barh(rows, [failed[name] for name in order], 0.72, color=_FAIL)
+        axes.barh(rows, [scenes[name] for name in order], 0.72, color=theme.good)
+        axes.barh(rows, [failed[name] for name in order], 0.72, color=theme.contact)
         for row, name in enumerate(order):
             axes.text(scenes[name], row, f" {failed[name]}/{scenes[name]}", va="center", fontsize="small")
         name = _name(run)
@@ -257,13 +274,13 @@ def _manoeuvres(run: RunRecord) -> dict[str, str]:
     return {scene: name or UNLABELLED for scene, name in found.items()}
 
 
-def _style(place: int) -> dict[str, Any]:
-    marker = MARKERS[(place + place // len(COLOURS)) % len(MARKERS)]
-    return {"color": COLOURS[place % len(COLOURS)], "marker": marker, "markersize": 4.5, "linewidth": 1.4}
+def _style(place: int, theme: Theme) -> dict[str, Any]:
+    marker = MARKERS[(place + place // len(theme.planners)) % len(MARKERS)]
+    return {"color": theme.planner(place), "marker": marker, "markersize": 4.5, "linewidth": 1.4}
 
 
 def _heading(figure: Figure, text: str) -> None:
-    figure.text(0.5, 0.98, text, ha="center", va="top", fontsize="large", parse_math=False)
+    figure.text(0.5, 0.98, text, ha="center", va="top", fontsize=10.5, parse_math=False)
 
 
 def _plain_text(texts: Sequence[Any]) -> None:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import FORMATS, new_figure, picture
+from benchmark.drawing.plots import FORMATS, LIGHT, Theme, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_bytes
 from benchmark.metrics.rates import Rate
@@ -22,7 +22,7 @@ from leaderboard.tables.transfer import planner_names
 COLOURS: Final = "cividis"
 """Looks the same with and without colour-blindness, and its lightness alone tells the order."""
 _CELL_INCHES, _CHARACTER_INCHES, _CAPTION_INCHES = 0.85, 0.09, 1.1
-_EMPTY, _HATCH = "#f2f2f2", "#9a9a9a"
+_HATCH = "#9a9a9a"
 
 
 def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
@@ -40,18 +40,19 @@ def write_heat_map(matrix: TransferMatrix, path: Path) -> None:
     write_bytes(path, heat_map(matrix, path.suffix))
 
 
-def heat_map(matrix: TransferMatrix, suffix: str) -> bytes:
+def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes:
     """The picture's bytes: the same matrix, the same bytes.
 
     Args:
         matrix: From `benchmark.metrics.transfer.transfer`.
         suffix: ``.png`` or ``.svg``.
+        theme: Colours around the cells.
 
     Returns:
         Share and counts in every cell, and the victims' failure rates over all scenes below; cells without a number,
         and the diagonal, are hatched.
     """
-    return picture(lambda: _figure(matrix), suffix)
+    return picture(lambda: _figure(matrix, theme), suffix, theme)
 
 
 def text_colour(background: Sequence[float]) -> str:
@@ -73,7 +74,7 @@ def relative_luminance(colour: Sequence[float]) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def _figure(matrix: TransferMatrix) -> Figure:
+def _figure(matrix: TransferMatrix, theme: Theme) -> Figure:
     count = len(matrix.planners)
     # The last row stands apart: it is no surrogate.
     base_row = count + 0.4
@@ -81,9 +82,9 @@ def _figure(matrix: TransferMatrix) -> Figure:
     figure, axes = _canvas(count, base_row + 1.0, longest_name=max(len(name) for name in names))
     for row, cells in enumerate(matrix.cells):
         for column, rate in enumerate(cells):
-            _draw_cell(axes, column, row, None if row == column else rate)
+            _draw_cell(axes, column, row, None if row == column else rate, theme)
     for column, rate in enumerate(matrix.base_rates):
-        _draw_cell(axes, column, base_row, rate)
+        _draw_cell(axes, column, base_row, rate, theme)
     failed = [round(cells[own].numerator) for own, cells in enumerate(matrix.cells)]
     surrogates = [f"{name}\nfails {number}" for name, number in zip(names, failed)]
     axes.set_xlim(-0.5, count - 0.5)
@@ -112,17 +113,17 @@ def _canvas(columns: float, rows: float, *, longest_name: int) -> tuple[Figure, 
     return figure, figure.add_axes((left / size[0], 0.1 / size[1], width / size[0], height / size[1]))
 
 
-def _draw_cell(axes: Axes, column: float, row: float, rate: Rate | None) -> None:
+def _draw_cell(axes: Axes, column: float, row: float, rate: Rate | None, theme: Theme) -> None:
     """One square: a share with its counts, or hatched."""
     corner = (column - 0.5, row - 0.5)
     if rate is None or rate.value is None:
-        axes.add_patch(Rectangle(corner, 1, 1, facecolor=_EMPTY, edgecolor=_HATCH, hatch="///", linewidth=0))
-        axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor="white", linewidth=1.5))
-        box = {"facecolor": _EMPTY, "edgecolor": "none", "pad": 2.0}
-        axes.text(column, row, UNDEFINED, ha="center", va="center", color="black", bbox=box)
+        axes.add_patch(Rectangle(corner, 1, 1, facecolor=theme.empty, edgecolor=_HATCH, hatch="///", linewidth=0))
+        axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=theme.paper, linewidth=1.5))
+        box = {"facecolor": theme.empty, "edgecolor": "none", "pad": 2.0}
+        axes.text(column, row, UNDEFINED, ha="center", va="center", bbox=box)
         return
     colour = mpl.colormaps[COLOURS](rate.value)
-    axes.add_patch(Rectangle(corner, 1, 1, facecolor=colour, edgecolor="white", linewidth=1.5))
+    axes.add_patch(Rectangle(corner, 1, 1, facecolor=colour, edgecolor=theme.paper, linewidth=1.5))
     style: dict[str, Any] = {"ha": "center", "color": text_colour(colour[:3])}
     axes.text(column, row + 0.02, f"{100 * rate.value:.0f} %", va="bottom", **style)
     axes.text(column, row + 0.06, f"{round(rate.numerator)}/{rate.denominator}", va="top", fontsize="small", **style)

@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.palette import INK
-from benchmark.drawing.plots import new_figure, picture
+from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.records.scenes import (
     ROUNDS_FILE,
@@ -29,7 +28,7 @@ from benchmark.records.scenes import (
     TraceRound,
 )
 from leaderboard.figures.charts import NamedFigure
-from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, rgb, view_of
+from leaderboard.figures.refinement_map import MapView, draw_candidates, draw_road, draw_traffic, view_of
 
 SCENES_OF_A_SPLIT: Final = 3
 """Figures of one split: the first traced scenes by name."""
@@ -39,8 +38,8 @@ LEAST_SCORE, MOST_SCORE = 0.01, 1e4
 """Ends of the scale at most. Scores below hardly differ by more than the random start, none is above; they are drawn
 as the ends."""
 _COLUMNS: Final = 3
-_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _TITLE = 3.6, 2.3, 0.12, 0.3
-_ABOVE, _LEFT, _BESIDE, _LINE = 0.42, 0.12, 4.0, 0.17
+_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _TITLE = 2.95, 2.1, 0.12, 0.3
+_ABOVE, _LEFT, _BESIDE, _LINE = 0.42, 0.12, 3.1, 0.18
 """Inches."""
 _LETTERS_PER_INCH: Final = 12.5
 _HALF_STRIP: Final = 0.31
@@ -65,21 +64,24 @@ def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...
         if data != data_name or drawn[split] == SCENES_OF_A_SPLIT:
             continue
         draw = partial(refinement_figure, stored)
-        png, svg = draw(".png"), draw(".svg")
-        if png is not None and svg is not None:
+        png, svg, dark = draw(".png"), draw(".svg"), draw(".svg", theme=DARK)
+        if png is not None and svg is not None and dark is not None:
             drawn[split] += 1
             title = f"Rounds of refinement, split {split}, {scene}"
-            found.append(NamedFigure(f"refinement-{split}-{scene}", title, png, svg))
+            found.append(NamedFigure(f"refinement-{split}-{scene}", title, png, svg, dark))
     return tuple(found)
 
 
-def refinement_figure(stored: StoredSheet, suffix: str, *, frame: int | None = None) -> bytes | None:
+def refinement_figure(
+    stored: StoredSheet, suffix: str, *, frame: int | None = None, theme: Theme = LIGHT
+) -> bytes | None:
     """One planning frame of a scene: a panel a round on the map, and the scores of all rounds beside them.
 
     Args:
         stored: A scene with its trace.
         suffix: ``.png`` or ``.svg``.
         frame: Planning frame; `most_improved` by default.
+        theme: Its colours.
 
     Returns:
         The picture, or ``None`` where the scene is not traced, or nothing was searched at that frame.
@@ -95,7 +97,7 @@ def refinement_figure(stored: StoredSheet, suffix: str, *, frame: int | None = N
     _require_whole(stored, at)
     sheet, rounds, found = stored.sheet, stored.rounds, at
     view = view_of(sheet, rounds.agent, found, _PANEL_WIDTH / _PANEL_HEIGHT)
-    return picture(lambda: _figure(sheet, rounds, found, view), suffix)
+    return picture(lambda: _figure(sheet, rounds, found, view, theme), suffix, theme)
 
 
 def most_improved(rounds: RefinementTrace) -> TraceFrame | None:
@@ -160,12 +162,12 @@ def _best_score(entry: TraceRound) -> float | None:
     return min((score for score in entry.scores if score is not None), default=None)
 
 
-def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView) -> Figure:
+def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView, theme: Theme) -> Figure:
     shown = _shown_rounds(len(at.rounds))
     columns, lines = min(len(shown), _COLUMNS), -(-len(shown) // _COLUMNS)
     width = _LEFT + columns * (_PANEL_WIDTH + _GAP) + _BESIDE
     tall = lines * (_PANEL_HEIGHT + _TITLE)
-    words = textwrap.wrap(_words(rounds, at), int(_LETTERS_PER_INCH * (width - 2 * _LEFT)))
+    words = textwrap.wrap(_words(rounds, at, theme), int(_LETTERS_PER_INCH * (width - 2 * _LEFT)))
     below = max(_LINE * len(words) + 0.2, 0.5)
     height = _ABOVE + tall + below
     figure = new_figure(width, height)
@@ -173,23 +175,25 @@ def _figure(sheet: Sheet, rounds: RefinementTrace, at: TraceFrame, view: MapView
     def placed(left: float, bottom: float, wide: float, high: float) -> Axes:
         return figure.add_axes((left / width, bottom / height, wide / width, high / height))
 
-    scale, colours = _scale(at), _colours()
+    scale, colours = _scale(at), _colours(theme)
     for place, number in enumerate(shown):
         row, column = divmod(place, columns)
         bottom = below + tall - (row + 1) * (_PANEL_HEIGHT + _TITLE)
         axes = placed(_LEFT + column * (_PANEL_WIDTH + _GAP), bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
-        draw_road(axes, sheet, view)
-        draw_candidates(axes, at, number, view, scale, colours)
-        draw_traffic(axes, sheet, rounds.agent, at.frame, view)
-        _frame_panel(axes, at, number, view, _searched(rounds))
+        draw_road(axes, sheet, view, theme.ground)
+        draw_candidates(axes, at, number, view, scale, colours, theme)
+        draw_traffic(axes, sheet, rounds.agent, at.frame, view, theme)
+        _frame_panel(axes, at, number, view, _searched(rounds), theme)
     beside = width - _BESIDE
     # The bar stands at the strips and shares their axis.
     _draw_bar(placed(width - 0.35, below, 0.15, tall - _TITLE), scale, colours)
-    _draw_scores(placed(beside + 0.75, below, _BESIDE - 1.15, tall - _TITLE), at, scale, colours, _searched(rounds))
+    _draw_scores(
+        placed(beside + 0.75, below, _BESIDE - 1.15, tall - _TITLE), at, scale, colours, _searched(rounds), theme
+    )
     style: dict[str, Any] = {"ha": "left", "parse_math": False}
     heading = f"{drawable(sheet.scene)} at {_seconds(sheet, at.frame):.1f} s: rounds of refinement"
     figure.text(_LEFT / width, 1 - 0.08 / height, heading, va="top", fontsize=12, **style)
-    figure.text(_LEFT / width, 0.07 / height, "\n".join(words), va="bottom", fontsize=8.5, color="#444444", **style)
+    figure.text(_LEFT / width, 0.07 / height, "\n".join(words), va="bottom", fontsize=9, color=theme.faint, **style)
     return figure
 
 
@@ -216,12 +220,13 @@ def _ticks(scale: LogNorm) -> list[float]:
     return [tick for power in powers for step in steps if least <= (tick := step * 10.0**power) <= most]
 
 
-def _colours() -> Colormap:
-    # The palest end would be lost on a pale road.
-    return ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.93, 256)))
+def _colours(theme: Theme) -> Colormap:
+    # The end nearest to the road's own lightness would be lost on it.
+    ends = (1.0, 0.2) if theme.dark else (0.0, 0.93)
+    return ListedColormap(colormaps["viridis"](np.linspace(*ends, 256)))
 
 
-def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searched: int) -> None:
+def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searched: int, theme: Theme) -> None:
     entry, best = at.rounds[number], _best_score(at.rounds[number])
     name = "first batch" if number == 0 else f"round {number}"
     score = "no finite score" if best is None else f"best {best:.2f}"
@@ -234,16 +239,16 @@ def _frame_panel(axes: Axes, at: TraceFrame, number: int, view: MapView, searche
     axes.set_xticks([])
     axes.set_yticks([])
     for side in axes.spines.values():
-        side.set_color(rgb(INK) if number == at.chosen_round else "#bbbbbb")
+        side.set_color(theme.ink if number == at.chosen_round else theme.rule)
         side.set_linewidth(1.6 if number == at.chosen_round else 0.8)
     if number == 0:
         length = 10.0 if view.right - view.left < 70 else 20.0
         left, bottom = view.left + 0.03 * (view.right - view.left), view.bottom + 0.05 * (view.top - view.bottom)
-        axes.plot([left, left + length], [bottom, bottom], color=rgb(INK), linewidth=2.0, zorder=8)
-        axes.text(left + length / 2, bottom, f"{length:g} m", ha="center", va="bottom", fontsize=8, zorder=8)
+        axes.plot([left, left + length], [bottom, bottom], color=theme.ink, linewidth=2.0, zorder=8)
+        axes.text(left + length / 2, bottom, f"{length:g} m", ha="center", va="bottom", fontsize=9, zorder=8)
 
 
-def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, searched: int) -> None:
+def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, searched: int, theme: Theme) -> None:
     """A strip a round; the places side by side follow from the order of the scores, not from chance."""
     for number, entry in enumerate(at.rounds):
         known = sorted(_within(score) for score in entry.scores if score is not None)
@@ -253,15 +258,24 @@ def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, 
         )
         found = quartiles(known, searched)
         if found is not None:
-            axes.plot([number, number], [found[0], found[2]], color=rgb(INK), linewidth=3.0, zorder=3)
+            axes.plot([number, number], [found[0], found[2]], color=theme.ink, linewidth=3.0, zorder=3)
             axes.plot(
-                number, found[1], "o", color="white", markeredgecolor=rgb(INK), markersize=6, zorder=4, clip_on=False
+                number,
+                found[1],
+                "o",
+                color=theme.paper,
+                markeredgecolor=theme.ink,
+                markersize=6,
+                zorder=4,
+                clip_on=False,
             )
     chosen = at.rounds[at.chosen_round].scores
     score = chosen[at.chosen] if at.chosen < len(chosen) else None
     if score is not None:
         place = (at.chosen_round, _within(score))
-        axes.plot(*place, marker="*", markersize=14, color="white", markeredgecolor=rgb(INK), zorder=5, clip_on=False)
+        axes.plot(
+            *place, marker="*", markersize=14, color=theme.paper, markeredgecolor=theme.ink, zorder=5, clip_on=False
+        )
     axes.set_yscale("log")
     axes.set_ylim(scale.vmin, scale.vmax)
     axes.set_xlim(-0.6, len(at.rounds) - 0.4)
@@ -269,7 +283,7 @@ def _draw_scores(axes: Axes, at: TraceFrame, scale: LogNorm, colours: Colormap, 
     axes.yaxis.set_major_locator(FixedLocator(_ticks(scale)))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(_score_text))
-    axes.grid(axis="y", color="#dddddd", linewidth=0.6)
+    axes.grid(axis="y", color=theme.rule, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_xlabel("round", fontsize=9)
@@ -281,13 +295,14 @@ def _draw_bar(axes: Axes, scale: LogNorm, colours: Colormap) -> None:
     bar.ax.yaxis.set_minor_locator(NullLocator())
 
 
-def _words(rounds: RefinementTrace, at: TraceFrame) -> str:
+def _words(rounds: RefinementTrace, at: TraceFrame, theme: Theme) -> str:
     kept, searched = max(len(entry.candidates) for entry in at.rounds), _searched(rounds)
     shown = "" if kept >= searched else f" ({kept} of {searched} are drawn, half of them the best)"
     seconds = (max(len(line) for entry in at.rounds for line in entry.candidates) - 1) / 2
+    better = "brighter" if theme.dark else "darker"
     return (
         "A: adversary, E: ego, dashed: where the ego goes, star: executed. "
-        f"Lines: the adversary's centre over {seconds:g} s{shown}; the darker, the better. Scores are compared over "
+        f"Lines: the adversary's centre over {seconds:g} s{shown}; the {better}, the better. Scores are compared over "
         "all rounds together; beside: each candidate, median and quartiles. Free: candidates that touch nothing in the "
         "part that would be executed."
     )

@@ -13,8 +13,9 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
 from benchmark.drawing.ground import ground_of
-from benchmark.drawing.palette import ADVERSARY, EGO, INK, LAND, PAINT, VEHICLE, Rgb
+from benchmark.drawing.palette import ADVERSARY, EGO, GroundColours, Rgb
 from benchmark.drawing.placing import agent_box, ego_box
+from benchmark.drawing.plots import Theme
 from benchmark.geometry import Floats, box_corners, to_local
 from benchmark.records.scenes import Sheet, TraceFrame
 
@@ -74,17 +75,18 @@ def view_of(sheet: Sheet, agent_id: str, at: TraceFrame, shape: float) -> MapVie
     return MapView(pose, x - half, x + half, y - half / shape, y + half / shape)
 
 
-def draw_road(axes: Axes, sheet: Sheet, view: MapView) -> None:
+def draw_road(axes: Axes, sheet: Sheet, view: MapView, colours: GroundColours) -> None:
     """Draw the map of a sheet.
 
     Args:
         axes: Where to.
         sheet: The scene.
         view: What is seen of it.
+        colours: Of the map.
     """
-    axes.set_facecolor(rgb(LAND))
+    axes.set_facecolor(rgb(colours.land))
     window = shapely.box(view.left - 1, view.bottom - 1, view.right + 1, view.top + 1)
-    ground = ground_of(sheet)
+    ground = ground_of(sheet, colours)
     for layer in (ground.below, ground.drivable, *ground.above):
         for area in layer.areas:
             rings = [view.here(ring) for ring in area if len(ring) > 3]
@@ -92,18 +94,18 @@ def draw_road(axes: Axes, sheet: Sheet, view: MapView) -> None:
                 seen = shapely.make_valid(shapely.Polygon(rings[0], rings[1:])).intersection(window)
                 _fill(axes, seen, rgb(layer.colour))
     for line in sheet.road.dividers:
-        name = next((each for each in PAINT if line.paint.endswith(f"-{each}")), None)
+        name = next((each for each in colours.paint if line.paint.endswith(f"-{each}")), None)
         if name is None or len(line.points) < 2:
             continue
         seen = shapely.LineString(view.here(np.array(line.points))).intersection(window)
         pattern = (0, (5, 4)) if line.paint.startswith("dashed") else "solid"
         paths = [shapely.get_coordinates(part) for part in shapely.get_parts(seen)]
         axes.add_collection(
-            LineCollection(paths, colors=[rgb(PAINT[name])], linewidths=1.0, linestyles=[pattern], zorder=1)
+            LineCollection(paths, colors=[rgb(colours.paint[name])], linewidths=1.0, linestyles=[pattern], zorder=1)
         )
 
 
-def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapView) -> None:
+def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapView, theme: Theme) -> None:
     """Draw who is where at a planning frame, and the ego's recorded way from there.
 
     Args:
@@ -112,21 +114,24 @@ def draw_traffic(axes: Axes, sheet: Sheet, agent_id: str, frame: int, view: MapV
         agent_id: Instance identifier of the adversary.
         frame: The planning frame.
         view: What is seen.
+        theme: Colours of the others and of edges.
     """
     for agent in sheet.agents:
         box = agent_box(agent, frame)
         if box is not None:
             own = agent.id == agent_id
-            _draw_box(axes, box, view, ADVERSARY if own else VEHICLE, "A" if own else "")
+            _draw_box(axes, box, view, ADVERSARY if own else theme.ground.vehicle, "A" if own else "", theme.paper)
     way = view.here(_ego_way(sheet, frame))
     if len(way):
-        axes.plot(*way.T, color="white", linewidth=3.2, zorder=4)
+        axes.plot(*way.T, color=theme.paper, linewidth=3.2, zorder=4)
         axes.plot(*way.T, color=rgb(EGO), linewidth=1.8, linestyle=(0, (3, 1.5)), zorder=4)
-        axes.plot(*way[-1], marker="o", markersize=4, color=rgb(EGO), markeredgecolor="white", zorder=4)
-        _draw_box(axes, ego_box(sheet, frame), view, EGO, "E")
+        axes.plot(*way[-1], marker="o", markersize=4, color=rgb(EGO), markeredgecolor=theme.paper, zorder=4)
+        _draw_box(axes, ego_box(sheet, frame), view, EGO, "E", theme.paper)
 
 
-def draw_candidates(axes: Axes, at: TraceFrame, number: int, view: MapView, scale: LogNorm, colours: Colormap) -> None:
+def draw_candidates(
+    axes: Axes, at: TraceFrame, number: int, view: MapView, scale: LogNorm, colours: Colormap, theme: Theme
+) -> None:
     """Draw the candidates of one round, the better over the worse, and the executed one if it is of this round.
 
     Args:
@@ -136,6 +141,7 @@ def draw_candidates(axes: Axes, at: TraceFrame, number: int, view: MapView, scal
         view: What is seen.
         scale: From scores to shares of the colours.
         colours: The colours.
+        theme: Of the executed one.
     """
     entry = at.rounds[number]
     scores = np.array([np.inf if score is None else score for score in entry.scores])
@@ -148,9 +154,9 @@ def draw_candidates(axes: Axes, at: TraceFrame, number: int, view: MapView, scal
         axes.scatter(ends[:, 0], ends[:, 1], s=5, c=tints, linewidths=0, zorder=3)
     if number == at.chosen_round and at.chosen < len(entry.candidates):
         path = view.here(np.array(entry.candidates[at.chosen]))
-        for colour, width in (("white", 5.0), (rgb(INK), 3.2)):
+        for colour, width in ((theme.paper, 5.0), (theme.ink, 3.2)):
             axes.plot(*path.T, color=colour, linewidth=width, zorder=5, solid_capstyle="round")
-        axes.plot(*path[-1], marker="*", markersize=13, color="white", markeredgecolor=rgb(INK), zorder=8)
+        axes.plot(*path[-1], marker="*", markersize=13, color=theme.paper, markeredgecolor=theme.ink, zorder=8)
 
 
 def rgb(colour: Rgb) -> tuple[float, float, float]:
@@ -176,14 +182,20 @@ def _fill(axes: Axes, area: shapely.Geometry, colour: tuple[float, ...]) -> None
             axes.add_patch(PathPatch(outline, facecolor=colour, edgecolor=colour, linewidth=0.4, zorder=0.5))
 
 
-def _draw_box(axes: Axes, box: Floats, view: MapView, colour: Rgb, letter: str) -> None:
+def _draw_box(axes: Axes, box: Floats, view: MapView, colour: Rgb, letter: str, edge: str) -> None:
     corners = view.here(box_corners(box))
     low, high = corners.min(axis=0), corners.max(axis=0)
     if high[0] < view.left or low[0] > view.right or high[1] < view.bottom or low[1] > view.top:
         return
-    axes.add_patch(Polygon(corners, facecolor=rgb(colour), edgecolor="white", linewidth=0.8, zorder=2))
+    axes.add_patch(Polygon(corners, facecolor=rgb(colour), edgecolor=edge, linewidth=0.8, zorder=2))
     if letter:
         x, y = view.here(box[:2])
         outline = withStroke(linewidth=2.0, foreground=rgb(colour))
-        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7, "fontweight": "bold", "color": "white"}
+        style: dict[str, Any] = {
+            "ha": "center",
+            "va": "center",
+            "fontsize": 8.5,
+            "fontweight": "bold",
+            "color": "white",
+        }
         axes.text(x, y, letter, zorder=7, clip_on=True, path_effects=[outline], **style)

@@ -23,6 +23,9 @@ MOST_PLANNERS: Final = 8
 """More cannot be told apart."""
 _EDGE_PX: Final = 14
 _FOOT_PX: Final = 24
+_LINE_PX: Final = 16
+MINIATURE_MARK: Final = "§"
+MINIATURE_WORDS: Final = f"{MINIATURE_MARK} miniature: shows the pipeline, ranks nothing"
 _GAP_CHART_PX: Final = (84, 190)
 """Least and greatest height of the chart of the gap."""
 _WIDEST_GAP_M: Final = 10.0
@@ -51,6 +54,7 @@ class Panel:
             from_above: Whether the frame shows the scene from above, which has more to explain.
         """
         self._sheet, self._tracks, self._from_above = sheet, tracks, from_above
+        self._miniatures = any(track.miniature for track in tracks)
         self._gap_m: Floats = adversary_gap(sheet)
 
     def draw(self, width_px: int, height_px: int, overlays: Sequence[Overlay], frame: int) -> Picture:
@@ -68,7 +72,7 @@ class Panel:
         image: Picture = np.empty((height_px, width_px, 3), np.uint8)
         cv2.rectangle(image, (0, 0), (width_px, height_px), PANEL, -1)
         top = self._draw_legend(image, overlays)
-        foot = height_px - _FOOT_PX
+        foot = height_px - _FOOT_PX - (_LINE_PX if self._miniatures else 0)
         top = self._draw_tracks(image, frame, top, foot) if self._tracks else self._draw_description(image, top)
         room = min(foot - top - 8, _GAP_CHART_PX[1])
         if room >= _GAP_CHART_PX[0] and np.isfinite(self._gap_m).any():
@@ -98,8 +102,10 @@ class Panel:
             _draw_track(image, self._sheet, track, frame, corner, (each_px, row_px))
         judges = ", ".join(dict.fromkeys(track.protocol for track in self._tracks))
         words = f"one cell a sample; × is a plan that collides within 3 s (protocol {_one_line(judges)})"
-        words = fitted(words, image.shape[1] - 2 * _EDGE_PX, size_px=11)
-        write_text(image, words, (_EDGE_PX, foot + 12.0), size_px=11, colour=FAINT_INK)
+        words = fitted(words, image.shape[1] - 2 * _EDGE_PX, size_px=12)
+        write_text(image, words, (_EDGE_PX, foot + 12.0), size_px=12, colour=FAINT_INK)
+        if self._miniatures:
+            write_text(image, MINIATURE_WORDS, (_EDGE_PX, foot + 12.0 + _LINE_PX), size_px=12, colour=FAINT_INK)
         return top + rows * row_px
 
     def _draw_description(self, image: Picture, top: int) -> int:
@@ -188,7 +194,8 @@ def _draw_track(
     plan = track.at(frame)
     verdict = Verdict(None, "no plan yet", "no plan", counted=False) if plan is None else plan.verdict
     alarm, brief_px = verdict.collides is True, text_width(verdict.brief, size_px=13, bold=True)
-    name = fitted(drawable(track.name), width_px - 52 - brief_px, size_px=14, bold=True)
+    name = f"{drawable(track.name)} {MINIATURE_MARK}" if track.miniature else drawable(track.name)
+    name = fitted(name, width_px - 52 - brief_px, size_px=14, bold=True)
     write_text(image, name, (left + 40.0, top + 12.0), size_px=14, bold=True)
     room = width_px - 52 - text_width(name, size_px=14, bold=True)
     words = verdict.words if text_width(verdict.words, size_px=13, bold=alarm) <= room else verdict.brief

@@ -25,6 +25,7 @@ class PlannerTrack:
         name: Of the planner.
         style: How it is drawn.
         protocol: Who judges it.
+        miniature: Whether it is a small network that ranks nothing.
         plans: Its plan at each sample that it was asked at, by frame.
         seconds: (T,) time of each frame.
     """
@@ -32,6 +33,7 @@ class PlannerTrack:
     name: str
     style: PlannerStyle
     protocol: str
+    miniature: bool
     plans: Mapping[int, PlanOverlay]
     seconds: Floats
 
@@ -79,7 +81,9 @@ def planner_tracks(
             if token in rows
         }
         _require_same_samples(sheet, record, rows)
-        tracks.append(PlannerTrack(name, style, judge, plans, np.asarray(frame_seconds(sheet))))
+        tracks.append(
+            PlannerTrack(name, style, judge, record.run.planner.miniature, plans, np.asarray(frame_seconds(sheet)))
+        )
     return tuple(tracks)
 
 

@@ -13,6 +13,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
 from benchmark.report.cells import Cell, number
 from benchmark.report.table import Table
+from leaderboard.site.key_table import key_table
 from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import scene_index, scene_key
 
@@ -45,12 +46,15 @@ class PlacedFigure:
         data_name: Name of its data set.
         title: What it shows.
         path: Its file below the site's folder.
-        size_px: (width, height) of it as PNG, so that a page leaves room before it is loaded.
+        dark_path: The same for a dark page.
+        size_px: (width, height) at which its letters are as large as the page's, so that a page leaves room before it
+            is loaded.
     """
 
     data_name: str
     title: str
     path: str
+    dark_path: str
     size_px: tuple[int, int]
 
 
@@ -80,11 +84,8 @@ def index_data(
     return {
         "title": TITLE,
         "tables": [_table(placed, ids[index], origins, written) for index, placed in enumerate(tables)],
-        "figures": [
-            {"data": figure.data_name, "title": figure.title, "path": quote(figure.path), "size": figure.size_px}
-            for figure in figures
-            if figure.path in written
-        ],
+        "keyTables": _key_tables(records, origins, written),
+        "figures": [_figure(figure, written) for figure in figures if figure.path in written],
         "models": model_index(records),
         "scenes": scene_index(records, sheets, quality, written),
         "attempts": _attempts(sheets),
@@ -92,6 +93,25 @@ def index_data(
         "words": origins.words,
         "protocols": sorted(protocols, key=lambda name: (name != EXACT, name)),
     }
+
+
+def _figure(figure: PlacedFigure, written: frozenset[str]) -> dict[str, Any]:
+    dark = figure.dark_path if figure.dark_path in written else figure.path
+    return {
+        "data": figure.data_name,
+        "title": figure.title,
+        "path": quote(figure.path),
+        "dark": quote(dark),
+        "size": figure.size_px,
+    }
+
+
+def _key_tables(records: Sequence[RunRecord], origins: "_Origins", written: frozenset[str]) -> list[dict[str, Any]]:
+    """Of each data set the table of the first page."""
+    names = sorted({record.run.data.name for record in records})
+    found = [(name, key_table(name, records)) for name in names]
+    placed = [PlacedTable(table, name, "", "") for name, table in found if table is not None]
+    return [_table(each, f"key-{number}", origins, written) for number, each in enumerate(placed)]
 
 
 def _table_ids(tables: Iterable[PlacedTable]) -> list[str]:

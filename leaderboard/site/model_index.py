@@ -29,6 +29,7 @@ def model_index(records: Sequence[RunRecord]) -> list[dict[str, Any]]:
         {
             "name": name,
             "privileged": runs[0].run.planner.privileged,
+            "miniature": runs[0].run.planner.miniature,
             "nativeProtocol": runs[0].run.planner.native_protocol,
             "facts": {
                 "seed": runs[0].run.planner.seed,

@@ -26,6 +26,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
+from benchmark.drawing.palette import ON_DARK
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.disagreement import EXACT
@@ -59,8 +60,8 @@ def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes
         records: At most one for each data set, split and planner (`leaderboard.selection.one_run_each`).
 
     Returns:
-        ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp`` and ``media/<key>/thumb.webp`` below the site's
-        folder; a path as value means a copy of that file.
+        ``data/scenes/<key>.js``, ``media/<key>/cameras/<frame>.webp``, ``media/<key>/thumb.webp`` and
+        ``media/<key>/thumb-dark.webp`` below the site's folder; a path as value means a copy of that file.
 
     Raises:
         InputError: If a record has samples that the scene's sheet lacks, or lists of a sheet or a plan are of the wrong
@@ -80,6 +81,7 @@ def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes
             }
             if stored.sheet.timestamps_us:
                 files[f"media/{key}/thumb.webp"] = thumbnail(stored.sheet)
+                files[f"media/{key}/thumb-dark.webp"] = thumbnail(stored.sheet, ON_DARK)
     return files
 
 

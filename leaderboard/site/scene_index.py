@@ -79,7 +79,7 @@ def _entry(
     sheet = stored.sheet if stored else None
     known = seen or _Seen(scene)
     key = scene_key(name)
-    thumbnail = f"media/{key}/thumb.webp"
+    thumbnail, dark = f"media/{key}/thumb.webp", f"media/{key}/thumb-dark.webp"
     rounds = f"figures/{file_name(data_name)}/{file_name(f'refinement-{split}-{scene}')}.svg"
     return {
         "key": key,
@@ -92,6 +92,7 @@ def _entry(
         "labels": [label_words(label) for label in sheet.labels] if sheet else [],
         "hasSheet": sheet is not None,
         "thumb": thumbnail if thumbnail in written else None,
+        "thumbDark": dark if dark in written else None,
         "rounds": quote(rounds) if rounds in written else None,
         "seconds": round(_duration_s(sheet) if sheet else known.seconds, 2),
         "verdicts": known.verdicts,

@@ -44,7 +44,8 @@ def planner_samples(
         agents: Number of each agent by instance identifier.
 
     Returns:
-        ``name``, ``privileged``, ``native`` and ``samples``: null where the record has no row, else `sample_entry`.
+        ``name``, ``privileged``, ``miniature``, ``native`` and ``samples``: null where the record has no row, else
+        `sample_entry`.
 
     Raises:
         InputError: If a plan has lists of the wrong lengths.
@@ -56,6 +57,7 @@ def planner_samples(
     return {
         "name": record.planner,
         "privileged": record.run.planner.privileged,
+        "miniature": record.run.planner.miniature,
         "native": record.native_protocol,
         "samples": found,
     }

@@ -5,7 +5,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from benchmark.drawing.birdseye import draw_birdseye
+from benchmark.drawing.birdseye import SceneFromAbove
+from benchmark.drawing.palette import ON_LIGHT, GroundColours
 from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.errors import InputError
 from benchmark.geometry import box_gap
@@ -16,11 +17,12 @@ THUMBNAIL_EXTENT_M: Final = 20.0
 _QUALITY: Final = 80
 
 
-def thumbnail(sheet: Sheet) -> bytes:
+def thumbnail(sheet: Sheet, colours: GroundColours = ON_LIGHT) -> bytes:
     """The scene from above in its `closest_frame`.
 
     Args:
         sheet: The scene's sheet; it must have frames.
+        colours: For a light or a dark page.
 
     Returns:
         A WebP picture of 320 x 320 pixels.
@@ -28,7 +30,9 @@ def thumbnail(sheet: Sheet) -> bytes:
     Raises:
         InputError: If OpenCV was built without WebP.
     """
-    image = draw_birdseye(sheet, closest_frame(sheet), size_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M)
+    image, _ = SceneFromAbove(sheet, colours).draw(
+        closest_frame(sheet), width_px=THUMBNAIL_PX, height_px=THUMBNAIL_PX, extent_m=THUMBNAIL_EXTENT_M
+    )
     done, encoded = cv2.imencode(".webp", image[:, :, ::-1], [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])
     if not done:
         raise InputError(f"OpenCV cannot write the WebP picture of {sheet.scene}; install a build of it that has WebP")

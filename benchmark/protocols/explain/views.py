@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmark.drawing import palette
+from benchmark.drawing.palette import hexadecimal
 from benchmark.geometry import Bools, Floats
 from benchmark.protocols import CollisionProtocol
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, full_rasters
@@ -16,15 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-EGO, OBJECT, IGNORED, HIT, CELL, GHOST, INK = (
-    "#2a9d5c",
-    "#7a8ba6",
-    "#8a8f99",
-    "#d62828",
-    "#a9bcd8",
-    "#8e5bb5",
-    "#26282c",
-)
+EGO, HIT, INK = (hexadecimal(colour) for colour in (palette.EGO, palette.CONTACT, palette.INK))
+OBJECT, IGNORED, CELL, GHOST = "#7a8ba6", "#8a8f99", "#a9bcd8", "#8e5bb5"
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from benchmark.box_projection import at_near_plane
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.datasets.roots import DataSet
 from benchmark.drawing.canvas import png
+from benchmark.drawing.palette import ADVERSARY
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_name, write_bytes
 from benchmark.scene import Scene
@@ -39,7 +40,6 @@ _EDGES: Final = (
     *((0, 4), (1, 5), (2, 6), (3, 7)),
 )
 _FRONT: Final = ((0, 5), (1, 4))
-_ADVERSARY_RGB: Final = (255, 40, 40)
 _RAISED_RGB: Final = (235, 235, 235)
 
 
@@ -125,7 +125,7 @@ def draw_boxes(clip: Clip, place: int, images: Images | None, adversaries: Seque
         clip: The conditions.
         place: Position of the frame in the clip.
         images: What the cameras saw, or ``None``.
-        adversaries: Slots to draw red.
+        adversaries: Slots to draw in the colour of adversaries.
 
     Returns:
         (720, 1920, 3) RGB; views in the model's order, three in a row.
@@ -154,7 +154,7 @@ def _draw_view(panel: NDArray[np.uint8], clip: Clip, place: int, view: int, adve
     for index in np.argsort(-corners[..., 2].mean(axis=-1)).tolist():
         slot = int(slots[index])
         name = DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]
-        colour = _ADVERSARY_RGB if slot in adversaries else CLASS_COLOURS[name]
+        colour = ADVERSARY if slot in adversaries else CLASS_COLOURS[name]
         for start, end in ((1, 2), (2, 6), (6, 5), (5, 1)):
             _line(panel, raised[index, [start, end]], to_pixels, _RAISED_RGB, 1)
         for edge in (*_EDGES, *_FRONT):

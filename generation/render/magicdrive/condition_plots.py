@@ -14,6 +14,7 @@ from benchmark.constants import (
     EGO_LENGTH_M,
     LIDAR_FROM_REAR_AXLE_M,
 )
+from benchmark.drawing.palette import ADVERSARY, EGO, hexadecimal
 from benchmark.geometry import Floats, box_corners
 from benchmark.protocols.explain.views import png
 from generation.render.magicdrive.bev_map import MAP_CHANNELS, MAP_EXTENT_M
@@ -35,11 +36,11 @@ CLASS_COLOURS: Final[dict[str, tuple[int, int, int]]] = {
     "barrier": (190, 150, 110),
     "motorcycle": (200, 110, 220),
     "bicycle": (240, 120, 190),
-    "pedestrian": (255, 160, 40),
+    "pedestrian": (120, 235, 120),
     "traffic_cone": (255, 220, 70),
 }
 """RGB by class of object."""
-_ADVERSARY: Final = "#d62828"
+_ADVERSARY: Final = hexadecimal(ADVERSARY)
 _INK, _PALE = "#26282c", "#9aa0a8"
 _DPI: Final = 100
 _FLOOR: Final = (0, 4, 7, 3)
@@ -52,7 +53,7 @@ def draw_visibility(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes
     Args:
         clip: The conditions.
         place: Position of the frame in the clip.
-        adversaries: Slots drawn red.
+        adversaries: Slots drawn in the colour of adversaries.
 
     Returns:
         A PNG file.
@@ -79,7 +80,7 @@ def draw_map(clip: Clip, place: int, adversaries: Sequence[int]) -> bytes:
     Args:
         clip: The conditions.
         place: Position of the frame in the clip.
-        adversaries: Slots drawn red.
+        adversaries: Slots drawn in the colour of adversaries.
 
     Returns:
         A PNG file.
@@ -163,7 +164,7 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
     Args:
         clip: The conditions.
         keyframes: Keyframes of the scene.
-        adversaries: Slots with a red line.
+        adversaries: Slots with a line in the colour of adversaries.
 
     Returns:
         A PNG file.
@@ -193,7 +194,7 @@ def draw_pooling(clip: Clip, keyframes: "NDArray[np.int64]", adversaries: Sequen
         for slot in adversaries:
             axes.axhline(slot, color=_ADVERSARY, linewidth=1.5, linestyle=":")
         present = [DETECTION_CLASSES[number] for number in np.unique(classes[classes >= 0])]
-        patches = [Patch(color=_hex(CLASS_COLOURS[name]), label=name) for name in present]
+        patches = [Patch(color=hexadecimal(CLASS_COLOURS[name]), label=name) for name in present]
         axes.legend(handles=patches, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
 
     sizes = f"{len(clip.frames)} frames become {len(groups)} latent frames (the first of {len(groups[0])})"
@@ -258,7 +259,7 @@ def _plan(axes: "Axes", extent_m: float) -> None:
     axes.tick_params(labelsize=6)
     ahead = EGO_CENTER_FROM_REAR_AXLE_M - LIDAR_FROM_REAR_AXLE_M
     body = box_corners(np.array([0.0, ahead, EGO_LENGTH_M, EGO_BODY_WIDTH_M, np.pi / 2]))
-    axes.fill(*body.T, facecolor="#2a9d5c40", edgecolor="#2a9d5c", zorder=3)
+    axes.fill(*body.T, facecolor=f"{hexadecimal(EGO)}40", edgecolor=hexadecimal(EGO), zorder=3)
 
 
 def _boxes(
@@ -283,11 +284,7 @@ def _boxes(
 def _colour(clip: Clip, place: int, slot: int, adversaries: Sequence[int]) -> str:
     if slot in adversaries:
         return _ADVERSARY
-    return _hex(CLASS_COLOURS[DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]])
-
-
-def _hex(colour: tuple[int, int, int]) -> str:
-    return "#" + bytes(colour).hex()
+    return hexadecimal(CLASS_COLOURS[DETECTION_CLASSES[int(clip.boxes.classes[place, slot])]])
 
 
 def _wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> None:
@@ -296,7 +293,7 @@ def _wedge(axes: "Axes", clip: Clip, view: int, place: int, length_m: float) -> 
     edges = np.array([[-camera[0, 2], 0.0, camera[0, 0]], [CALIBRATION_SIZE[0] - camera[0, 2], 0.0, camera[0, 0]]])
     rays = (edges / np.linalg.norm(edges, axis=1, keepdims=True)) @ camera[:, 3:6].T
     corners = np.vstack([camera[:2, 6], camera[:2, 6] + length_m * rays[:, :2]])
-    axes.fill(*corners.T, facecolor="#f4a261", edgecolor="#c8742f", alpha=0.25, linewidth=0.8, zorder=2)
+    axes.fill(*corners.T, facecolor="#8fa3b8", edgecolor="#5f7388", alpha=0.25, linewidth=0.8, zorder=2)
 
 
 def _direction(camera: "NDArray[np.float32]") -> Floats:

@@ -112,11 +112,28 @@
   /** @param {Iterable<string>} values @returns {string[]} Each once, in the order of first sight. */
   const unique = (values) => [...new Set(values)];
 
+  const MINIATURE_NOTE = "§ miniature: shows the pipeline, ranks nothing.";
+
+  /** @param {*} model @returns {string} Its name with its marks: privileged, miniature. */
+  const marked = (model) => [model.name, model.privileged ? "†" : null, model.miniature ? "§" : null]
+    .filter(Boolean).join(" ");
+
+  /** A picture that there is for light pages and for dark ones.
+   * @param {{light: string, dark?: string|null, alt: string, width?: number|null, height?: number|null}} of
+   * @returns {HTMLElement} */
+  function picture({ light, dark, alt, width = null, height = null }) {
+    const night = dark ?? light;
+    return element("img", {
+      src: document.documentElement.dataset.theme === "dark" ? night : light, "data-light": light, "data-dark": night,
+      alt, loading: "lazy", decoding: "async", width, height,
+    });
+  }
+
   /** @type {Object<string, (here: Route) => Page>} */
   const pages = {};
   window.ChallengerSite = {
-    AddressError, UNDEFINED, address, choice, drawn, element, filterField, matcher, own, pages, percent, remember, show,
-    unique,
+    AddressError, MINIATURE_NOTE, UNDEFINED, address, choice, drawn, element, filterField, marked, matcher, own, pages,
+    percent, picture, remember, show, unique,
   };
 
   // --- theme -------------------------------------------------------------------------------------------------------
@@ -135,6 +152,7 @@
   /** @param {string} theme */
   function showTheme(theme) {
     document.documentElement.dataset.theme = theme;
+    for (const image of document.querySelectorAll("img[data-dark]")) image.src = image.dataset[theme];
     const button = document.querySelector("[data-testid=theme-toggle]");
     if (!button) return;
     const other = theme === "dark" ? "light" : "dark";
@@ -161,6 +179,7 @@
   /** @type {string|null} */
   let shownPath = null;
   let followed = false;
+  const OF_TABLES = ["group", "sort", "q"];
   /** @type {Map<string, number>} */
   const scrolled = new Map();
 
@@ -171,7 +190,8 @@
       nodes: [
         element("h1", {}, "There is nothing here"),
         element("p", { "data-testid": "error", role: "alert", class: "error" }, sentence),
-        element("p", {}, element("a", { href: "#/" }, "To the tables"), " · ",
+        element("p", {}, element("a", { href: "#/" }, "To the overview"), " · ",
+          element("a", { href: "#/tables" }, "to the tables"), " · ",
           element("a", { href: "#/scenes" }, "to the scenes")),
       ],
     };
@@ -184,7 +204,12 @@
     }
     try {
       const here = route(location.hash);
-      const name = here.parts[0] ?? "tables";
+      if (!here.parts.length && OF_TABLES.some((name) => here.params.has(name))) {
+        // The tables stood at this address once.
+        here.parts.push("tables");
+        history.replaceState(null, "", address(here.parts, here.params));
+      }
+      const name = here.parts[0] ?? "start";
       const page = own(pages, name);
       if (!page) throw new AddressError(`There is no page called “${name}”.`);
       return page(here);

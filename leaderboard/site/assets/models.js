@@ -2,12 +2,13 @@
 /* The pages of planners. */
 (() => {
   const site = window.ChallengerSite;
-  const { AddressError, UNDEFINED, address, choice, drawn, element, filterField, matcher, own, pages, percent } = site;
+  const { AddressError, MINIATURE_NOTE, UNDEFINED, address, choice, drawn, element, filterField, marked } = site;
+  const { matcher, own, pages, percent } = site;
   const { hideNote, remember, show, tableView, unique } = site;
 
   const HORIZONS = ["1s", "2s", "3s"];
   /** Colours that colour-blind readers tell apart (Okabe and Ito), always with a shape. */
-  const SERIES = ["var(--blue)", "var(--orange)", "var(--vermillion)", "var(--green)", "var(--purple)", "var(--sky)"];
+  const SERIES = ["var(--blue)", "var(--purple)", "var(--gold)", "var(--text)", "var(--sky)", "var(--brown)"];
 
   /** @param {*} rate @returns {string} */
   const rateText = (rate) => (rate ? percent(rate.value) : UNDEFINED);
@@ -22,9 +23,6 @@
     const shown = (value) => Number((scale * value).toPrecision(4));
     return { n: rate.n, ...(rate.low === null ? {} : { low: shown(rate.low), high: shown(rate.high) }), origin };
   }
-
-  /** @param {*} model @returns {string} Name with the mark of privileged planners. */
-  const markedName = (model) => (model.privileged ? `${model.name} †` : model.name);
 
   const recordName = (model, run) => `${run.record} ${model.name} on ${run.split}`;
 
@@ -47,11 +45,12 @@
         "Average of the collision rates at 1, 2 and 3 s, per cent.",
         ...(mine.some((model) => model.privileged)
           ? ["† sees what no car sees (boxes, map or the recorded future): a reference row."] : []),
+        ...(mine.some((model) => model.miniature) ? [MINIATURE_NOTE] : []),
       ],
       title: `${data}: collision rate (%), protocol ${protocol}`,
       columns: ["planner", "own protocol", ...splits.flatMap((split) => [split, "95 %"]), "failed samples"],
       groups: [["", 2], [`protocol ${protocol}`, 2 * splits.length], ["", 1]],
-      rows: mine.map((model, index) => [markedName(model), model.nativeProtocol ?? UNDEFINED,
+      rows: mine.map((model, index) => [marked(model), model.nativeProtocol ?? UNDEFINED,
         ...rows[index].flatMap((run) => [rateText(average(run)), intervalText(average(run))]),
         String(rows[index].reduce((sum, run) => sum + (run?.failed ?? 0), 0))]),
       cells: mine.map((model, index) => [null, null, ...rows[index].flatMap((run) => {
@@ -94,6 +93,8 @@
       title: model.name,
       nodes: [
         element("h1", {}, model.name),
+        model.miniature ? element("p", { class: "remark" }, "A miniature, trained on the embedded town: it shows the "
+          + "pipeline, ranks nothing.") : null,
         element("p", { class: "lead" }, model.privileged
           ? "A reference: it sees what no car sees (boxes, the map or the recorded future). " : null,
           model.nativeProtocol ? `Protocol of its own repository: ${model.nativeProtocol}.`
@@ -105,7 +106,7 @@
         element("h2", {}, "Why it collides"), causesView(model),
         element("h2", {}, `Its worst scenes, protocol ${protocol}`), worstScenes(model, protocol), element("p", {}, all),
         element("h2", {}, "What ran"), factsView(model),
-      ],
+      ].filter((node) => node !== null),
       destroy: () => hideNote(),
     };
   };

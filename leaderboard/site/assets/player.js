@@ -3,7 +3,6 @@
 (() => {
   const player = window.ChallengerPlayer;
   const SAY_EVERY_MS = 1200, REMEMBER_EVERY_MS = 250;
-  const FIRST_MODELS = 3;
   const { element } = player;
 
   /** A player in an element of the page. */
@@ -58,7 +57,8 @@
       this.chosen = this.firstChosen();
       this.compare = Boolean(this.options.compare) && this.chosen.length > 0;
       this.show = Object.fromEntries(player.TOGGLES.map(([name, , on]) => [name, on]));
-      this.frame = this.frameAt(this.options.t ?? 0);
+      const first = this.chosen.map((name) => this.model(name));
+      this.frame = this.frameAt(this.options.t ?? player.beginning(scene, first, this.protocol));
       this.build();
       this.listen();
       this.retheme();
@@ -73,14 +73,12 @@
       return [...known, ...ran.filter((name) => !known.includes(name))];
     }
 
-    /** @returns {string[]} Who is shown at first: who was asked for, else who collides. */
+    /** @returns {string[]} Who is shown at first: who was asked for, else those whose verdicts differ. */
     firstChosen() {
       const asked = [...new Set(this.options.models ?? [])].filter((name) => this.names.includes(name));
       if (this.options.compare) return [...new Set([...asked, ...this.names])].slice(0, 2);
       if (asked.length) return asked;
-      const plain = this.names.filter((name) => !this.model(name).privileged);
-      const failing = plain.filter((name) => this.collisions(name).length);
-      return (failing.length ? failing : plain.length ? plain : this.names).slice(0, FIRST_MODELS);
+      return player.differing(this.scene, this.names.map((name) => this.model(name)), this.protocol);
     }
 
     /** @param {string} name @returns {*} */

@@ -3,7 +3,7 @@
 (() => {
   const player = window.ChallengerPlayer;
   const AHEAD = 14, BEHIND = 4, KEPT = 40;
-  const COLOURS = { light: ["#ffffff", "#d54a00"], dark: ["#000000", "#ff6a1f"] };
+  const COLOURS = { light: ["#ffffff", player.THEMES.light.adversary], dark: ["#000000", player.THEMES.dark.adversary] };
 
   /** Shows the picture in force of all cameras or of one; loads those around it before they are needed. */
   class Cameras {
@@ -128,6 +128,8 @@
         if (!canvas.dataset.painted) this.say("");
         return undefined;
       }
+      // Enlarged, a picture has fewer pixels than the screen.
+      context.imageSmoothingQuality = "high";
       context.drawImage(image, left, top, width, height, 0, 0, wide, high);
       const scale = wide / width;
       context.setTransform(scale, 0, 0, scale, -left * scale, -top * scale);

@@ -154,7 +154,7 @@
     /** @type {Map<number, *>} */
     const made = new Map();
     return {
-      name: raw.name, privileged: raw.privileged, native: raw.native,
+      name: raw.name, privileged: raw.privileged, miniature: raw.miniature, native: raw.native,
       /** @param {number} sample @returns {*} */
       at(sample) {
         if (!made.has(sample)) made.set(sample, planOf(raw.samples[sample], body));

@@ -1,5 +1,5 @@
 "use strict";
-/* The scene player, part 7: its elements. */
+/* The scene player, part 8: its elements. */
 (() => {
   const player = window.ChallengerPlayer;
   const SPEEDS = [0.25, 0.5, 1, 2, 4];
@@ -17,6 +17,8 @@
     ["recorded", "recorded ways", true], ["bodies", "footprints", true], ["forecasts", "forecasts", false],
     ["modes", "other modes", false],
   ];
+
+  const TIMES_S = [1, 2, 5, 10, 20, 60, 300], MOST_TIMES = 12;
 
   const { element } = player;
   const option = (value, words, selected) => element("option", { value, selected }, words);
@@ -146,7 +148,7 @@
         tick.style.left = player.along(this.scene, frame);
         return tick;
       });
-      const ticks = element("div", { class: "cp-ticks", "aria-hidden": "true" }, ...marks);
+      const ticks = element("div", { class: "cp-ticks", "aria-hidden": "true" }, ...marks, ...this.buildTimes());
       this.lanes = element("div", { class: "cp-lanes" });
       /** @type {Map<string, HTMLCanvasElement>} */
       this.swatches = new Map();
@@ -159,6 +161,18 @@
           element("span", { class: "cp-name cp-quiet" }, this.compare ? "" : "planners"),
           element("div", { class: "cp-track cp-range" }, this.scrub, ticks)),
         this.lanes);
+    }
+
+    /** @returns {HTMLElement[]} Round times, as many as can be read beside each other. */
+    buildTimes() {
+      const { frames } = this.scene;
+      const length = frames.at(-1);
+      const step = TIMES_S.find((seconds) => length / seconds <= MOST_TIMES) ?? TIMES_S.at(-1);
+      return Array.from({ length: Math.floor(length / step + 1e-6) + 1 }, (_, at) => {
+        const time = element("span", { class: "cp-when" }, `${at * step}${at ? "" : " s"}`);
+        time.style.left = player.along(this.scene, this.frameAt(at * step));
+        return time;
+      });
     }
 
     fillLanes() {
@@ -186,8 +200,9 @@
       });
       fill();
       const star = model.privileged ? element("abbr", { title: "Sees boxes, map or the recorded future" }, " †") : null;
+      const small = model.miniature ? element("abbr", { title: "Miniature: shows the pipeline, ranks nothing" }, " §") : null;
       return element("div", { class: "cp-row" },
-        element("label", { class: "cp-name", title: name }, box, swatch, element("span", {}, name, star)), track);
+        element("label", { class: "cp-name", title: name }, box, swatch, element("span", {}, name, star, small)), track);
     }
 
     buildChoices() {

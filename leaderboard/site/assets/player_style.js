@@ -4,26 +4,28 @@
   const player = window.ChallengerPlayer;
   const TAU = 2 * Math.PI;
 
+  /** One colour for adversaries, in the light and in the dark: benchmark/drawing/palette.py. */
+  const ADVERSARY = "#d54a00";
   /** Colours of benchmark/drawing/palette.py on paper, and their like on black. */
   const THEMES = {
     light: {
       land: "#f3f2ed", road: "#cdcfd3", kerb: "#a4a6aa", walkways: "#e5dfd3", carparks: "#dadbe0", crossings: "#e9ebee",
-      white: "#ffffff", yellow: "#d79a14", unpainted: "#bfc1c6", ego: "#009e73", adversary: "#d54a00",
+      white: "#ffffff", yellow: "#d79a14", unpainted: "#bfc1c6", ego: "#009e73", adversary: ADVERSARY,
       vehicle: "#808ea2", cycle: "#606084", person: "#5c4a42", thing: "#aca494",
       ink: "#222428", faint: "#686c74", paper: "#ffffff", contact: "#b00020", grid: "#dddcd4",
     },
     dark: {
       land: "#191c1f", road: "#3a3e44", kerb: "#5d636b", walkways: "#2a2b2b", carparks: "#31353b", crossings: "#484d54",
-      white: "#8d939b", yellow: "#a57a1c", unpainted: "#4a4f56", ego: "#1fb88b", adversary: "#ff6a1f",
+      white: "#8d939b", yellow: "#a57a1c", unpainted: "#4a4f56", ego: "#1fb88b", adversary: ADVERSARY,
       vehicle: "#8796ad", cycle: "#9a9ac6", person: "#d0b3a4", thing: "#7d776b",
       ink: "#f1f3f5", faint: "#a3abb4", paper: "#101214", contact: "#ff5c77", grid: "#2a2e32",
     },
   };
 
-  /** Okabe and Ito's colours without those of ego and adversary; in the dark two of them are lighter. */
+  /** Okabe and Ito's colours without those of ego and adversary, as in benchmark/drawing/palette.py. */
   const COLOURS = {
-    light: ["#0072b2", "#cc5c9e", "#e69f00", "#000000", "#56b4e9", "#8c6d31"],
-    dark: ["#4aa3df", "#e58fc0", "#f0b429", "#ffffff", "#8fd3ff", "#c9a86a"],
+    light: ["#0072b2", "#cc5c9e", "#b8a000", "#000000", "#56b4e9", "#8c6d31"],
+    dark: ["#4aa3df", "#e58fc0", "#dec83c", "#ffffff", "#8fd3ff", "#c9a86a"],
   };
   const DASHES = [[], [9, 4], [3, 4], [11, 4, 3, 4]];
   const SHAPES = ["circle", "square", "triangle", "diamond", "star", "cross", "wedge", "pentagon", "hourglass", "hexagon"];

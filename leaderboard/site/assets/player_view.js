@@ -7,13 +7,14 @@
 
   /** A canvas over the ground around the ego. */
   class GroundView {
-    /** @param {HTMLCanvasElement} canvas @param {*} scene Decoded. @param {() => void} redraw Asks for a new drawing. */
-    constructor(canvas, scene, redraw) {
+    /** @param {HTMLCanvasElement} canvas @param {*} scene Decoded. @param {() => void} redraw Asks for a new drawing.
+     * @param {boolean} [steered] Whether pointer and wheel move it. */
+    constructor(canvas, scene, redraw, steered = true) {
       Object.assign(this, { canvas, scene, redraw, extent: FIRST_M, pan: [0, 0], headingUp: true, theme: "light" });
       this.context = canvas.getContext("2d", { alpha: false });
       this.pointers = new Map();
       this.stop = new AbortController();
-      this.listen();
+      if (steered) this.listen();
       this.resized = new ResizeObserver(() => redraw());
       this.resized.observe(canvas);
     }

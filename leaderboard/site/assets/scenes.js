@@ -26,6 +26,16 @@
     return scene;
   }
 
+  /** @param {*} scene @param {string} protocol @returns {string[]} Two planners to compare: one that fails and one that
+   * does not, where there are such; privileged ones only where no others are. */
+  site.pairOf = (scene, protocol) => {
+    const ran = window.CHALLENGER.models.filter((model) => own(scene.verdicts, model.name)).map((model) => model.name);
+    const a = ran.find((name) => verdict(scene, name, protocol) === true) ?? ran[0];
+    const others = ran.filter((name) => name !== a);
+    const b = others.find((name) => verdict(scene, name, protocol) === false) ?? others[0];
+    return [a, b].filter((name) => name !== undefined);
+  };
+
   /** @returns {string} The protocol that pages start with. */
   const firstProtocol = () => window.CHALLENGER.protocols[0] ?? "exact";
 
@@ -49,8 +59,8 @@
     return element("article", { class: "card", "data-testid": "scene-card", "data-key": scene.key },
       element("a", { class: "picture", href: address(["scene", scene.key], { model }), tabindex: "-1",
         "aria-hidden": "true" },
-      scene.thumb ? element("img", { src: scene.thumb, alt: "", loading: "lazy", decoding: "async", width: 320,
-        height: 320 }) : element("span", { class: "no-picture" }, "no sheet")),
+      scene.thumb ? site.picture({ light: scene.thumb, dark: scene.thumbDark, alt: "", width: 320, height: 320 })
+        : element("span", { class: "no-picture" }, "no sheet")),
       element("div", { class: "card-text" },
         element("a", { class: "name", href: address(["scene", scene.key], { model }) }, scene.scene),
         element("span", { class: "tags" }, element("span", { class: "tag" }, scene.split),
@@ -192,10 +202,11 @@
       id: "verdicts", title: "Who fails this scene", textColumns: protocols.length + 1,
       columns: ["planner", ...protocols, "colliding samples", "failed samples", "causes (exact)"],
       groups: [["", 1], ["protocol", protocols.length], ["", 3]],
-      rows: judged.map(({ name, privileged }) => [privileged ? `${name} †` : name, ...protocols.map((protocol) => words(verdict(scene, name, protocol))),
+      rows: judged.map(({ name, privileged, miniature }) => [site.marked({ name, privileged, miniature }), ...protocols.map((protocol) => words(verdict(scene, name, protocol))),
         String(own(scene.colliding, name) ?? 0), String(own(scene.failed, name) ?? 0), causes(name)]),
       notes: ["A planner fails a scene if one of its counted samples collides within 3 s under the protocol.",
-        "Colliding samples and causes are those under protocol exact."],
+        "Colliding samples and causes are those under protocol exact.",
+        ...(judged.some((model) => model.miniature) ? [site.MINIATURE_NOTE] : [])],
     });
     for (const cell of view.node.querySelectorAll("tbody td")) {
       cell.classList.toggle("bad", cell.textContent.startsWith("✕"));
@@ -228,10 +239,10 @@
   /** @param {*} scene @returns {HTMLElement|null} How the search went round by round, if it was traced. */
   function rounds(scene) {
     if (!scene.rounds) return null;
-    const words = "Rounds of refinement: candidates and scores of the adversary's search";
-    return element("section", {}, element("h2", {}, "How the adversary was found"),
-      element("figure", { class: "picture-on-white" }, element("a", { href: scene.rounds },
-        element("img", { src: scene.rounds, alt: words, loading: "lazy" })), element("figcaption", {}, words)));
+    const drawn = window.CHALLENGER.figures.find((figure) => figure.path === scene.rounds);
+    if (!drawn) return null;
+    const title = "Rounds of refinement: candidates and scores of the adversary's search";
+    return element("section", {}, element("h2", {}, "How the adversary was found"), site.figureView({ ...drawn, title }));
   }
 
   /** @param {*} value @returns {number|undefined} */
@@ -280,7 +291,7 @@
       const shown = here.params.getAll("model");
       const common = { protocol: here.params.get("protocol"), camera: here.params.get("camera") };
       links.replaceChildren(...neighbours(scene, { model: shown, ...common }));
-      const [a, b] = unique([...shown, ...failing(scene, firstProtocol()), ...available(scene)]);
+      const [a, b] = shown.length > 1 ? shown : unique([...shown, ...site.pairOf(scene, firstProtocol())]);
       if (a && b) {
         comparison.replaceChildren(element("a", { class: "button", href: address(["compare", scene.key],
           { a, b, t: here.params.get("t"), ...common }) }, `Compare ${a} and ${b} on this scene`));
@@ -307,10 +318,9 @@
     const scene = sceneOf(here.parts[1]);
     requireKnown(here, { protocol: window.CHALLENGER.protocols });
     const names = available(scene);
-    const failed = failing(scene, here.params.get("protocol") ?? firstProtocol());
-    const a = here.params.get("a") ?? failed[0] ?? names[0];
-    const b = here.params.get("b") ?? names.find((name) => name !== a && !failed.includes(name))
-      ?? names.find((name) => name !== a);
+    const pair = site.pairOf(scene, here.params.get("protocol") ?? firstProtocol());
+    const a = here.params.get("a") ?? pair[0];
+    const b = here.params.get("b") ?? pair.find((name) => name !== a) ?? names.find((name) => name !== a);
     const unknown = [a, b].find((name) => name !== undefined && !names.includes(name));
     if (unknown !== undefined) throw new AddressError(`“${unknown}” did not run on this scene.`);
     if (b === undefined) throw new AddressError(`Fewer than two planners ran on ${scene.scene}: nothing to compare.`);

@@ -2,9 +2,17 @@
 /* Tables that can be sorted and filtered, and the page of all tables. */
 (() => {
   const site = window.ChallengerSite;
-  const { AddressError, UNDEFINED, address, choice, element, filterField, matcher, pages, remember, unique } = site;
+  const { AddressError, UNDEFINED, address, choice, element, filterField, matcher, pages, picture, remember, unique } = site;
 
-  const MARKS = ["†", "‡"];
+  const MARKS = ["†", "‡", "§"];
+
+  /** Letters above which a cell, or a column's head, may be broken into lines. */
+  const LONG = 28, SHORT = 11;
+  const FIGURES = "figures";
+  /** What the first groups were called while they were one. */
+  const ONCE = "exact and own protocols";
+  /** How much smaller than drawn a figure may be. */
+  const LEAST_SIZE = 0.97;
 
   // --- cells -------------------------------------------------------------------------------------------------------
   /** @param {string} text @returns {number|null} The number that a cell shows; intervals by their lower end. */
@@ -144,9 +152,10 @@
     for (const [index, row] of table.rows.entries()) {
       body.append(element("tr", {}, row.map((text, column) => {
         const facts = table.cells?.[index]?.[column];
+        const long = text.length > LONG;
         const kind = [column < table.textColumns ? "text" : text === UNDEFINED ? "undefined" : "",
-          edges.has(column) ? "edge" : ""].join(" ").trim() || null;
-        if (column === 0) return element("th", { scope: "row" }, cellContent(table, row, column));
+          edges.has(column) ? "edge" : "", long ? "long" : ""].filter(Boolean).join(" ") || null;
+        if (column === 0) return element("th", { scope: "row", class: long ? "long" : null }, cellContent(table, row, column));
         if (!facts) return element("td", { class: kind }, cellContent(table, row, column));
         body.cellFacts.push(facts);
         const cell = element("td", { class: kind, "data-facts": body.cellFacts.length - 1, tabindex: first ? 0 : -1 },
@@ -172,7 +181,8 @@
     const edges = groupEdges(table);
     const heads = table.columns.map((name, column) => element("th", {
       scope: "col", "aria-sort": "none",
-      class: `${column < table.textColumns ? "text" : ""} ${edges.has(column) ? "edge" : ""}`.trim() || null,
+      class: [column < table.textColumns ? "text" : "", edges.has(column) ? "edge" : "", name.length > SHORT ? "long" : ""]
+        .filter(Boolean).join(" ") || null,
     }, element("button", { type: "button", onclick: () => turn(column) }, name)));
 
     /** @param {string|null} order */
@@ -232,11 +242,14 @@
     const data = here.params.get("data") ?? names[0] ?? "";
     if (names.length && !names.includes(data)) throw new AddressError(`There is no data set called “${data}”.`);
     const mine = tables.filter((table) => table.data === data || table.data === "");
-    const groups = unique(mine.map((table) => table.group));
-    const group = here.params.get("group") ?? groups[0];
+    const pictures = figures.filter((figure) => figure.data === data);
+    const groups = [...unique(mine.map((table) => table.group)), ...(pictures.length ? [FIGURES] : [])];
+    const sort = /^(\d+\.(?:asc|desc))\.(.*)$/s.exec(here.params.get("sort") ?? "");
+    const asked = here.params.get("group");
+    const sorted = mine.find((table) => table.id === sort?.[2]);
+    const group = asked && asked !== ONCE ? asked : sorted?.group ?? groups[0];
     if (!groups.includes(group)) throw new AddressError(`There are no tables called “${group}” of ${data}.`);
     const shown = mine.filter((table) => table.group === group);
-    const sort = /^(\d+\.(?:asc|desc))\.(.*)$/s.exec(here.params.get("sort") ?? "");
     const said = new Set();
     const views = shown.map((table) => {
       const notes = table.notes.filter((sentence) => !said.has(sentence));
@@ -252,37 +265,35 @@
       views.forEach((view) => view.filter(matches));
     };
     filter(here.params.get("q") ?? "");
-    const pictures = group === groups[0] ? figures.filter((figure) => figure.data === data) : [];
     return {
       title: "Tables",
       nodes: [
-        element("h1", {}, "Collision rates of driving planners"),
+        element("h1", {}, "Tables"),
         element("p", { class: "lead" }, "Every number stands under the protocol that judged it; two protocols never ",
           "share a column. Point at a number, tap it or go to it with the arrow keys: it says its sample count, 95 % ",
           "interval and record."),
         element("div", { class: "toolbar" },
           names.length > 1 ? choice({ label: "Data set", value: data, choices: names, testid: "filter-data",
-            change: (value) => { location.hash = address([], { data: value }); } }) : null,
+            change: (value) => { location.hash = address(["tables"], { data: value }); } }) : null,
           filterField({ label: "Rows with", value: here.params.get("q") ?? "", change: (text) => {
             remember(here, { q: text });
             filter(text);
           } })),
         element("div", { class: "tabs", role: "navigation", "aria-label": "Groups of tables" }, groups.map((each) =>
           element("a", {
-            href: address([], { data: names.length > 1 ? data : null, group: each, q: here.params.get("q") }),
+            href: address(["tables"], { data: names.length > 1 ? data : null, group: each, q: here.params.get("q") }),
             "aria-current": each === group ? "true" : null,
           }, each))),
-        contents(shown, pictures.length > 0),
+        contents(shown),
         views.map((view) => view.node),
-        pictures.length ? element("section", { class: "figures", id: "section-figures" }, element("h2", {}, "Figures"),
-          pictures.map(figureView)) : null,
+        group === FIGURES ? element("section", { class: "figures" }, pictures.map(figureView)) : null,
       ].flat().filter((node) => node !== null),
       destroy: () => hideNote(),
     };
   };
 
-  /** @param {TableData[]} shown @param {boolean} figures @returns {HTMLElement|null} Titles that lead to their tables. */
-  function contents(shown, figures) {
+  /** @param {TableData[]} shown @returns {HTMLElement|null} Titles that lead to their tables. */
+  function contents(shown) {
     if (shown.length < 4) return null;
     const jump = (id, text) => element("li", {}, element("button", { type: "button", class: "link", onclick: () => {
       const section = document.getElementById(`section-${id}`);
@@ -290,15 +301,19 @@
       section?.querySelector("[tabindex]")?.focus({ preventScroll: true });
     } }, text));
     return element("details", { class: "contents" }, element("summary", {}, `${shown.length} tables on this page`),
-      element("ol", {}, shown.map((table) => jump(table.id, table.title)), figures ? jump("figures", "Figures") : null));
+      element("ol", {}, shown.map((table) => jump(table.id, table.title))));
   }
 
-  /** @param {{title: string, path: string}} figure @returns {HTMLElement} */
-  const figureView = ({ title, path, size }) => element("figure", { class: "picture-on-white" },
-    element("a", { href: path }, element("img", {
-      src: path, alt: title, loading: "lazy", width: size[0] || null, height: size[1] || null,
-    })),
-    element("figcaption", {}, title));
+  /** @param {{title: string, path: string, dark: string, size: [number, number]}} figure @returns {HTMLElement} */
+  function figureView({ title, path, dark, size: [width, height] }) {
+    const shown = picture({ light: path, dark, alt: title, width: width || null, height: height || null });
+    // Letters are as large as they were meant where the figure is as wide as it was drawn; narrower pages scroll it.
+    if (width) shown.style.minWidth = `${Math.round(LEAST_SIZE * width)}px`;
+    return element("figure", { class: "figure" },
+      element("div", { class: "figure-box", tabindex: "0", role: "region", "aria-label": title },
+        element("a", { href: path }, shown)),
+      element("figcaption", {}, title));
+  }
 
-  Object.assign(site, { hideNote, tableView });
+  Object.assign(site, { figureView, hideNote, tableView });
 })();

@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmark.drawing.birdseye import draw_birdseye
+from benchmark.drawing.birdseye import SceneFromAbove, draw_birdseye
 from benchmark.drawing.overlays import candidates_overlay, plan_overlay, verdict_of
 from benchmark.drawing.palette import (
     ADVERSARY,
     BEST,
     CONTACT,
     EGO,
-    LAND,
-    PERSON,
-    ROAD,
-    STRIPE,
-    VEHICLE,
+    ON_DARK,
+    ON_LIGHT,
     Rgb,
     planner_style,
 )
@@ -24,6 +21,13 @@ from benchmark.records.scenes import RefinementTrace
 from tests.benchmark.drawing.one_scene import agent, record, sheet, with_plan
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED
 
+LAND, PERSON, ROAD, STRIPE, VEHICLE = (
+    ON_LIGHT.land,
+    ON_LIGHT.person,
+    ON_LIGHT.road,
+    ON_LIGHT.stripe,
+    ON_LIGHT.vehicle,
+)
 SIZE, EXTENT = 400, 20.0
 """Ten pixels a metre."""
 
@@ -166,3 +170,14 @@ def test_the_same_picture_twice_with_captions_and_any_name() -> None:
     first = draw_birdseye(scene, 0, [plan], size_px=SIZE, extent_m=EXTENT, captions=True)
     assert np.array_equal(first, draw_birdseye(scene, 0, [plan], size_px=SIZE, extent_m=EXTENT, captions=True))
     assert draw_birdseye(scene, 0, [plan], size_px=1, captions=True).shape == (1, 1, 3)
+
+
+def test_on_dark_everything_but_ego_and_adversary_has_other_colours() -> None:
+    scene = sheet()
+    light, dark = (
+        SceneFromAbove(scene, colours).draw(3, width_px=SIZE, height_px=SIZE, extent_m=EXTENT)[0]
+        for colours in (ON_LIGHT, ON_DARK)
+    )
+    for colour in (ADVERSARY, EGO):
+        assert share(dark, colour) == pytest.approx(share(light, colour), abs=0.002)
+    assert share(dark, ON_DARK.road) > 0.05 and share(dark, ON_LIGHT.road) < 0.001

@@ -1,12 +1,14 @@
 """Figures: the same records give the same bytes, nothing is drawn of nothing, names are only text."""
 
 import io
+import re
 import xml.etree.ElementTree as ElementTree
 
 import matplotlib as mpl
 import pytest
 from matplotlib.image import imread
 
+from benchmark.drawing.plots import DARK, LIGHT
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.figures.charts import data_set_figures, disagreement_figure, manoeuvre_figure, rates_over_horizon
@@ -68,3 +70,14 @@ def test_names_from_strangers_are_only_text() -> None:
     for figure in data_set_figures("$d_{", [run(name, 2) for name in HOSTILE]):
         assert b"<script" not in figure.svg
         ElementTree.fromstring(figure.svg)
+
+
+@pytest.mark.parametrize("count", [2, 9])
+def test_letters_are_eleven_pixels_high_on_a_page_and_dark_ones_are_light(count: int) -> None:
+    figures = data_set_figures("d", [run(f"planner-{index}", index) for index in range(count)])
+    for figure in figures:
+        sizes = [float(size) for size in re.findall(rb"scale\(([0-9.]+) -", figure.svg)]
+        # Glyphs are drawn in hundredths of a point; 96 pixels of a page are 72 points.
+        assert sizes and min(sizes) * 100 * 96 / 72 >= 11.0
+        assert figure.dark != figure.svg and DARK.paper.encode() in figure.dark
+        assert LIGHT.ink.encode() not in figure.dark

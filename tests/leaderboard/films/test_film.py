@@ -2,6 +2,7 @@
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,22 @@ def test_what_a_planner_came_to_is_shown_up_to_now_only(tmp_path: Path) -> None:
     assert last is not None and last.plan is None and last.verdict.words == "the planner failed"
     fading = [plan.opacity for frame in range(6) if (plan := track.at(frame)) is not None]
     assert fading == sorted(fading, reverse=True) and fading[0] == 1.0 and fading[-1] > 0.5
+
+
+def test_a_miniature_carries_its_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = record("p")
+    small = replace(
+        ran,
+        run=ran.run.model_copy(update={"planner": ran.run.planner.model_copy(update={"miniature": True})}),
+    )
+    said: list[str] = []
+    monkeypatch.setattr("leaderboard.films.panel.write_text", lambda image, text, *_, **__: said.append(text))
+    stored = written(tmp_path)
+    next(iter(Film(stored, [small], ["p"], FilmSettings())))
+    assert "p §" in said and "§ miniature: shows the pipeline, ranks nothing" in said
+    said.clear()
+    next(iter(Film(stored, [ran], ["p"], FilmSettings())))
+    assert "p" in said and not any("§" in text for text in said)
 
 
 @pytest.mark.parametrize("samples", [[UNCOUNTED] * 5, [FAILED] * 5, [HIT] * 5, [HIT, HIT]])

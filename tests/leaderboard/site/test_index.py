@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.drawing.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
 from benchmark.records.run import RunRecord, find_records, scene_failures
@@ -27,7 +28,7 @@ from leaderboard.site.site import INDEX_PATH, site_files
 from tests.leaderboard.site.big_workspace import DATA_NAME, IMAGE_TAG, BigWorkspace, make_workspace
 
 ASSETS = Path(__file__).resolve().parents[3] / "leaderboard" / "site" / "assets"
-FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>")
+FIGURE = NamedFigure("rates-exact", "Rates", b"png", b"<svg/>", b"<svg id='dark'/>")
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
     monkeypatch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
-    monkeypatch.setattr("leaderboard.build.heat_map", lambda matrix, suffix: b"png")
+    monkeypatch.setattr("leaderboard.build.heat_map", lambda *_: b"png")
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     """A written leaderboard."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
-        patch.setattr("leaderboard.build.heat_map", lambda matrix, suffix: b"png")
+        patch.setattr("leaderboard.build.heat_map", lambda *_: b"png")
         found = tmp_path_factory.mktemp("board")
         write_leaderboard(made.records, found, sheets=made.sheets)
         yield found
@@ -110,7 +111,8 @@ def test_every_scene_has_its_files_and_one_without_a_sheet_says_so(made: Made, f
         assert (folder / "site" / "data" / "scenes" / f"{scene['key']}.js").is_file()
         assert scene["hasSheet"] is (scene["scene"] != made.workspace.without_sheet)
         assert (scene["thumb"] is not None) is scene["hasSheet"]
-        assert scene["thumb"] is None or (folder / "site" / scene["thumb"]).is_file()
+        for theme in ("thumb", "thumbDark"):
+            assert scene[theme] is None or (folder / "site" / scene[theme]).is_file()
 
 
 def test_a_number_leads_to_its_count_interval_protocol_and_record(made: Made, folder: Path) -> None:
@@ -133,10 +135,13 @@ def test_what_pages_link_and_show_is_in_the_folder(folder: Path) -> None:
     site = folder / "site"
     index = value_of((site / INDEX_PATH).read_bytes())
     assert {"csv", "tex", "json"} == set(index["tables"][0]["files"])
+    assert len({table["group"] for table in index["tables"] if not table["group"].startswith("protocol ")}) > 3
     paths = [path for table in index["tables"] for path in table["files"].values()]
     for path in [*paths, *(figure["path"] for figure in index["figures"])]:
         assert (site / unquote(path)).read_bytes() == (folder / unquote(path)).read_bytes()
-    assert any(figure["title"] == "Rates" for figure in index["figures"])
+    (rates,) = [figure for figure in index["figures"] if figure["title"] == "Rates"]
+    assert (site / unquote(rates["dark"])).read_bytes() == FIGURE.dark
+    assert not (folder / unquote(rates["dark"])).exists()
     page = (site / "index.html").read_text()
     scripts = set(re.findall(r'(?:src|href)="([a-z_/]+\.(?:js|css))"', page))
     assert scripts == {path.name for path in ASSETS.iterdir() if path.suffix != ".html"} | {INDEX_PATH}
@@ -261,3 +266,44 @@ def test_the_index_stays_small(made: Made) -> None:
     scenes = scene_index(made.records, made.sheets, (), frozenset())
     each = len(data_script("window.X", scenes)) / (len(scenes) * len(made.workspace.planners))
     assert each < 600
+
+
+def test_the_first_page_has_each_planners_averages_and_increase(made: Made, folder: Path) -> None:
+    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+    (key,) = index["keyTables"]
+    assert key["columns"] == ["planner", "average", "95 %", "average", "95 %", "increase"]
+    assert key["groups"] == [["", 1], ["val", 2], ["adv", 2], ["", 1]]
+    by_run = {(record.planner, record.run.split): record for record in made.records}
+    assert {row[0].removesuffix(" †") for row in key["rows"]} == {planner for planner, _ in by_run}
+    for row in key["rows"]:
+        rates = [
+            by_run[row[0].removesuffix(" †"), split].summary.protocols["exact"].columns["collision"]["avg"]
+            for split in ("val", "adv")
+        ]
+        assert [row[1], row[3]] == ["–" if rate.value is None else f"{100 * rate.value:.2f}" for rate in rates]
+        before, after = (rate.value or 0.0 for rate in rates)
+        assert row[5] == (f"{(after - before) / before:.1f}×" if before else "–")
+
+
+def test_miniatures_carry_their_mark(made: Made) -> None:
+    planner = made.records[0].run.planner.model_copy(update={"miniature": True})
+    small = [
+        replace(record, run=record.run.model_copy(update={"planner": planner}))
+        for record in made.records
+        if record.planner == planner.name
+    ]
+    index = index_data(small, [], [], NO_SHEETS, [], frozenset())
+    assert index["models"][0]["miniature"] is True
+    assert index["keyTables"][0]["rows"][0][0] == f"{planner.name} §"
+    assert "§ miniature: shows the pipeline, ranks nothing." in index["keyTables"][0]["notes"]
+
+
+def test_one_colour_for_the_adversary() -> None:
+    """The page's style and the player's say it once each, and they say what Python draws with."""
+    texts = {path.name: path.read_text().lower() for path in ASSETS.iterdir()}
+    assert {name for name, text in texts.items() if hexadecimal(ADVERSARY) in text} == {"style.css", "player_style.js"}
+    assert sum(text.count(hexadecimal(ADVERSARY)) for text in texts.values()) == 2
+    planners = {hexadecimal(colour) for colour in (*PLANNERS_ON_LIGHT, *PLANNERS_ON_DARK)}
+    assert all(colour in texts["player_style.js"] for colour in planners)
+    for colour in (*PLANNERS_ON_LIGHT, *PLANNERS_ON_DARK):
+        assert sum((one - other) ** 2 for one, other in zip(colour, ADVERSARY, strict=True)) > 80**2

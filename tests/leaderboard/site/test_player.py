@@ -93,7 +93,7 @@ def test_keys_steer(browser: Browser, site: Site) -> None:
 
 def test_space_plays_and_stops(browser: Browser, site: Site) -> None:
     _, scene = most_collisions(site)
-    open_player(browser, scene_route(site, scene))
+    open_player(browser, scene_route(site, scene, "?t=0"))
     focus_on_the_page(browser)
     before = birdseye(browser)
     browser.press(" ")
@@ -197,3 +197,56 @@ def test_a_missing_script_is_said(browser: Browser, site: Site, tmp_path: Path) 
     assert browser.one("error").text.endswith(".")
     assert any("ERR_FILE_NOT_FOUND" in message for message in browser.note_logs())
     browser.forget_logs()
+
+
+def fails(site: Site, planner: str, scene: str) -> bool:
+    return bool(colliding_frames(site, planner, scene))
+
+
+def test_the_player_begins_two_seconds_before_the_first_contact_with_planners_that_differ(
+    browser: Browser, site: Site
+) -> None:
+    plain = [scene for scene in site.made.adversarial if scene.startswith("scene-")]
+    told = [scene for scene in plain if len({fails(site, planner, scene) for planner in site.made.planners}) == 2]
+    assert told
+    open_player(browser, scene_route(site, told[0]))
+    shown = chosen(browser)
+    assert {fails(site, planner, told[0]) for planner in shown} == {True, False}
+    contacts = [
+        float(str(mark.get_attribute("data-frame"))) / 12 + float(str(mark.get_attribute("data-contact")))
+        for mark in browser.all("player-collision")
+    ]
+    assert shown_seconds(browser) == pytest.approx(max(min(contacts) - 2.0, 0.0), abs=0.06)
+    assert "?" not in browser.route
+
+
+def test_the_time_axis_says_seconds(browser: Browser, site: Site) -> None:
+    _, scene = most_collisions(site)
+    open_player(browser, scene_route(site, scene))
+    texts = [each.text for each in browser.driver.find_elements(By.CSS_SELECTOR, ".cp-when")]
+    assert texts[:3] == ["0 s", "1", "2"]
+    places = browser.js("return [...document.querySelectorAll('.cp-when')].map((each) => parseFloat(each.style.left));")
+    assert places == sorted(places) and places[0] == 0
+
+
+def test_letters_on_every_page_can_be_read(browser: Browser, site: Site) -> None:
+    """Eleven pixels at least, in text of pages as in figures, whose boxes scroll before they shrink."""
+    _, scene = most_collisions(site)
+    for route in ("#/", "#/tables?group=figures", scene_route(site, scene)):
+        browser.open(route)
+        smallest = browser.js(
+            """
+            const written = (node) => [...node.childNodes].some((each) =>
+              each.nodeType === Node.TEXT_NODE && each.textContent.trim());
+            const texts = [...document.querySelectorAll("body *:not(script, noscript)")].filter(written);
+            return Math.min(...texts.map((node) => parseFloat(getComputedStyle(node).fontSize)));
+            """
+        )
+        assert smallest >= 11
+        shrunk = browser.js(
+            """
+            return [...document.querySelectorAll(".figure img")].filter((image) => image.getAttribute("width")
+              && image.getBoundingClientRect().width < 0.96 * Number(image.getAttribute("width"))).length;
+            """
+        )
+        assert shrunk == 0

@@ -1,5 +1,7 @@
 """Tables, planners and addresses of the site in a real browser."""
 
+from urllib.parse import quote
+
 import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
@@ -51,7 +53,7 @@ def head(browser: Browser, table: WebElement, column: int) -> WebElement:
 
 
 def test_a_column_sorts_by_number_up_and_down_and_back(browser: Browser) -> None:
-    browser.open("#/")
+    browser.open("#/tables")
     table, column = sortable(browser)
     as_it_came = cells(browser, table, column)
     button = head(browser, table, column).find_element(By.TAG_NAME, "button")
@@ -71,7 +73,7 @@ def test_a_column_sorts_by_number_up_and_down_and_back(browser: Browser) -> None
 
 
 def test_order_and_filter_survive_a_fresh_load(browser: Browser) -> None:
-    browser.open("#/")
+    browser.open("#/tables")
     table, column = sortable(browser)
     name = str(table.get_attribute("data-testid"))
     browser.click(head(browser, table, column).find_element(By.TAG_NAME, "button"))
@@ -85,7 +87,7 @@ def test_order_and_filter_survive_a_fresh_load(browser: Browser) -> None:
 
 
 def test_filter_hides_rows_without_its_words(browser: Browser) -> None:
-    browser.open("#/")
+    browser.open("#/tables")
     table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
     every = cells(browser, table, 0)
     browser.choose("filter-text", "PLANNER-01")
@@ -100,7 +102,7 @@ def test_filter_hides_rows_without_its_words(browser: Browser) -> None:
 
 
 def test_numbers_say_what_stands_behind_them(browser: Browser) -> None:
-    browser.open("#/")
+    browser.open("#/tables")
     cell = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"] td[data-facts]')
     browser.js("arguments[0].focus();", cell)
     note = browser.driver.find_element(By.CSS_SELECTOR, "[role=tooltip]")
@@ -149,8 +151,44 @@ def test_addresses_that_mean_nothing_say_so(browser: Browser, route: str) -> Non
 
 def test_a_planner_called_like_html_is_text(browser: Browser, site: Site) -> None:
     assert IMAGE_TAG in site.made.planners
-    for route in ("#/", "#/models", "#/scenes", "#/model/%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E"):
+    for route in ("#/", "#/tables", "#/models", "#/scenes", "#/model/%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E"):
         browser.open(route)
         assert IMAGE_TAG in browser.js("return document.body.textContent;")
         assert browser.js("return document.querySelectorAll('img[src=x]').length;") == 0
         assert browser.js("return window.noted;") == []
+
+
+def test_addresses_of_the_time_when_all_tables_stood_on_the_first_page_lead_to_them(browser: Browser) -> None:
+    browser.open("#/tables")
+    table, column = sortable(browser)
+    name = str(table.get_attribute("data-testid"))
+    sort = quote(f"{column}.asc.{name.removeprefix('table-')}", safe="")
+    browser.open(f"#/?group=exact%20and%20own%20protocols&q=planner-0&sort={sort}")
+    assert browser.route.startswith("#/tables?")
+    assert browser.value("filter-text") == "planner-0"
+    assert head(browser, browser.one(name), column).get_attribute("aria-sort") == "ascending"
+
+
+def test_every_group_of_tables_is_a_page_and_none_is_endless(browser: Browser) -> None:
+    browser.open("#/tables")
+    links = browser.driver.find_elements(By.CSS_SELECTOR, ".tabs a")
+    targets = [str(link.get_attribute("href")).partition("#")[2] for link in links]
+    assert len(targets) > 4
+    for target in targets:
+        browser.open("#" + target)
+        assert browser.all("error") == []
+        assert browser.driver.find_elements(By.CSS_SELECTOR, "main table, main figure")
+
+
+def test_columns_are_reached_by_scrolling_their_own_box(browser: Browser) -> None:
+    browser.open("#/tables")
+    lost = browser.js(
+        """
+        return [...document.querySelectorAll(".table-box")].filter((box) => {
+          const style = getComputedStyle(box);
+          return box.scrollWidth > box.clientWidth + 1 && style.overflowX !== "auto";
+        }).length + [...document.querySelectorAll("th, td")].filter((cell) => cell.scrollWidth > cell.clientWidth + 1
+          && getComputedStyle(cell).overflow === "hidden").length;
+        """
+    )
+    assert lost == 0

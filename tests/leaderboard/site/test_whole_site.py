@@ -23,6 +23,8 @@ def routes(site: Site) -> list[str]:
     hostile = key_of(HOSTILE_NAMES[0], "adv")
     return [
         "#/",
+        "#/tables",
+        "#/tables?group=figures",
         "#/models",
         f"#/model/{planner}",
         "#/scenes",
@@ -125,7 +127,7 @@ def test_light_and_dark(browser: Browser, site: Site) -> None:
 
 
 def test_the_slash_leads_to_the_filter(browser: Browser) -> None:
-    for route in ("#/", "#/scenes", "#/attempts"):
+    for route in ("#/tables", "#/scenes", "#/attempts"):
         browser.open(route)
         browser.js("document.activeElement.blur();")
         browser.press("/")
@@ -137,7 +139,8 @@ def test_the_slash_leads_to_the_filter(browser: Browser) -> None:
 @pytest.mark.parametrize(
     ("page", "wanted"),
     [
-        ("#/", {"theme-toggle", "filter-text"}),
+        ("#/", {"theme-toggle", "showing-play"}),
+        ("#/tables", {"theme-toggle", "filter-text"}),
         ("#/scenes", {"filter-text", "filter-split", "filter-manoeuvre", "filter-fails"}),
         ("scene", {"player-play", "player-scrub", "player-model", "player-birdseye"}),
     ],

@@ -1,0 +1,79 @@
+"""The table of the site's first page: each planner's average on every split, and how adversaries raise it."""
+
+from collections.abc import Collection, Sequence
+from typing import Final
+
+from benchmark.metrics.disagreement import EXACT
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.report.cells import UNDEFINED, Cell
+from benchmark.report.table import Table
+from leaderboard.tables.collision import collision_table
+from leaderboard.tables.rows import PRIVILEGED_MARK, PRIVILEGED_NOTE, in_table_order, splits_of
+
+MINIATURE_MARK: Final = "§"
+MINIATURE_NOTE: Final = f"{MINIATURE_MARK} miniature: shows the pipeline, ranks nothing."
+AVERAGE, INTERVAL, INCREASE = "col. avg", "95 % of avg", "increase"
+"""Columns of the table of collision rates that are taken over."""
+NOTES: Final = (
+    "Average of the collision rates at 1, 2 and 3 s in per cent, protocol exact; brackets: 95 % bootstrap interval "
+    "over recorded scenes.",
+    "Increase: (adv − val) / val of the averages, as the paper computes it.",
+)
+
+
+def key_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
+    """Averages with their intervals under ``exact``, a row a planner.
+
+    Args:
+        data_name: Name of a data set.
+        records: Run records of any data sets, at most one for each data set, split and planner.
+
+    Returns:
+        The table, or ``None`` where nothing of the data set was judged by ``exact``.
+    """
+    runs = [
+        record
+        for record in in_table_order(records)
+        if record.run.data.name == data_name and EXACT in record.summary.protocols
+    ]
+    if not runs:
+        return None
+    whole, splits = collision_table(data_name, EXACT, runs), splits_of(runs)
+    found = {(run.planner, run.run.split): row for row, run in enumerate(runs)}
+    planners = {run.planner: run.run.planner for run in runs}
+    rows: list[tuple[str, ...]] = []
+    cells: list[tuple[Cell | None, ...]] = []
+    for name, facts in planners.items():
+        marks = (*((PRIVILEGED_MARK,) if facts.privileged else ()), *((MINIATURE_MARK,) if facts.miniature else ()))
+        wanted = [(found.get((name, split)), column) for split in splits for column in (AVERAGE, INTERVAL)]
+        wanted += [(found.get((name, "adv")), INCREASE)] if "adv" in splits else []
+        taken = [_taken(whole, row, column) for row, column in wanted]
+        rows.append((" ".join((name, *marks)), *(text for text, _ in taken)))
+        cells.append((None, *(cell for _, cell in taken)))
+    increase = ("increase",) if "adv" in splits else ()
+    return Table(
+        "key",
+        f"{data_name}: how often plans collide (%), protocol exact",
+        ("planner", *(head for _ in splits for head in ("average", "95 %")), *increase),
+        tuple(rows),
+        _notes(planners.values(), bool(increase)),
+        1,
+        (("", 1), *((split, 2) for split in splits), *((("", 1),) if increase else ())),
+        tuple(cells),
+    )
+
+
+def _taken(table: Table, row: int | None, column: str) -> tuple[str, Cell | None]:
+    if row is None:
+        return UNDEFINED, None
+    place = table.columns.index(column)
+    return table.rows[row][place], None if table.cells is None else table.cells[row][place]
+
+
+def _notes(planners: Collection[PlannerFacts], increase: bool) -> tuple[str, ...]:
+    return (
+        *(NOTES if increase else NOTES[:1]),
+        *((PRIVILEGED_NOTE,) if any(planner.privileged for planner in planners) else ()),
+        *((MINIATURE_NOTE,) if any(planner.miniature for planner in planners) else ()),
+    )
