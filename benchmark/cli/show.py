@@ -27,6 +27,7 @@ from benchmark.cli.options import (
     say_plan,
 )
 from benchmark.cli.what_next import same_place, say_next
+from benchmark.errors import InputError
 
 leaderboard_app = typer.Typer(help="Write the tables (Markdown, LaTeX, CSV, JSON) from run records; check submissions.")
 
@@ -55,6 +56,8 @@ def sheets_command(
     from benchmark.sheets.writing import SheetSettings, plan_of
 
     settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
+    if rounds and split in ("val", "val-r"):
+        raise InputError(f"--rounds shows what generate --split adv --keep-rounds kept; split {split} has none")
     ahead = require_data(data, tables, split, out, scenes=settings.scenes, limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:
