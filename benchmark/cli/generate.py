@@ -54,6 +54,8 @@ from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
+    from benchmark.cli.beforehand.data_sets import Ahead
+    from benchmark.machine.workers import Executor
     from generation.build.report import BuildReport
     from generation.render.contract import Renderer
     from generation.splits.packaged import NamedSplit
@@ -123,7 +125,7 @@ def generate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from benchmark.cli.beforehand.data_sets import require_source
+    from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_source
     from benchmark.cli.beforehand.places import require_place
     from generation.search.presets import hyper_parameters, trajectory_model
     from generation.splits.freezing import require_freezable
@@ -143,10 +145,14 @@ def generate_command(
     place = executor_of(executor, address, workers)
     ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
+    if renderer is RendererName.SCHEMATIC and not dry_run:
+        least = len(ahead.scenes or ()) if split == "val-r" else 1
+        require_room_to_draw(api.workspace(out), data, split, scenes=least, size=image_size(size), frames=frames.value)
     if dry_run and ahead.builds:
         then = f"build split {split} from {ahead.counted()}; --dry-run says how much work that is once they are there"
         say_plan(ahead.plan(then), json_output=json_output)
         return
+    _require_cluster(place, ahead)
     from generation.build.settings import BuildSettings
     from generation.build.split import build_split, source_scenes
 
@@ -255,7 +261,7 @@ def _require_tools(planner: str | None, checkpoint: Path | None, data: str, devi
 
 def _require_magicdrive(device: str, weights_folder: Path | None, *, dry_run: bool) -> None:
     """Refuse the photorealistic renderer where its weights are absent; estimates need none."""
-    from benchmark.cli.beforehand.names import require_device
+    from benchmark.cli.beforehand.names import require_device, require_package
     from benchmark.cli.beforehand.places import require_folder
 
     require_device(device)
@@ -264,6 +270,17 @@ def _require_magicdrive(device: str, weights_folder: Path | None, *, dry_run: bo
         from generation.render.magicdrive.weights import NetworkFiles
 
         NetworkFiles.find(weights_folder)
+        for package in ("diffusers", "transformers"):
+            extra = "install it with: pip install 'challenger-bench[render]'"
+            require_package(package, f"the renderer magicdrive needs the package {package}; {extra}")
+
+
+def _require_cluster(place: "Executor", ahead: "Ahead") -> None:
+    """Refuse a cluster that does not answer before minutes go into what is built for it here."""
+    from benchmark.machine.ray_cluster import RayCluster, require_answer
+
+    if ahead.builds and isinstance(place, RayCluster) and place.address is not None:
+        require_answer(place.address)
 
 
 def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:
@@ -317,6 +334,7 @@ def ablate_command(
         then = f"search {ahead.counted()} four times, with {model} driving; --dry-run says how long once they are there"
         say_plan(ahead.plan(then), json_output=json_output)
         return
+    _require_cluster(place, ahead)
     from generation.build.ablation import ablate, ablation_estimate
     from generation.build.settings import BuildSettings
 

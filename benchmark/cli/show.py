@@ -29,6 +29,7 @@ from benchmark.cli.options import (
 )
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.cli.whole_help import WholeSummaries
+from benchmark.errors import InputError
 from benchmark.report.words import counted
 
 leaderboard_app = typer.Typer(
@@ -61,6 +62,8 @@ def sheets_command(
     from benchmark.sheets.writing import SheetSettings, plan_of
 
     settings = SheetSettings(pictures.value, cell_width, name_list(scenes), limit, api.worker_count(workers), rounds)
+    if rounds and split in ("val", "val-r"):
+        raise InputError(f"--rounds shows what generate --split adv --keep-rounds kept; split {split} has none")
     ahead = require_data(data, tables, split, out, scenes=settings.scenes, limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:

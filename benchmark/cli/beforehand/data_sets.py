@@ -3,17 +3,20 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from benchmark import api
 from benchmark.cli.beforehand.places import gigabytes, require_place, require_room
 from benchmark.errors import InputError, did_you_mean
 from benchmark.report.words import counted
 
-_BYTES_OF_AN_IMAGE: Final = 25_000
-"""Of the embedded town at 448 x 256, with its rows in the tables: 0.36 GB for 10 scenes, 241 frames, six cameras."""
-_IMAGES_OF_A_SCENE: Final = 241 * 6
-_KEY_FRAMES_OF_A_SCENE: Final = 41
+if TYPE_CHECKING:
+    from benchmark.machine.workspace import Workspace
+
+_BYTES_OF_A_PIXEL: Final = 0.22
+"""Of the embedded town's images, with their rows in the tables: 0.36 GB for 10 scenes at 448 x 256."""
+_IMAGES_OF_A_SCENE: Final = {"all": 241 * 6, "keyframes": 41 * 6}
+"""Of 20 s, six cameras."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +40,30 @@ class Ahead:
         return counted(len(self.scenes), "scene")
 
 
-def town_bytes(scenes: int) -> int:
-    """How much of a disk scenes of the embedded town take with all images, about."""
-    return scenes * _IMAGES_OF_A_SCENE * _BYTES_OF_AN_IMAGE
+def town_bytes(scenes: int, size: tuple[int, int] = api.DEFAULT_IMAGE_SIZE, frames: str = "all") -> int:
+    """How much of a disk scenes take with schematic images of a size (width, height), about."""
+    return round(scenes * _IMAGES_OF_A_SCENE[frames] * size[0] * size[1] * _BYTES_OF_A_PIXEL)
+
+
+def require_room_to_draw(
+    space: "Workspace", data: str, split: str, *, scenes: int, size: tuple[int, int], frames: str
+) -> None:
+    """Refuse a split that the disk has no room for, where none of it has been made yet.
+
+    Args:
+        space: Where it would lie.
+        data: What ``--data`` names.
+        split: The split.
+        scenes: How many there will be, at least.
+        size: Width and height of their images, pixels.
+        frames: ``all`` or ``keyframes``.
+
+    Raises:
+        InputError: If less is free.
+    """
+    folder = space.split_root(Path(data).resolve().name, split)
+    if not folder.exists():
+        require_room(folder, town_bytes(scenes, size, frames), f"split {split}", "--out")
 
 
 def require_data(
@@ -74,14 +98,12 @@ def require_data(
     made = space.split_root(name, split)
     if data == EMBEDDED:
         return _embedded(split, out, scenes, limit)
-    if data == DEMONSTRATED:
-        there = space.demonstrated(split if split in GENERATED_SPLITS and is_finished(made) else "val")
-        return Ahead(_chosen(listed_scenes(there, split), split, scenes, limit))
+    root = space.demonstrated("val") if data == DEMONSTRATED else Path(data)
     if split in GENERATED_SPLITS and is_finished(made):
         return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit))
-    every = listed_scenes(Path(data), version=tables)
+    every = listed_scenes(root, version=tables)
     try:
-        of_split = listed_scenes(Path(data), split, version=tables)
+        of_split = listed_scenes(root, split, version=tables)
     except InputError as error:
         if split not in GENERATED_SPLITS or not every:
             raise
@@ -165,7 +187,7 @@ def _frozen_ahead() -> list[str]:
     # What else its folder's name is made of is known once the recordings are there.
     if any(is_finished(root) for root in cache_root().glob(f"{newest.name}-*")):
         return []
-    needed = len(newest.frozen.scenes) * _KEY_FRAMES_OF_A_SCENE * 6 * _BYTES_OF_AN_IMAGE
+    needed = town_bytes(len(newest.frozen.scenes), frames="keyframes")
     require_place(cache_root(), "CHALLENGER_BENCH_CACHE")
     require_room(cache_root(), needed, f"the frozen split {newest.name}", "CHALLENGER_BENCH_CACHE")
     return [f"the frozen split {newest.name} in {cache_root()} (once, about two minutes, {gigabytes(needed)})"]
