@@ -48,5 +48,4 @@ def demo_command(
         tell(table.plain(wide=wide))
     for name, matrix in transfer_matrices(records, "adv").items():
         tell(transfer_table(name, matrix).plain(wide=wide))
-    tell(f"site:   {out / 'leaderboard' / 'site' / 'index.html'}")
-    tell(f"tables: {out / 'leaderboard' / 'README.md'}")
+    tell(f"site: {out / 'leaderboard' / 'site' / 'index.html'}   tables: {out / 'leaderboard' / 'README.md'}")
