@@ -1,8 +1,8 @@
 """How far lasting work is, told on stderr: a redrawn line on a terminal, a line a minute where there is none.
 
 What is counted is what the user counts (scenes, vehicles, samples), and the time left follows from what was made since
-the work began: what an earlier command had finished counts as done and makes nothing look quicker than it is. Work that
-is done by other work is not told apart: the outermost has the line.
+the work began: what an earlier command had finished counts as done and makes nothing look quicker than it is. The
+outermost work has the line; how far the work is that its present unit consists of stands in brackets.
 """
 
 import contextlib
@@ -77,20 +77,33 @@ class Work:
             self._done += each
             self._made += 0 if kept else each
 
-    def sentence(self, now_s: float) -> str:
-        """How far it is: for example ``rendering: 3 of 10 scenes, 0:30, about 1:10 left``.
+    def sentence(self, now_s: float, unit: "Work | None" = None) -> str:
+        """How far it is: for example ``rendering: 3 of 10 scenes (9 of 40 frames), 0:30, about 1:04 left``.
 
         Args:
             now_s: The time, on the clock of its watch.
+            unit: The work that one of its units consists of, if that is under way.
 
         Returns:
             The sentence; without the time left before anything was made.
         """
         with self._lock:
-            done, made = self._done, self._made
-        gone_s, left = now_s - self.begun_s, self.total - done
-        said = f"{self.label}: {done:,} of {counted(self.total, self.noun)}, {clock_time(gone_s)}"
+            done, made = self._done, float(self._made)
+        gone_s, left, within = now_s - self.begun_s, float(self.total - done), ""
+        if unit is not None and left > 0:
+            share = unit.share()
+            made, left = made + share, left - share
+            within = f" ({unit.counts()})"
+        said = f"{self.label}: {self.counts()}{within}, {clock_time(gone_s)}"
         return f"{said}, about {clock_time(gone_s * left / made)} left" if made and left > 0 else said
+
+    def counts(self) -> str:
+        """How many there are of how many."""
+        return f"{self._done:,} of {counted(self.total, self.noun)}"
+
+    def share(self) -> float:
+        """Which part of it is done, 0..1."""
+        return self._done / self.total if self.total else 1.0
 
 
 @dataclass(slots=True)
@@ -149,16 +162,17 @@ class Watch:
             if self._silent or not self._works:
                 return
             stream, now_s, work = self.stream or sys.stderr, self.clock(), self._works[0]
+            unit = self._works[-1] if self._works[-1].noun != work.noun else None
             if now_s - work.begun_s < QUIET_S:
                 return
             if stream.isatty():
-                line = work.sentence(now_s)[: terminal_width() - 1]
+                line = work.sentence(now_s, unit)[: terminal_width() - 1]
                 stream.write(f"\r{line.ljust(self._drawn)}")
                 stream.flush()
                 self._drawn = len(line)
             elif self._line_s is not None and now_s - self._line_s >= LINE_EVERY_S:
                 self._line_s = now_s
-                stream.write(f"{work.sentence(now_s)}\n")
+                stream.write(f"{work.sentence(now_s, unit)}\n")
                 stream.flush()
 
     def _tick_until(self, over: threading.Event) -> None:

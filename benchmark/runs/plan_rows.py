@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
 from benchmark.planning import Forecasts, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.protocols import PROTOCOLS
@@ -209,7 +210,8 @@ def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -
     except _FAILURES:
         error = _traceback()
         return [_row(observation, None, error) for observation in observations]
-    return [_planned_row(planner, observation) for observation in observations]
+    planned = (_planned_row(planner, observation) for observation in observations)
+    return list(progress(planned, total=len(observations), label=scene.name, count=Count("sample")))
 
 
 def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:

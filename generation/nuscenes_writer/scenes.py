@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import LIDAR_NAME
 from benchmark.errors import InputError
+from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json, writing_to
 from benchmark.road_map import RoadMap
 from benchmark.scene import Camera, Scene
@@ -248,7 +249,9 @@ def _write_sensor_files(
     cameras = [channel for channel in channels if channel.camera is not None]
     if plan.renderer is None or not cameras:
         return
-    for frame, images in zip(frames, plan.renderer.render(scene, list(frames)), strict=True):
+    drawn = plan.renderer.render(scene, list(frames))
+    told = progress(drawn, total=len(frames), label=scene.name, count=Count("frame"))
+    for frame, images in zip(frames, told, strict=True):
         for channel in cameras:
             path, image = path_of(channel, frame), _checked(channel, images)
             if plan.lossless:

@@ -114,6 +114,22 @@ def test_work_within_work_has_no_line_of_its_own() -> None:
         assert all("outer: 0 of 2" in line for line in watched(watch, clock, 10.0, 2))
 
 
+def test_the_parts_of_a_unit_stand_in_brackets_and_count_for_the_time_left() -> None:
+    clock, stream = Clock(), Terminal()
+    watch = Watch(stream, clock, beat=False)
+    with watch.work("planning", 3, Count()) as scenes:
+        lines = [line.strip() for line in watched(watch, clock, 10.0, 4, Count("sample"))]
+        scenes.add("a scene")
+        watch.tick()
+    assert lines == [
+        "planning: 0 of 3 scenes (1 of 4 samples), 0:10, about 1:50 left",
+        "planning: 0 of 3 scenes (2 of 4 samples), 0:20, about 1:40 left",
+        "planning: 0 of 3 scenes (3 of 4 samples), 0:30, about 1:30 left",
+        "planning: 0 of 3 scenes (4 of 4 samples), 0:40, about 1:20 left",
+    ]
+    assert "planning: 1 of 3 scenes, 0:40, about 1:20 left" in stream.getvalue()
+
+
 def test_a_silent_watch_says_nothing() -> None:
     clock, stream = Clock(), Terminal()
     watch = Watch(stream, clock, beat=False)
