@@ -134,11 +134,11 @@ def submit_check_command(
 ) -> None:
     """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
     from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.cli.beforehand.places import require_folder
     from benchmark.runs.submissions import Level, check_submission
 
     api.worker_count(workers)
-    require_folder(folder, "the folder of submitted records,")
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}; name the one that holds the submitted records")
     require_root(data, tables, out)
     source, space = api.open_data(data, tables=tables, workers=workers, out=out), api.workspace(out)
     sound, findings = check_submission(folder, source.name, lambda split: space.open_split(source, split))
