@@ -141,11 +141,11 @@ def submit_check_command(
 ) -> None:
     """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
     from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.cli.beforehand.places import require_folder
     from benchmark.runs.submissions import Level, check_submission
 
     api.worker_count(workers)
-    require_folder(folder, "the folder of submitted records,")
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}; name the one that holds the submitted records")
     require_root(data, tables, out)
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)

@@ -91,7 +91,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     (f"leaderboard {_OUT}", "eval"),
     (f"leaderboard --records {{new}} {_OUT}", "--records"),
     (f"leaderboard --to {{file}} {_OUT}", "is a file"),
-    (f"leaderboard submit-check {{new}} {_OUT}", "does not exist"),
+    (f"leaderboard submit-check {{new}} {_OUT}", "there is no folder"),
     (f"leaderboard submit-check {{empty}} --data {{new}} {_OUT}", "there is no folder"),
     ("data info {new}", "there is no folder"),
     ("data stats mini --split vla", "val"),
