@@ -97,7 +97,8 @@ def eval_command(
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:
-        runs = [*model, *([] if plans is None else [str(plans)])]
+        running = [api.model_that_runs(name, checkpoint, data=data) for name in model]
+        runs = [*running, *([] if plans is None else [str(plans)])]
         say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
         return
     settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=count)
