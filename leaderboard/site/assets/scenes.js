@@ -2,7 +2,8 @@
 /* The scene browser, the frames around the player, and what the search tried. */
 (() => {
   const site = window.ChallengerSite;
-  const { AddressError, UNDEFINED, address, choice, element, filterField, matcher, own, pages, remember, unique } = site;
+  const { AddressError, UNDEFINED, address, choice, counted, element, filterField, matcher, own, pages } = site;
+  const { remember, unique } = site;
 
   /** Cards that are made at once; the others follow while the page is already there. */
   const SLICE = 48;
@@ -66,7 +67,8 @@
         element("span", { class: "tags" }, element("span", { class: "tag" }, scene.split),
           scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
         element("span", { class: "verdict" }, of
-          ? `${bad} of ${of} planners fail${colliding ? `; ${colliding} colliding samples` : ""}` : "not judged"),
+          ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "fails" : "fail"}${
+            colliding ? `; ${counted(colliding, "colliding sample")}` : ""}` : "not judged"),
         marks(scene, protocol)));
   };
 
@@ -130,8 +132,8 @@
       remember(here, changes);
       const found = chosenScenes(here.params);
       const protocol = here.params.get("protocol") ?? firstProtocol();
-      count.textContent = found.length === scenes.length ? `${scenes.length} scenes`
-        : `${found.length} of ${scenes.length} scenes`;
+      count.textContent = found.length === scenes.length ? counted(scenes.length, "scene")
+        : `${found.length} of ${counted(scenes.length, "scene")}`;
       stop();
       stop = putInSlices(cards, found.map((scene) => () => site.sceneCard(scene, protocol, here.params.get("fails"))));
     };
@@ -360,8 +362,8 @@
       const found = attempts.filter((attempt) => (!wanted("reason") || reasonOf(attempt) === wanted("reason"))
         && (!wanted("data") || attempt.data === wanted("data")) && (!wanted("split") || attempt.split === wanted("split"))
         && matches(Object.values(attempt).join(" ").toLowerCase()));
-      count.textContent = found.length === attempts.length ? `${attempts.length} attempts`
-        : `${found.length} of ${attempts.length} attempts`;
+      count.textContent = found.length === attempts.length ? counted(attempts.length, "attempt")
+        : `${found.length} of ${counted(attempts.length, "attempt")}`;
       list.replaceChildren(attemptTable(found, reasonOf));
     };
     const filter = (label, name, values) => choice({ label, value: here.params.get(name) ?? "", testid: `filter-${name}`,
