@@ -35,6 +35,9 @@
   /** @param {string} tag @param {Object<string, *>} [attributes] @param {...*} children @returns {SVGElement} */
   const drawn = (tag, attributes = {}, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
+  /** @param {number} number @param {string} noun @returns {string} */
+  const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
+
   /** A member that is the object's own: names come from strangers, and one may be called "constructor".
    * @param {Object<string, *>} object @param {string} name @returns {*} */
   const own = (object, name) => (Object.hasOwn(object, name) ? object[name] : undefined);
@@ -132,7 +135,7 @@
   /** @type {Object<string, (here: Route) => Page>} */
   const pages = {};
   window.ChallengerSite = {
-    AddressError, MINIATURE_NOTE, UNDEFINED, address, choice, drawn, element, filterField, marked, matcher, own, pages,
+    AddressError, MINIATURE_NOTE, UNDEFINED, address, choice, counted, drawn, element, filterField, marked, matcher, own, pages,
     percent, picture, remember, show, unique,
   };
 
@@ -281,7 +284,7 @@
     if (window.CHALLENGER) {
       const { models, scenes } = window.CHALLENGER;
       document.getElementById("made").textContent =
-        `${models.length} planners, ${scenes.length} scenes. Made from run records by challenger-bench leaderboard.`;
+        `${counted(models.length, "planner")}, ${counted(scenes.length, "scene")}. Made from run records by challenger-bench leaderboard.`;
     }
     history.scrollRestoration = "manual";
     addEventListener("hashchange", show);

@@ -3,7 +3,7 @@
 (() => {
   const site = window.ChallengerSite;
   const { AddressError, MINIATURE_NOTE, UNDEFINED, address, choice, drawn, element, filterField, marked } = site;
-  const { matcher, own, pages, percent } = site;
+  const { counted, matcher, own, pages, percent } = site;
   const { hideNote, remember, show, tableView, unique } = site;
 
   const HORIZONS = ["1s", "2s", "3s"];
@@ -199,7 +199,7 @@
     if (!lines.length) return element("p", { class: "quiet" }, "No diagnosed collision under protocol exact.");
     const causes = ["misforecasting", "misplanning", "not attributable"];
     return element("dl", { class: "bars" }, lines.map(({ run, counts, sum }) => [
-      element("dt", {}, `${run.data}, ${run.split}: of ${sum} colliding samples under exact, `,
+      element("dt", {}, `${run.data}, ${run.split}: of ${counted(sum, "colliding sample")} under exact, `,
         causes.filter((cause) => counts.get(cause)).map((cause) => `${counts.get(cause)} ${cause}`).join(", ")),
       element("dd", { "aria-hidden": "true" }, causes.filter((cause) => counts.get(cause)).map((cause) => {
         const part = element("span", { class: `cause ${cause.replace(" ", "-")}` }, cause);
@@ -228,7 +228,7 @@
       element("dl", { class: "facts" }, term("weights, SHA-256", hash(model.facts.weights) ?? "none"),
         term("seed", String(model.facts.seed)), term("settings", settings)),
       model.runs.map((run) => element("details", { class: "run" },
-        element("summary", {}, `${run.data}, ${run.split}: ${run.samples} samples of ${run.scenes} scenes`),
+        element("summary", {}, `${run.data}, ${run.split}: ${counted(run.samples, "sample")} of ${counted(run.scenes, "scene")}`),
         element("dl", { class: "facts" },
           term("record", hash(run.record)), term("data, fingerprint", hash(run.fingerprint)),
           term("code, SHA-256", hash(run.code)), term("commit", run.commit ? hash(`${run.commit}${

@@ -1,8 +1,9 @@
 "use strict";
-/* The scene browser, the frames around the player, and what the search tried. */
+/* The scene browser, and the frames around the player. */
 (() => {
   const site = window.ChallengerSite;
-  const { AddressError, UNDEFINED, address, choice, element, filterField, matcher, own, pages, remember, unique } = site;
+  const { AddressError, UNDEFINED, address, choice, counted, element, filterField, matcher, own, pages } = site;
+  const { remember, unique } = site;
 
   /** Cards that are made at once; the others follow while the page is already there. */
   const SLICE = 48;
@@ -66,7 +67,8 @@
         element("span", { class: "tags" }, element("span", { class: "tag" }, scene.split),
           scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
         element("span", { class: "verdict" }, of
-          ? `${bad} of ${of} planners fail${colliding ? `; ${colliding} colliding samples` : ""}` : "not judged"),
+          ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "fails" : "fail"}${
+            colliding ? `; ${counted(colliding, "colliding sample")}` : ""}` : "not judged"),
         marks(scene, protocol)));
   };
 
@@ -130,8 +132,8 @@
       remember(here, changes);
       const found = chosenScenes(here.params);
       const protocol = here.params.get("protocol") ?? firstProtocol();
-      count.textContent = found.length === scenes.length ? `${scenes.length} scenes`
-        : `${found.length} of ${scenes.length} scenes`;
+      count.textContent = found.length === scenes.length ? counted(scenes.length, "scene")
+        : `${found.length} of ${counted(scenes.length, "scene")}`;
       stop();
       stop = putInSlices(cards, found.map((scene) => () => site.sceneCard(scene, protocol, here.params.get("fails"))));
     };
@@ -340,76 +342,5 @@
     };
   };
 
-  // --- what the search tried ----------------------------------------------------------------------------------------------
-  const KEPT = "kept";
-
-  pages.attempts = (here) => {
-    const { attempts } = window.CHALLENGER;
-    const reasonOf = (attempt) => attempt.reason ?? (attempt.scene ? KEPT : "not said");
-    const list = element("div");
-    const count = element("p", { class: "count", "data-testid": "attempt-count", "aria-live": "polite" });
-    const of = (name) => unique(attempts.map((attempt) => attempt[name]).filter(Boolean));
-    const reasons = unique(attempts.map(reasonOf)).sort();
-    const tally = reasons.map((reason) => [reason, attempts.filter((each) => reasonOf(each) === reason).length])
-      .sort((a, b) => b[1] - a[1]);
-    const most = Math.max(1, ...tally.map(([, number]) => number));
-    const refresh = (changes) => {
-      remember(here, changes);
-      const wanted = (name) => here.params.get(name) ?? "";
-      const matches = matcher(wanted("q"));
-      const found = attempts.filter((attempt) => (!wanted("reason") || reasonOf(attempt) === wanted("reason"))
-        && (!wanted("data") || attempt.data === wanted("data")) && (!wanted("split") || attempt.split === wanted("split"))
-        && matches(Object.values(attempt).join(" ").toLowerCase()));
-      count.textContent = found.length === attempts.length ? `${attempts.length} attempts`
-        : `${found.length} of ${attempts.length} attempts`;
-      list.replaceChildren(attemptTable(found, reasonOf));
-    };
-    const filter = (label, name, values) => choice({ label, value: here.params.get(name) ?? "", testid: `filter-${name}`,
-      choices: [["", "all"], ...values], change: (value) => refresh({ [name]: value }) });
-    requireKnown(here, { data: of("data"), split: of("split"), reason: reasons });
-    if (attempts.length) refresh({});
-    const lead = "A vehicle is tried as the adversary, and kept only if the scene is physically sound, solvable and "
-      + "hard enough. This is what became of each.";
-    if (!attempts.length) {
-      return { title: "Attempts", nodes: [element("h1", {}, "What the search tried"), element("p", { class: "lead" }, lead),
-        element("p", { class: "remark" }, "Nothing is known of a search: the sheets of generated splits say it (",
-          element("code", {}, "challenger-bench sheets --split adv"), "), then write the leaderboard again.")] };
-    }
-    return {
-      title: "Attempts",
-      nodes: [
-        element("h1", {}, "What the search tried"), element("p", { class: "lead" }, lead),
-        element("dl", { class: "tally" }, tally.map(([reason, number]) => {
-          const bar = element("span", { class: reason === KEPT ? "bar kept" : "bar" });
-          bar.style.width = `${(100 * number) / most}%`;
-          return [element("dt", {}, element("a", { href: address(["attempts"], { reason }) }, reason)),
-            element("dd", {}, bar, element("span", {}, String(number)))];
-        })),
-        element("div", { class: "toolbar" },
-          filterField({ label: "Attempts with", value: here.params.get("q") ?? "", change: (q) => refresh({ q }) }),
-          of("data").length > 1 ? filter("Data set", "data", of("data")) : null,
-          of("split").length > 1 ? filter("Split", "split", of("split")) : null,
-          filter("Outcome", "reason", reasons)),
-        count, list,
-      ],
-    };
-  };
-
-  /** @param {*[]} found @param {(attempt: *) => string} reasonOf @returns {HTMLElement} */
-  function attemptTable(found, reasonOf) {
-    const most = 400;
-    const known = new Set(window.CHALLENGER.scenes.map((scene) => scene.key));
-    const view = site.tableView({
-      id: "attempts", title: "Attempts", textColumns: 6,
-      columns: ["recording", "vehicle", "split", "outcome", "manoeuvre", "scene"],
-      rows: found.slice(0, most).map((attempt) => [attempt.source, attempt.agent, attempt.split, reasonOf(attempt),
-        attempt.manoeuvre ?? UNDEFINED, attempt.scene ?? UNDEFINED]),
-      notes: found.length > most ? [`The first ${most} of ${found.length}; filter to see others.`] : [],
-    });
-    for (const [index, row] of [...view.node.querySelectorAll("tbody tr")].entries()) {
-      const { key, scene } = found[index];
-      if (scene && known.has(key)) row.lastChild.replaceChildren(element("a", { href: address(["scene", key]) }, scene));
-    }
-    return view.node;
-  }
+  Object.assign(site, { requireKnown });
 })();

@@ -3,11 +3,10 @@
 (() => {
   const site = window.ChallengerSite;
   const player = window.ChallengerPlayer;
-  const { AddressError, address, choice, element, own, pages, unique } = site;
+  const { AddressError, address, choice, counted, element, own, pages, unique } = site;
 
   const AFTER_S = 1.4, REST_S = 1.2, EXTENT_M = 22;
   const still = matchMedia("(prefers-reduced-motion: reduce)");
-  const counted = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
 
   // --- which scene -----------------------------------------------------------------------------------------------------
   /** @param {string} data @returns {*} The scene with a sheet on which plain planners differ most; adversarial ones first. */
@@ -193,7 +192,8 @@
   /** @param {string} data @param {*} scene The one that plays. @returns {HTMLElement} Where to go on. */
   function onwards(data, scene) {
     const { attempts, models, scenes, tables, protocols } = window.CHALLENGER;
-    const [a, b] = scene ? site.pairOf(scene, protocols[0] ?? "exact") : [];
+    const compared = scene ?? scenes.find((each) => each.data === data && Object.keys(each.verdicts).length > 1);
+    const [a, b] = compared ? site.pairOf(compared, protocols[0] ?? "exact") : [];
     const of = (list) => list.filter((each) => each.data === data || each.data === "").length;
     const several = unique(scenes.map((each) => each.data)).length > 1;
     const cards = [
@@ -205,8 +205,8 @@
         "By manoeuvre, by who fails and who does not; each plays, with all plans."],
       attempts.length ? [["attempts"], {}, counted(attempts.length, "attempt"),
         "Vehicles that the search tried as adversaries, and why most were discarded."] : null,
-      b ? [["compare", scene.key], { a, b }, "Two side by side",
-        `${a} and ${b} on the scene above, moment by moment.`] : null,
+      b ? [["compare", compared.key], { a, b }, "Two side by side",
+        `${a} and ${b} on ${scene ? "the scene above" : compared.scene}, moment by moment.`] : null,
     ].filter(Boolean);
     return element("nav", { class: "onwards", "aria-label": "Where to go on", "data-testid": "onwards" },
       cards.map(([parts, params, title, words]) => element("a", { href: address(parts, params) },

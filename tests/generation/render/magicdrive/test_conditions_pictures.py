@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.drawing.palette import ADVERSARY
 from benchmark.scene import Scene
 from generation.render.magicdrive.clip import clip_of
 from generation.render.magicdrive.condition_pictures import (
@@ -66,9 +67,9 @@ def test_boxes_lie_over_what_the_cameras_saw(attacked: Scene) -> None:
     plain, over = draw_boxes(clip, 0, None, []), draw_boxes(clip, 0, images, [])
     assert plain.shape == over.shape == (720, 1920, 3)
     assert np.median(plain) == 45 and np.median(over) == 200
-    # The truck in front of the ego is drawn red where it is the adversary.
-    red = (draw_boxes(clip, 0, None, [clip.boxes.ids.index(attacked.agents.ids[1])]) == [255, 40, 40]).all(axis=-1)
-    assert red.any() and not (plain == [255, 40, 40]).all(axis=-1).any()
+    # The truck in front of the ego is drawn in the colour of adversaries where it is one.
+    marked = draw_boxes(clip, 0, None, [clip.boxes.ids.index(attacked.agents.ids[1])])
+    assert (marked == ADVERSARY).all(axis=-1).any() and not (plain == ADVERSARY).all(axis=-1).any()
 
 
 def test_the_decisive_keyframe_is_shown(attacked: Scene) -> None:
