@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 from adapters.checkpoints.cache import cached_weights, weights_folder
 from adapters.models import MODELS, Model
 from adapters.registry import installed_planners
-from benchmark.report.cells import RANKS_NOTHING, Shown
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.table import Table, table_of
 from benchmark.report.terminal import wrapped
 from benchmark.weights.catalogue import PublishedWeights, checkpoint_of
@@ -95,7 +95,7 @@ def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
     """One row for each planner."""
     rows = [
         (
-            Shown(f"{each.name} §" if each.miniature else each.name, miniature=each.miniature),
+            Shown(f"{each.name} {MINIATURE_MARK}" if each.miniature else each.name, miniature=each.miniature),
             *(each.sees, each.weights, each.gpu, _extra(each)),
         )
         for each in planners
@@ -109,7 +109,7 @@ def planners_table(planners: tuple[KnownPlanner, ...]) -> Table:
         ("planner", "sees", "weights", "GPU", "extra"),
         rows,
         notes=(
-            f"§ miniature: {RANKS_NOTHING} (docs/miniatures.md). On mini, a full model without weights is replaced by "
+            f"{MINIATURE_WORDS} (docs/miniatures.md). On mini, a full model without weights is replaced by "
             "its miniature, which says so.",
             "Boxes and map, and the recorded future, are what no car sees: reference rows.",
             "Packaged weights have the licences of what they learned from: adapters/weights/*.md.",

@@ -14,6 +14,8 @@ UNDEFINED: Final = "–"
 PERCENT: Final = "%"
 RANKS_NOTHING: Final = "shows the pipeline, ranks nothing"
 """What is said of a miniature wherever it is shown (docs/miniatures.md)."""
+MINIATURE_MARK: Final = "§"
+MINIATURE_WORDS: Final = f"{MINIATURE_MARK} miniature: {RANKS_NOTHING}"
 _STORED_DIGITS: Final = 12
 """Significant digits of numbers in JSON: the last bits of a double may differ between processors."""
 

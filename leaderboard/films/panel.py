@@ -15,6 +15,7 @@ from benchmark.drawing.palette import ADVERSARY, CONTACT, FAINT_INK, INK, PANEL,
 from benchmark.drawing.placing import agent_box, ego_box
 from benchmark.geometry import Bools, Floats, box_gap
 from benchmark.records.scenes import Sheet
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS
 from leaderboard.films.tracks import PlannerTrack
 
 _ROW_PX: Final = (56, 76)
@@ -24,8 +25,6 @@ MOST_PLANNERS: Final = 8
 _EDGE_PX: Final = 14
 _FOOT_PX: Final = 24
 _LINE_PX: Final = 16
-MINIATURE_MARK: Final = "§"
-MINIATURE_WORDS: Final = f"{MINIATURE_MARK} miniature: shows the pipeline, ranks nothing"
 _GAP_CHART_PX: Final = (84, 190)
 """Least and greatest height of the chart of the gap."""
 _WIDEST_GAP_M: Final = 10.0

@@ -6,13 +6,11 @@ from typing import Final
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.report.cells import UNDEFINED, Cell
+from benchmark.report.cells import MINIATURE_WORDS, UNDEFINED, Cell
 from benchmark.report.table import Table
 from leaderboard.tables.collision import collision_table
-from leaderboard.tables.rows import PRIVILEGED_MARK, PRIVILEGED_NOTE, in_table_order, splits_of
+from leaderboard.tables.rows import PRIVILEGED_NOTE, in_table_order, marked, splits_of
 
-MINIATURE_MARK: Final = "§"
-MINIATURE_NOTE: Final = f"{MINIATURE_MARK} miniature: shows the pipeline, ranks nothing."
 AVERAGE, INTERVAL, INCREASE = "col. avg", "95 % of avg", "increase"
 """Columns of the table of collision rates that are taken over."""
 NOTES: Final = (
@@ -45,11 +43,11 @@ def key_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     rows: list[tuple[str, ...]] = []
     cells: list[tuple[Cell | None, ...]] = []
     for name, facts in planners.items():
-        marks = (*((PRIVILEGED_MARK,) if facts.privileged else ()), *((MINIATURE_MARK,) if facts.miniature else ()))
         wanted = [(found.get((name, split)), column) for split in splits for column in (AVERAGE, INTERVAL)]
         wanted += [(found.get((name, "adv")), INCREASE)] if "adv" in splits else []
         taken = [_taken(whole, row, column) for row, column in wanted]
-        rows.append((" ".join((name, *marks)), *(text for text, _ in taken)))
+        shown = marked(name, privileged=facts.privileged, miniature=facts.miniature)
+        rows.append((shown, *(text for text, _ in taken)))
         cells.append((None, *(cell for _, cell in taken)))
     increase = ("increase",) if "adv" in splits else ()
     return Table(
@@ -75,5 +73,5 @@ def _notes(planners: Collection[PlannerFacts], increase: bool) -> tuple[str, ...
     return (
         *(NOTES if increase else NOTES[:1]),
         *((PRIVILEGED_NOTE,) if any(planner.privileged for planner in planners) else ()),
-        *((MINIATURE_NOTE,) if any(planner.miniature for planner in planners) else ()),
+        *((f"{MINIATURE_WORDS}.",) if any(planner.miniature for planner in planners) else ()),
     )

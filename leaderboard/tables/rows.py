@@ -5,15 +5,14 @@ from dataclasses import replace
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.run import NATIVE, RunRecord
-from benchmark.report.cells import RANKS_NOTHING, Shown
+from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.words import counted
 
 SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
 PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
 STALE_MARK = "‡"
-MINIATURE_MARK = "§"
-MINIATURE_NOTE = f"{MINIATURE_MARK} miniature: {RANKS_NOTHING} (docs/miniatures.md)."
+MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 FEW_SCENES = 20
 """Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
 FEW_NOTE = f"Fewer than {FEW_SCENES} recorded scenes: the intervals are too narrow, take them as a hint."

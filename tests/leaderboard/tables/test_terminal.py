@@ -11,11 +11,10 @@ import pytest
 
 from benchmark.records.planner_versions import labelled
 from benchmark.records.run import RunRecord
-from benchmark.report.cells import RANKS_NOTHING
+from benchmark.report.cells import MINIATURE_MARK, RANKS_NOTHING
 from benchmark.report.table import Table
 from leaderboard.tables.collision import run_tables
 from leaderboard.tables.contents import data_set_tables
-from leaderboard.tables.rows import MINIATURE_MARK
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 from tests.leaderboard.made_up import study
 from tests.leaderboard.tables.test_table_facts import every_table, explained, records

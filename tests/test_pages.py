@@ -1,0 +1,62 @@
+"""What README and docs/ tell a reader to type, and where they send one."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+import benchmark
+from benchmark.cli.app import app
+from generation.sources.mini import TownSettings
+from tests.benchmark.cli.cli_runs import challenger_bench
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+
+
+def command_lines(text: str) -> Iterator[list[str]]:
+    """Arguments of every ``challenger-bench`` command that stands in a block of code."""
+    for block in re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.strip().startswith("challenger-bench "):
+                yield [word for word in shlex.split(line, comments=True)[1:] if word != "..."]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_on_a_page_is_one(page: Path) -> None:
+    for arguments in command_lines(page.read_text()):
+        command: Any = typer.main.get_command(app)
+        rest = list(arguments)
+        while rest and rest[0] in getattr(command, "commands", {}):
+            command = command.commands[rest.pop(0)]
+        assert command.callback is not None or not hasattr(command, "commands"), arguments
+        # Reads the words as the command would, and does nothing.
+        command.make_context("challenger-bench", rest)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_page_and_picture_that_a_page_names_is_there(page: Path) -> None:
+    text = page.read_text()
+    named = re.findall(r"\]\(([^)#:]+)\)", text)
+    assert not [name for name in named if not (page.parent / name).exists()]
+    docs = re.findall(r"`(docs/[\w./-]+\.md)`", text)
+    assert not [name for name in docs if not (ROOT / name).exists()]
+
+
+def test_the_planner_of_the_readme_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert [name for name, _ in blocks] == ["my_planner.py"]
+    (tmp_path / "my_planner.py").write_text(blocks[0][1])
+    tiny = partial(TownSettings, val_scenes=1, width=96, height=54, frames="keyframes")
+    town = benchmark.build_town(tmp_path / "town", tiny(), workers=1)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    said = challenger_bench("eval", "--data", town, "--split", "val", "--model", "my_planner:MyPlanner", "--json")
+    assert said.code == 0, said.err
+    summary = said.json[0]
+    assert summary["failed"] == 0 and summary["samples"] > 0
