@@ -215,7 +215,7 @@ def generate_command(
         print_json(built.as_json()) if json_output else typer.echo(built.summary())
     if not dry_run:
         say_next(
-            f"data set: {settings.out}",
+            f"data set: {settings.out}" + ("" if freeze is None else f"; frozen split: {freeze}"),
             (f"data show {settings.out} --to pictures", "a picture of each scene"),
             (
                 f"eval --split {split} --model idm{same_place(data, out, tables)}",
