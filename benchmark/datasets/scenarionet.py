@@ -24,10 +24,10 @@ from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks
 from benchmark.datasets.sensors import standard_lidar
 from benchmark.datasets.tables import scene_number
 from benchmark.errors import InputError
+from benchmark.foreign.pickles import read_pickle
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
 from benchmark.machine.storage import content_seed, token
 from benchmark.scene import EgoTrack, Scene
-from benchmark.weights.foreign import read_pickle
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)
