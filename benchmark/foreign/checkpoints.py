@@ -3,6 +3,7 @@
 import math
 import zlib
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,7 @@ from benchmark.foreign.files import open_file
 from benchmark.foreign.limits import CHECKPOINT, EXPANSION, MIB, Limits
 
 _MOST_AXES: Final = 32
-_CHECKED_AT_ONCE: Final = 16 * MIB
+_CHECKED_AT_ONCE: Final = MIB
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +72,11 @@ def read_stored(path: Path, limits: Limits = CHECKPOINT) -> StoredCheckpoint:
     """
     _require_bytes(path, limits)
     found = _structure(path, taken_apart(path, "checkpoint", limits))
-    whole = np.memmap(path, np.uint8, "c")
-    for first, length, checksum, name in found["records"]:
-        if _checksum(whole[first : first + length]) != checksum:
-            raise InputError(f"{path} is damaged ({name} fails its checksum); fetch it again")
+    with open_file(path, limits) as stream:
+        for first, length, checksum, name in found["records"]:
+            if _checksum(stream, first, length) != checksum:
+                raise InputError(f"{path} is damaged ({name} fails its checksum); fetch it again")
+        whole = np.memmap(stream, np.uint8, "c")
     storages = tuple(whole[first : first + length].view(np.ndarray) for first, length in found["storages"])
     tensors: dict[str, StoredTensor] = {}
     for name, number_type, storage, offset, shape, strides in found["tensors"]:
@@ -140,10 +142,15 @@ def _structure(path: Path, answer: Answer) -> dict[str, Any]:
     return found
 
 
-def _checksum(data: NDArray[np.uint8]) -> int:
-    found = 0
-    for start in range(0, len(data), _CHECKED_AT_ONCE):
-        found = zlib.crc32(data[start : start + _CHECKED_AT_ONCE].data, found)
+def _checksum(stream: BufferedReader, first: int, length: int) -> int:
+    """CRC-32 of some bytes, read and not mapped: most of a checkpoint is never touched again."""
+    stream.seek(first)
+    held, found = memoryview(bytearray(min(length, _CHECKED_AT_ONCE))), 0
+    while length:
+        count = stream.readinto(held[: min(length, len(held))])
+        if not count:
+            return -1
+        found, length = zlib.crc32(held[:count], found), length - count
     return found
 
 

@@ -2,14 +2,14 @@
 
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from benchmark.errors import InputError
 from benchmark.foreign.limits import Limits, in_words
 
 
-def open_file(path: Path, limits: Limits) -> BinaryIO:
+def open_file(path: Path, limits: Limits) -> BufferedReader:
     """Open a file that a stranger made.
 
     Args:
