@@ -43,9 +43,9 @@ CHECKPOINT: Final = Limits("checkpoint", 16 * GIB, values=1_000_000, content_byt
 SAFETENSORS: Final = Limits("weights file", 64 * GIB, values=1_000_000, content_bytes=64 * MIB)
 """Content is the header."""
 NPZ: Final = Limits("file of arrays", 4 * GIB, values=10_000, content_bytes=8 * GIB)
-JSON: Final = Limits("JSON file", 4 * GIB)
+JSON: Final = Limits("JSON file", 4 * GIB, values=150_000_000, line_bytes=64 * MIB)
 """Tables of nuScenes have up to 2 GB."""
-RECORD: Final = Limits("record", 512 * MIB)
+RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 """Run records, manifests and lists of a submission."""
 PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)
 """One row a sample: all of nuScenes has 34,149."""
