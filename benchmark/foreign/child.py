@@ -18,7 +18,8 @@ from benchmark.foreign.allowed import AllowListUnpickler, Refused
 from benchmark.foreign.answers import Unanswerable, write_answer
 from benchmark.foreign.checkpoint_structure import checkpoint_structure
 from benchmark.foreign.files import one_line
-from benchmark.foreign.limits import CHECKPOINT, GIB, PICKLE, Limits
+from benchmark.foreign.limits import CHECKPOINT, GIB, PICKLE, PLANS, Limits
+from benchmark.foreign.parquet_columns import parquet_columns
 
 _DIE_WITH_PARENT: Final = 1
 """``PR_SET_PDEATHSIG`` of Linux."""
@@ -32,6 +33,7 @@ def read_value(stream: BinaryIO, limits: Limits) -> Any:
 KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
     "pickle": (read_value, PICKLE),
     "checkpoint": (checkpoint_structure, CHECKPOINT),
+    "parquet": (parquet_columns, PLANS),
 }
 """What the child can take apart."""
 

@@ -39,7 +39,7 @@ def taken_apart(path: Path, kind: str, limits: Limits) -> Answer:
 
     Args:
         path: The file.
-        kind: What the child shall read: ``pickle`` or ``checkpoint``.
+        kind: What the child shall read: ``pickle``, ``checkpoint`` or ``parquet``.
         limits: How large the file may be, and what reading it may cost.
 
     Returns:
