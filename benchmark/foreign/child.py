@@ -109,9 +109,11 @@ def main() -> None:
     try:
         write_answer(out, found, given)
         out.flush()
-    except (Unanswerable, MemoryError) as why:
+    # What cannot be written may be anything, for example a whole number of a million digits.
+    except Exception as why:
+        del found
         out.seek(0)
         out.truncate()
-        write_answer(out, ("unanswerable", one_line(why)) if isinstance(why, Unanswerable) else ("memory",), given)
+        write_answer(out, ("memory",) if isinstance(why, MemoryError) else ("unanswerable", one_line(why)), given)
         out.flush()
     os._exit(0)
