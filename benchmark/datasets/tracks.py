@@ -89,7 +89,7 @@ def _check_arrays(path: Path, arrays: dict[str, Any]) -> None:
     """Refuse arrays whose shapes or values contradict each other."""
     kinds = {"ptr": "iu", "cls": "U", "source": "U", "licence": "U", "is_ego": "biuf"}
     for name in (*REQUIRED, "is_ego"):
-        if arrays[name].dtype.kind not in kinds.get(name, "fiu"):
+        if arrays[name].size and arrays[name].dtype.kind not in kinds.get(name, "fiu"):
             raise InputError(f"{path}: {name} holds {arrays[name].dtype}, which it cannot be; make the file again")
     if any(arrays[name].size != 1 for name in ("hz", "source", "licence")):
         raise InputError(f"{path}: hz, source and licence must be one value each; make the file again")
