@@ -19,7 +19,7 @@ from benchmark.errors import InputError
 from benchmark.foreign.arrays import read_npz
 from benchmark.foreign.checkpoints import read_stored
 from benchmark.foreign.json_text import read_json, read_json_lines
-from benchmark.foreign.limits import CHECKPOINT, MIB, PICKLE
+from benchmark.foreign.limits import CHECKPOINT, MIB, NPZ, PICKLE
 from benchmark.foreign.pickles import read_pickle
 from benchmark.verification.golden import GoldenArrays
 from benchmark.weights.foreign import read_checkpoint
@@ -121,6 +121,13 @@ def test_a_hole_of_less_is_not_read_to_its_end(tmp_path: Path) -> None:
         with pytest.raises(InputError):
             read(path)
     assert time.monotonic() - before < WITHIN_S
+
+
+def test_arrays_that_unpack_to_more_than_they_may_are_refused(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", x=np.zeros(1 << 18))
+    assert (tmp_path / "a.npz").stat().st_size < MIB and len(read_npz(tmp_path / "a.npz")["x"]) == 1 << 18
+    with pytest.raises(ValueError, match="unpacks to more than 1 MB"):
+        read_npz(tmp_path / "a.npz", replace(NPZ, content_bytes=MIB))
 
 
 def test_a_name_that_is_no_text_is_one_printable_sentence(tmp_path: Path) -> None:

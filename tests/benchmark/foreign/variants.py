@@ -58,9 +58,7 @@ PICKLES = (
     Variant("pickle", "a name of a million characters", lambda _: pickle.dumps({"x" * 1_000_000: 1})),
     Variant("pickle", "a container within itself", lambda _: _pickled(b"]q\0h\0a")),
     Variant("pickle", "a long name that is asked for", lambda _: _pickled(b"c" + b"os\n" + b"x" * 100_000 + b"\n")),
-    Variant(
-        "pickle", "a name with a line break of another kind", lambda _: b"\x80\x04\x8c\x02os\x8c\x03a\xe2\x80\x93."
-    ),
+    Variant("pickle", "a line break in a name", lambda _: b"\x80\x04\x8c\x02os\x8c\x04a\xe2\x80\xa8\x93."),
     Variant("pickle", "nothing", lambda _: b""),
     Variant("pickle", "only zeros", lambda _: bytes(1000)),
     Variant("pickle", "half", lambda valid: valid[: len(valid) // 2]),
@@ -105,7 +103,7 @@ def tensor(offset: Any, shape: Any, strides: Any, **stored: Any) -> _Named:
     """A tensor of that storage, with anything said of its place."""
     import torch
 
-    place = (_Stored(**stored), offset, shape, strides, False, OrderedDict())
+    place: tuple[Any, ...] = (_Stored(**stored), offset, shape, strides, False, OrderedDict())
     return _Named(torch._utils._rebuild_tensor_v2, *place)
 
 
@@ -124,8 +122,8 @@ def _in_data(body: bytes) -> Callable[[bytes], bytes]:
 
 
 def _twice_named(_: bytes) -> bytes:
-    whole = checkpoint({"w": tensor(0, (4, 4), (4, 1))}, other=b"x")
-    return whole.replace(b"a/other", b"a/data/0"[:7])
+    whole = checkpoint({"w": tensor(0, (4, 4), (4, 1))}, **{"data/1": bytes(64)})
+    return whole.replace(b"a/data/1", b"a/data/0")
 
 
 def _directory_says(at: int, value: int) -> Callable[[bytes], bytes]:
@@ -196,9 +194,7 @@ SAFETENSORS = (
     Variant("safetensors", "a header that is a list", lambda _: safetensors([])),
     Variant("safetensors", "a header that is no JSON", lambda _: safetensors(b"\xff\xfe{}")),
     Variant("safetensors", "a tensor of 2^60 numbers", _entry(shape=[1 << 60])),
-    Variant(
-        "safetensors", "a tensor of 2^60 numbers and as many bytes", _entry(shape=[1 << 58], data_offsets=[0, 1 << 60])
-    ),
+    Variant("safetensors", "a tensor of 2^60 bytes", _entry(shape=[1 << 58], data_offsets=[0, 1 << 60])),
     Variant("safetensors", "an empty tensor that is endless", _entry(shape=[0, 1 << 63], data_offsets=[0, 0])),
     Variant("safetensors", "ten thousand axes", _entry(shape=[1] * 10_000)),
     Variant("safetensors", "a negative axis", _entry(shape=[-4])),
@@ -254,16 +250,19 @@ PLANS = (
     Variant("plans", "half", lambda valid: valid[: len(valid) // 2 - 7]),
 )
 
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value).encode()
+
+
 JSON_PLANS = (
-    Variant(
-        "json plans", "a row with a million columns", lambda _: json.dumps([{str(n): 1 for n in range(10**6)}]).encode()
-    ),
+    Variant("json plans", "a row with a million columns", lambda _: _json([{str(n): 1 for n in range(10**6)}])),
     Variant(
         "json plans",
         "rows with columns of their own",
-        lambda _: json.dumps([{str(n): 1} for n in range(10**5)]).encode(),
+        lambda _: _json([{str(n): 1} for n in range(10**5)]),
     ),
-    Variant("json plans", "a row that is a list of a million", lambda _: json.dumps([[1] * 10**6]).encode()),
+    Variant("json plans", "a row that is a list of a million", lambda _: _json([[1] * 10**6])),
     Variant("json plans", "rows nested 10^5 deep", lambda _: b"[" * DEPTH + b"]" * DEPTH),
     Variant("json plans", "a table by column", lambda _: b'{"a": [1]}'),
     Variant("json plans", "text", lambda _: b'"plans"'),
@@ -272,10 +271,10 @@ JSON_PLANS = (
 )
 
 
-def npz(arrays: dict[str, bytes], how: int = zipfile.ZIP_STORED) -> bytes:
+def npz(arrays: dict[str, bytes]) -> bytes:
     """An archive of anything."""
     made = io.BytesIO()
-    with zipfile.ZipFile(made, "w", how) as archive:
+    with zipfile.ZipFile(made, "w") as archive:
         for name, data in arrays.items():
             archive.writestr(f"{name}.npy", data)
     return made.getvalue()
@@ -300,12 +299,11 @@ NPZS = (
     Variant("npz", "a header nested 10^4 deep", _claims("(" * 9000 + ")" * 9000, "()")),
     Variant("npz", "a header that is no header", lambda _: npz({"x": b"\x93NUMPY\1\0\xff\xff"})),
     Variant("npz", "an array that is none", lambda _: npz({"x": b"hello"})),
-    Variant("npz", "zeros that unpack to 3 GB", lambda _: npz({str(n): bytes(1 << 20) for n in range(3)}, zipfile.ZIP_DEFLATED)),
     Variant("npz", "twenty thousand arrays", lambda _: npz({str(number): b"" for number in range(20_000)})),
     Variant("npz", "an empty archive", lambda _: b"PK\5\6" + bytes(18), harmless=True),
     Variant("npz", "nothing", lambda _: b""),
     Variant("npz", "half", lambda valid: valid[: len(valid) // 2]),
-)  # fmt: skip
+)
 
 VARIANTS = (*PICKLES, *CHECKPOINTS, *SAFETENSORS, *JSONS, *PLANS, *JSON_PLANS, *NPZS)
 
