@@ -53,7 +53,16 @@ PLAN_COLUMNS: Final = 64
 PICTURE_PIXELS: Final = 64_000_000
 """Cameras have 1.4 to 12 million."""
 RECORDING_S: Final = 3600.0
-"""Seconds of one imported recording."""
+"""Seconds of one imported recording, whatever its steps."""
+RECORDED_OBJECTS: Final = 5000
+RECORDED_POSES: Final = 4_000_000
+"""Its objects times its frames; a crowded scene of nuScenes has 60,000."""
+MAP_POINTS: Final = 500_000
+"""Of its map; real ones have 20,000."""
+MAP_LANES: Final = 4000
+MAP_LINKS: Final = 200_000
+MAP_MEETINGS: Final = 2_000_000
+"""Pairs of pieces of its lines that come near each other: what it costs to join its surfaces."""
 EXPANSION: Final = 4
 """How many times its own size a checkpoint's tensors may claim, since tensors may share what is stored."""
 
