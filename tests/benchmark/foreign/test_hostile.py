@@ -14,6 +14,7 @@ import safetensors.torch
 import torch
 
 from adapters.plan_file import read_plan_file
+from benchmark.datasets.scenarionet import read_scenarionet
 from benchmark.datasets.tracks import read_recorded_tracks
 from benchmark.errors import InputError
 from benchmark.foreign.arrays import read_npz
@@ -25,6 +26,8 @@ from benchmark.verification.golden import GoldenArrays
 from benchmark.weights.foreign import read_checkpoint
 from benchmark.weights.tensors import read_header, read_tensors
 from generation.diffusion.checkpoint import load_denoiser
+from tests.benchmark.datasets.test_scenarionet import recording
+from tests.benchmark.foreign.hostile_recordings import RECORDINGS
 from tests.benchmark.foreign.variants import VARIANTS, Variant, write_sparse
 
 SMALL = replace(PICKLE, memory_bytes=256 * MIB, cpu_s=2, clock_s=12.0)
@@ -46,6 +49,7 @@ READERS: dict[str, tuple[str, tuple[Callable[[Path], Any], ...]]] = {
     "json": (".json", (read_json,)),
     "plans": (".csv", (read_plan_file,)),
     "json plans": (".json", (read_plan_file,)),
+    "scenarionet": (".pkl", (read_scenarionet,)),
     "npz": (".npz", (GoldenArrays.read, read_recorded_tracks)),
 }
 
@@ -68,6 +72,8 @@ def valid_bytes(kind: str, folder: Path) -> bytes:
         safetensors.torch.save_file({"w": torch.arange(16.0)}, path)
     elif kind == "plans":
         pd.DataFrame(plan_rows()).to_csv(path, index=False)
+    elif kind == "scenarionet":
+        path.write_bytes(pickle.dumps(recording()))
     elif kind == "npz":
         np.savez(path, x=np.arange(9.0))
     else:
@@ -75,7 +81,7 @@ def valid_bytes(kind: str, folder: Path) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=lambda each: f"{each.kind}: {each.name}")
+@pytest.mark.parametrize("variant", (*VARIANTS, *RECORDINGS), ids=lambda each: f"{each.kind}: {each.name}")
 def test_a_hostile_file_is_one_sentence_within_seconds(tmp_path: Path, variant: Variant) -> None:
     suffix, readers = READERS[variant.kind]
     path = tmp_path / f"hostile{suffix}"
