@@ -2,7 +2,9 @@
 
 import os
 import pickle
+import struct
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +24,7 @@ from benchmark.foreign.checkpoints import read_stored
 from benchmark.foreign.json_text import read_json, read_json_lines
 from benchmark.foreign.limits import CHECKPOINT, MIB, NPZ, PICKLE
 from benchmark.foreign.pickles import read_pickle
+from benchmark.foreign.pictures import read_picture
 from benchmark.verification.golden import GoldenArrays
 from benchmark.weights.foreign import read_checkpoint
 from benchmark.weights.tensors import read_header, read_tensors
@@ -134,6 +137,40 @@ def test_arrays_that_unpack_to_more_than_they_may_are_refused(tmp_path: Path) ->
     assert (tmp_path / "a.npz").stat().st_size < MIB and len(read_npz(tmp_path / "a.npz")["x"]) == 1 << 18
     with pytest.raises(ValueError, match="unpacks to more than 1 MB"):
         read_npz(tmp_path / "a.npz", replace(NPZ, content_bytes=MIB))
+
+
+def _png(width: int, height: int) -> bytes:
+    """A PNG that declares a size and holds a few bytes."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(9))) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (_png(9_000, 9_000), "9000 x 9000 pixels are more than any camera has"),
+        (_png(100_000, 100_000), "cannot be read"),
+        (_png(0x7FFFFFFF, 1), "cannot be read"),
+        (_png(0, 0), "cannot be read"),
+        (_png(8, 8)[:-20], "cannot be read"),
+        (b"\xff\xd8\xff\xe0" + bytes(50), "cannot be read"),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "cannot be read"),
+        (b"", "cannot be read"),
+    ],
+    ids=["large", "bomb", "wide", "empty", "cut", "no jpeg", "a program", "nothing"],
+)
+def test_a_picture_is_as_large_as_one_of_a_camera(tmp_path: Path, content: bytes, says: str) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says) as refusal:
+        read_picture(path)
+    assert str(path) in str(refusal.value) and len(str(refusal.value).splitlines()) == 1
+    with pytest.raises(InputError, match="is missing"):
+        read_picture(tmp_path / "none.jpg")
 
 
 def test_a_name_that_is_no_text_is_one_printable_sentence(tmp_path: Path) -> None:
