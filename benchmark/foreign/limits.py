@@ -1,6 +1,6 @@
 """How much a foreign file of each kind may be and may cost: the one table."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 MIB: Final = 1 << 20
@@ -40,6 +40,8 @@ PICKLE: Final = Limits("pickle", 256 * MIB)
 """ScenarioNet files and published anchors; real ones have some megabytes."""
 CHECKPOINT: Final = Limits("checkpoint", 16 * GIB, values=1_000_000, content_bytes=256 * MIB)
 """PyTorch files; the largest that is read here has 5 GB. Their content is what stands beside the numbers."""
+LIBRARY_CHECKPOINT: Final = replace(CHECKPOINT, file_bytes=64 * GIB)
+"""What libraries of others read: the encoder of prompts has 45 GB in one file."""
 SAFETENSORS: Final = Limits("weights file", 64 * GIB, values=1_000_000, content_bytes=64 * MIB)
 """Content is the header."""
 NPZ: Final = Limits("file of arrays", 4 * GIB, values=10_000, content_bytes=8 * GIB)
