@@ -56,8 +56,6 @@ class Library:
                 output_loading_info=True,
                 **{"use_safetensors": True, "dtype": torch.float32, **settings},
             )
-        except InputError:
-            raise
         # A damaged configuration or tokenizer may raise anything.
         except Exception as error:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
