@@ -5,11 +5,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M, LIDAR_NAME
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
+from benchmark.foreign.pictures import read_picture
 from benchmark.geometry import quaternion_from_yaw, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, LidarMount
@@ -93,7 +93,7 @@ def view_of(nusc: Any, root: Path, row: Row, camera: Camera) -> CameraView:
         path=path,
         timestamp_us=round(row["timestamp"]),
         global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
-        load=partial(load_image, path),
+        load=partial(read_picture, path),
     )
 
 
@@ -117,29 +117,6 @@ def file_inside(root: Path, row: Row) -> Path:
             "relative to the root"
         )
     return root / name
-
-
-def load_image(path: Path) -> NDArray[np.uint8]:
-    """Read an image file.
-
-    Args:
-        path: JPEG or PNG file.
-
-    Returns:
-        (height, width, 3) RGB.
-
-    Raises:
-        InputError: If it is missing, truncated or not an image.
-    """
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"), dtype=np.uint8)
-    except FileNotFoundError as error:
-        raise InputError(f"image {path} is missing; complete the data set or leave its scene out") from error
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"image {path} cannot be read ({error}); fetch or make it again") from error
 
 
 def _camera_rows(nusc: Any, sample: Row) -> list[Row]:
