@@ -16,6 +16,7 @@ from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.observations import observations_of_scene
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.datasets.schema import FaultList
 from benchmark.datasets.sensors import read_cameras, read_lidar
 from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.sweep_poses import read_sweep_poses
@@ -59,13 +60,17 @@ class NuScenesData:
         self._fingerprint: str | None = None
 
     @classmethod
-    def open(cls, root: Path, *, version: str | None = None, name: str | None = None) -> Self:
+    def open(
+        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+    ) -> Self:
         """Open a data set: any version folder, any scene names, with or without CAN bus, lidar or image files.
 
         Args:
             root: Root folder, the one that contains the version folder.
             version: Version folder; needed only where there are several.
             name: Shown in tables; the root's name by default.
+            rates: For whoever judges nothing: gets scenes whose keyframes are not half a second apart, which are
+                refused if it is not given.
 
         Returns:
             The data set, its tables loaded and checked.
@@ -75,7 +80,7 @@ class NuScenesData:
         """
         root = Path(root)
         version = find_version(root, version)
-        return cls(open_tables(root, version), root, version, name or root.resolve().name)
+        return cls(open_tables(root, version, rates), root, version, name or root.resolve().name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""

@@ -5,14 +5,13 @@ roots: ``v0/``, ``v1/``, ... side by side, each a complete nuScenes root. They a
 are called ``v0/scene-0061``.
 """
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.tables import version_folders
+from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.planning import CameraView, Observation
@@ -193,24 +192,6 @@ class VariantRoots:
                 f"{self.root} has no scene {name!r}; its scenes are called like {next(iter(self.scene_names()))!r}"
             )
         return self._variants[folder], inner
-
-
-def variant_folders(root: Path) -> tuple[str, ...]:
-    """Names of the variant roots in a folder: ``v0``, ``v1``, ... in numeric order.
-
-    Args:
-        root: Any path.
-
-    Returns:
-        Folder names; none unless at least one of them holds a version folder. An unfinished variant beside finished
-        ones is among them, so that opening fails and nothing is computed from a part of the data.
-    """
-    if not root.is_dir():
-        return ()
-    numbered = [path for path in root.iterdir() if re.fullmatch(r"v\d+", path.name) and path.is_dir()]
-    if not any(map(version_folders, numbered)):
-        return ()
-    return tuple(path.name for path in sorted(numbered, key=lambda path: int(path.name[1:])))
 
 
 def open_data(root: Path, *, version: str | None = None, name: str | None = None) -> DataSet:

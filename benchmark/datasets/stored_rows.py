@@ -90,8 +90,7 @@ class PassOverRows:
             Some thousand rows.
 
         Raises:
-            InputError: If the file cannot be read.
-            ValueError: If it is not a JSON list of objects; what is wrong is left to `tables.check_tables`.
+            InputError: If the file cannot be read, or is not a JSON list of objects.
         """
         batch: list[Row] = []
         try:
@@ -106,8 +105,18 @@ class PassOverRows:
                         batch = []
         except OSError as error:
             raise InputError(f"cannot read {self._path}: {error.strerror or error}") from error
+        except RecursionError as error:
+            raise self._no_list("something in it is nested too deeply") from error
+        except ValueError as error:
+            raise self._no_list(str(error)) from error
         if batch:
             yield batch
+
+    def _no_list(self, why: str) -> InputError:
+        return InputError(
+            f"{self._path} is not a JSON list of rows ({why}, after {len(self._starts)} rows); it may be truncated, "
+            "fetch or make it again"
+        )
 
     def stored(self) -> StoredRows:
         """Where the rows are; call it after the pass."""
@@ -158,12 +167,12 @@ def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
     """First byte, bytes and value of each object of a JSON list, as strict as `json.load`."""
     text, decoder = _Text(stream), json.JSONDecoder()
     if text.next() != "[":
-        raise ValueError("not a JSON list")
+        raise ValueError("it does not begin with [")
     text.passed(text.at + 1)
     mark = text.next()
     while mark != "]":
         if mark != "{":
-            raise ValueError("not a list of objects")
+            raise ValueError("a row is no object")
         start = text.byte
         value, end = _object(text, decoder)
         yield start, text.passed(end), value
@@ -172,7 +181,7 @@ def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
             text.passed(text.at + 1)
             mark = text.next()
             if mark != "{":
-                raise ValueError("no object after a comma")
+                raise ValueError("a row is no object")
         elif mark != "]":
             raise ValueError("no comma after an object")
     text.passed(text.at + 1)

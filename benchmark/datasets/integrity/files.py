@@ -1,12 +1,12 @@
 """Files that the tables name: there, inside the root, whole, and of the size that the row says."""
 
 import os
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import BinaryIO, Final
 
 from benchmark.constants import MAP_LAYERS, OFFICIAL_LOCATIONS
-from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
@@ -19,15 +19,11 @@ _EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_p
 
 
 def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
-    """Note sensor files and maps that are missing, broken, of another size, or outside the root."""
+    """Note sensor files and maps that are missing, broken, or of another size."""
     folders = _Folders(root)
     owners: dict[str, str] = {}
     for row in tables.having("sample_data", "filename", "width", "height"):
         name = row["filename"]
-        if not _stays_inside(name):
-            sentence = f"filename {name!r} leaves the data set's folder"
-            faults.add("files outside the root", "sample_data", row["token"], sentence)
-            continue
         if name in owners:
             sentence = f"{name} also belongs to {owners[name]}"
             faults.add("files of two rows", "sample_data", row["token"], sentence)
@@ -40,10 +36,7 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
         if problem:
             faults.add("broken files", "sample_data", row["token"], f"{name} {problem}")
     for row in tables.having("map", "filename"):
-        if not _stays_inside(row["filename"]):
-            sentence = f"filename {row['filename']!r} leaves the data set's folder"
-            faults.add("files outside the root", "map", row["token"], sentence)
-        elif folders.size(row["filename"]) is None:
+        if folders.size(row["filename"]) is None:
             sentence = f"{row['filename']} is missing; the devkit does not open a data set without its map masks"
             faults.add("missing map masks", "map", row["token"], sentence)
         elif not _is_png(root / row["filename"]):
@@ -74,11 +67,6 @@ class _Folders:
                 return {entry.name: entry.stat().st_size for entry in entries if entry.is_file()}
         except OSError:
             return {}
-
-
-def _stays_inside(name: str) -> bool:
-    path = PurePosixPath(name.replace("\\", "/"))
-    return bool(name) and not path.is_absolute() and ".." not in path.parts and ":" not in path.parts[0]
 
 
 def _problem(path: Path, size: int, row: Row) -> str:

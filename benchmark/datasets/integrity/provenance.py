@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import VEHICLE_CATEGORIES
-from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
