@@ -1,7 +1,7 @@
 """Commands on data sets: ``data info|stats|show|check|import|build``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -23,6 +23,9 @@ from benchmark.cli.options import (
 )
 from benchmark.errors import InputError
 
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
 app = typer.Typer(help="Look at, check, import and build data sets.", no_args_is_help=True)
 
 
@@ -36,12 +39,23 @@ def data_info_command(
     """What a data set holds: splits, scenes, samples, annotations, fingerprint."""
     from benchmark.datasets.contents import contents
 
-    found = contents(api.open_data(root, tables=tables, workers=workers))
+    found = contents(_open_to_look(root, tables, workers))
     if json_output:
         print_json(found)
         return
     for name, value in found.items():
         typer.echo(f"{name}: {value}")
+
+
+def _open_to_look(root: str, tables: str | None, workers: int) -> "DataSet":
+    """Open a data set that may have another keyframe rate; a warning says so."""
+    from benchmark.datasets.schema import FaultList
+
+    rates = FaultList()
+    dataset = api.open_data(root, tables=tables, workers=workers, rates=rates)
+    for fault in rates.told():
+        api.tell(f"warning: {fault.sentence}; commands that judge refuse {root}")
+    return dataset
 
 
 @app.command("stats")
@@ -79,7 +93,7 @@ def data_show_command(
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
-    dataset = api.open_data(root, tables=tables, workers=workers)
+    dataset = _open_to_look(root, tables, workers)
     names = (name_list(scenes) or dataset.scene_names(None))[:limit]
     write = write_condition_pictures if conditions else write_pictures
     written = write(dataset, names, to, SchematicRenderer())

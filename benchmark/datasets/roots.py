@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.schema import FaultList
 from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
@@ -80,13 +81,16 @@ class VariantRoots:
         self._variants = variants
 
     @classmethod
-    def open(cls, root: Path, *, version: str | None = None, name: str | None = None) -> Self:
+    def open(
+        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+    ) -> Self:
         """Open every variant.
 
         Args:
             root: Folder that holds ``v0/``, ``v1/``, ...
             version: Version folder in each; needed only where there are several.
             name: Shown in tables; the folder's name by default.
+            rates: As in `NuScenesData.open`.
 
         Returns:
             The data set.
@@ -94,7 +98,9 @@ class VariantRoots:
         Raises:
             InputError: If a variant cannot be opened.
         """
-        variants = {folder: NuScenesData.open(root / folder, version=version) for folder in variant_folders(root)}
+        variants = {
+            folder: NuScenesData.open(root / folder, version=version, rates=rates) for folder in variant_folders(root)
+        }
         if not variants:
             raise InputError(f"{root} holds no variants (v0/, v1/, ...); give the folder that contains them")
         return cls(root, name or root.resolve().name, variants)
@@ -194,13 +200,16 @@ class VariantRoots:
         return self._variants[folder], inner
 
 
-def open_data(root: Path, *, version: str | None = None, name: str | None = None) -> DataSet:
+def open_data(
+    root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+) -> DataSet:
     """Open a nuScenes-format root, or a folder of variant roots.
 
     Args:
         root: Root folder.
         version: Version folder; needed only where there are several.
         name: Shown in tables; the folder's name by default.
+        rates: As in `NuScenesData.open`.
 
     Returns:
         The data set.
@@ -210,5 +219,5 @@ def open_data(root: Path, *, version: str | None = None, name: str | None = None
     """
     root = Path(root)
     if variant_folders(root):
-        return VariantRoots.open(root, version=version, name=name)
-    return NuScenesData.open(root, version=version, name=name)
+        return VariantRoots.open(root, version=version, name=name, rates=rates)
+    return NuScenesData.open(root, version=version, name=name, rates=rates)

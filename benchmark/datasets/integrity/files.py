@@ -5,17 +5,19 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from benchmark.constants import MAP_LAYERS, OFFICIAL_LOCATIONS
+from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.datasets.map_layers import read_road_map
 from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
 _PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 _PNG_END: Final = b"IEND\xaeB`\x82"
+_EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_path_3")
 _JPEG_SIZES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Start-of-frame markers, which carry the image size."""
 _LIDAR_POINT_BYTES: Final = 20
-_EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_path_3")
 
 
 def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
@@ -44,6 +46,11 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
     for location in sorted({row["location"] for row in tables.having("log", "location")}):
         if location in OFFICIAL_LOCATIONS:
             _check_expansion(root, f"maps/expansion/{location}.json", faults)
+    for scene in tables.having("scene", "name"):
+        try:
+            CanBus.read(root, scene["name"])
+        except InputError as error:
+            faults.add("broken CAN bus files", "can_bus", scene["token"], str(error))
 
 
 class _Folders:
@@ -140,10 +147,11 @@ def _check_expansion(root: Path, name: str, faults: FaultList) -> None:
         faults.add("missing map expansions", name, "", sentence, severity="warning")
         return
     try:
-        layers = read_json(path)
+        read_road_map(path)
     except InputError as error:
-        faults.add("unreadable map expansions", name, "", f"{name} cannot be read: {error}")
+        faults.add("broken map expansions", name, "", str(error))
         return
-    missing = [layer for layer in _EXPANSION_KEYS if not isinstance(layers, dict) or layer not in layers]
+    missing = [layer for layer in _EXPANSION_KEYS if layer not in read_json(path)]
     if missing:
-        faults.add("incomplete map expansions", name, "", f"{name} lacks {', '.join(missing)}")
+        sentence = f"{name} lacks {', '.join(missing)}, which other readers of map expansions need"
+        faults.add("incomplete map expansions", name, "", sentence, severity="warning")

@@ -74,6 +74,18 @@ def whole_number(words: str, low: int, high: int) -> Kind:
     return Kind(words, holds, column)
 
 
+def number(words: str, low: float, high: float) -> Kind:
+    """Finite numbers of a range, both ends included."""
+
+    def holds(value: Any) -> bool:
+        return _is_number(value) and low <= value <= high
+
+    def column(values: list[Any]) -> bool:
+        return _of_type(values, int, float) and all(low <= value <= high for value in values)
+
+    return Kind(words, holds, column)
+
+
 def numbers(words: str, length: int, sound: Callable[[Any], Any]) -> Kind:
     """Lists of some finite numbers.
 
@@ -214,8 +226,8 @@ FILE: Final = Kind(
 )
 TIME: Final = whole_number("a whole number of microseconds between the years 2000 and 2100", EARLIEST_US, LATEST_US)
 COUNT: Final = whole_number("a whole number, at least 0", 0, MOST_COUNTED)
-POSITION: Final = numbers("three numbers, metres within the earth", 3, _within(EARTH_M, EARTH_M, HIGHEST_M))
-MOUNTING: Final = numbers("three numbers, metres within the car", 3, _within(CAR_M, CAR_M, CAR_M))
-ROTATION: Final = numbers("four numbers (w, x, y, z) of norm one", 4, _of_norm_one)
+POSITION: Final = numbers("three finite numbers, metres within the earth", 3, _within(EARTH_M, EARTH_M, HIGHEST_M))
+MOUNTING: Final = numbers("three finite numbers, metres within the car", 3, _within(CAR_M, CAR_M, CAR_M))
+ROTATION: Final = numbers("four finite numbers (w, x, y, z) of norm one", 4, _of_norm_one)
 SIZE: Final = numbers(f"three positive numbers, at most {LARGEST_M:g} metres", 3, _positive)
 MATRIX: Final = Kind("an empty list or three rows of three numbers", _is_matrix, _one_by_one(_is_matrix))

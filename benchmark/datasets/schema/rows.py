@@ -58,11 +58,10 @@ def check_rows(table: str, rows: Sequence[Row], faults: FaultList, *, first: int
         Fields that are absent or unsound, by identity of the row.
     """
     fields = SCHEMA[table]
-    if not rows or all(_column_holds(rows, name, field.kind) for name, field in fields.items()):
-        return {}
+    doubtful = [name for name, field in fields.items() if rows and not _column_holds(rows, name, field.kind)]
     unsound = {}
-    for number, row in enumerate(rows, first):
-        bad = frozenset(name for name, field in fields.items() if name not in row or not field.kind.holds(row[name]))
+    for number, row in enumerate(rows if doubtful else (), first):
+        bad = frozenset(name for name in doubtful if name not in row or not fields[name].kind.holds(row[name]))
         if not bad:
             continue
         unsound[id(row)] = bad

@@ -225,7 +225,7 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
         "NaN in a pose",
         field("ego_pose", "translation", [1.0, float("nan"), 3.0]),
         "ego_pose",
-        "NaN, 3.0], it must be three numbers",
+        "NaN, 3.0], it must be three finite numbers",
     ),
     (
         "infinite size",
@@ -289,7 +289,7 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ("half a mask", half_a_mask, "map", "not a whole PNG"),
     ("log without map", unmapped_log, "log", "no map has this log"),
     ("no expansion", replace_file("maps/expansion/*", None), "maps/expansion/boston-seaport.json", "is missing"),
-    ("poor expansion", mapless_layers, "maps/expansion/boston-seaport.json", "lacks polygon, line, node"),
+    ("poor expansion", mapless_layers, "maps/expansion/boston-seaport.json", "'node' is missing"),
     ("unknown split scene", replace_file(f"{VERSION}/splits.json", b'{"adv": ["scene-1"]}'), "splits.json", "scene-1"),
     (
         "split no list",
