@@ -6,7 +6,7 @@ data set, little for one.
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,11 +34,12 @@ class OpenTables(ABC):
         """File names of the camera keyframes of all scenes, relative to the root."""
 
     @abstractmethod
-    def of_scene(self, scene: Row) -> Any:
+    def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit, with the rows of at least one scene.
 
         Args:
             scene: Row of the scene table.
+            adversaries: Instances that were made to be adversaries of the scene.
 
         Raises:
             InputError: If a table has changed since it was opened, or the rows of the scene do not go together.
@@ -66,12 +67,12 @@ class SceneByScene(OpenTables):
         """File names of the camera keyframes of all scenes."""
         return self._tables.keyframe_images
 
-    def of_scene(self, scene: Row) -> Any:
+    def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit with the rows of this scene alone."""
         token = scene["token"]
         if self._kept[0] != token:
             self._kept = ("", None)
-            self._kept = (token, _devkit_with(self._root, self._version, self._tables.of_scene(token)))
+            self._kept = (token, _devkit_with(self._root, self._version, self._tables.of_scene(token, adversaries)))
         return self._kept[1]
 
 
@@ -101,10 +102,11 @@ class AllScenes(OpenTables):
         cameras, rows = camera_mounts(self._tables), self._tables["sample_data"]
         return (row["filename"] for row in rows if row["is_key_frame"] and row["calibrated_sensor_token"] in cameras)
 
-    def of_scene(self, scene: Row) -> Any:
+    def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit with all rows."""
         if scene["token"] in self._unchecked:
-            check_scene(self._shared, self._unchecked[scene["token"]], scene, Refusal(folder=self._folder))
+            rows = self._unchecked[scene["token"]]
+            check_scene(self._shared, rows, scene, adversaries, Refusal(folder=self._folder))
             del self._unchecked[scene["token"]]
         return self._nusc
 

@@ -4,7 +4,7 @@ Five tables grow with the number of scenes. Their rows stay in their files: one 
 notes where the rows of each scene are; what the rows of a scene say together is checked when they are read.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from operator import itemgetter
@@ -49,11 +49,12 @@ class SceneTables:
         """Rows of the tables that do not grow with the scenes."""
         return self._shared.rows
 
-    def of_scene(self, token: str) -> dict[str, list[Row]]:
+    def of_scene(self, token: str, adversaries: Collection[str] = ()) -> dict[str, list[Row]]:
         """Rows that belong to a scene, in the order of the files; the shared tables whole.
 
         Args:
             token: Of the scene.
+            adversaries: Instances that were made to be adversaries of the scene.
 
         Returns:
             Rows by table name, the caller's own.
@@ -64,7 +65,7 @@ class SceneTables:
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
         rows = {table: self._stored[table].read(self._of_scene[table][number]) for table in GROWING_TABLES}
         if token not in self._sound:
-            check_scene(self._shared, rows, self.shared["scene"][number], self._faults)
+            check_scene(self._shared, rows, self.shared["scene"][number], adversaries, self._faults)
             self._sound.add(token)
         return {table: [dict(row) for row in shared] for table, shared in self.shared.items()} | rows
 

@@ -28,7 +28,7 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
         name = row["filename"]
         if name in owners:
             sentence = f"{name} also belongs to {owners[name]}"
-            faults.add("files of two rows", "sample_data", row["token"], sentence)
+            faults.add("files of two rows", "sample_data", row["token"], sentence, severity="warning")
         owners[name] = row["token"]
         size = folders.size(name)
         if size is None:

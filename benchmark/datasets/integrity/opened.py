@@ -4,9 +4,10 @@ Together the two are what `data check` calls an error in the tables of the scene
 files is refused by whoever opens them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from benchmark.datasets.integrity.links import check_chains, check_link, check_links, check_sample_chains
+from benchmark.datasets.integrity.provenance import check_adversaries
 from benchmark.datasets.integrity.rates import check_rates
 from benchmark.datasets.integrity.tables import CheckedTables, Row
 from benchmark.datasets.integrity.values import check_images, check_sensors, check_shared
@@ -27,13 +28,20 @@ def check_opened(tables: CheckedTables, faults: FaultList, rates: FaultList) -> 
     check_rates(tables, rates)
 
 
-def check_scene(shared: CheckedTables, rows: Mapping[str, list[Row]], scene: Row, faults: FaultList) -> None:
+def check_scene(
+    shared: CheckedTables,
+    rows: Mapping[str, list[Row]],
+    scene: Row,
+    adversaries: Collection[str],
+    faults: FaultList,
+) -> None:
     """Check what the rows of one scene say together.
 
     Args:
         shared: The tables that do not grow with the scenes.
         rows: Rows of the scene in the tables that do.
         scene: Its row.
+        adversaries: Instances that were made to be adversaries of the scene.
         faults: Gets the faults.
     """
     own = CheckedTables.of_sound_rows({**rows, "scene": [scene]})
@@ -47,3 +55,4 @@ def check_scene(shared: CheckedTables, rows: Mapping[str, list[Row]], scene: Row
     check_chains(tables, faults)
     check_images(tables, faults)
     check_sensors(tables, faults)
+    check_adversaries(tables, scene, adversaries, faults)
