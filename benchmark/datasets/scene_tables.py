@@ -4,6 +4,7 @@ Five tables grow with the number of scenes. Their rows stay in their files: one 
 notes where the rows of each scene are; what the rows of a scene say together is checked when they are read.
 """
 
+import gc
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -84,10 +85,16 @@ def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
     Raises:
         InputError: If a file cannot be read, or holds what it must not.
     """
+    collecting = gc.isenabled()
+    # Rows hold no circles, so looking for some among millions of them is time lost.
+    gc.disable()
     try:
         return _Reading(folder, rates).result()
     except _SameHash:
         return None
+    finally:
+        if collecting:
+            gc.enable()
 
 
 class _SameHash(Exception):

@@ -3,6 +3,7 @@
 import codecs
 import json
 import os
+import re
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ _BATCH_ROWS: Final = 4096
 _READ_THROUGH_BYTES: Final = 1 << 14
 """Rows that lie nearer to each other than this are read in one piece."""
 _SPACE: Final = " \t\n\r"
+_BETWEEN_OBJECTS: Final = re.compile(rf"[{_SPACE}]*,[{_SPACE}]*(?=\{{)")
+"""Most objects are followed by another one that begins in what has been read already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +179,9 @@ def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
         start = text.byte
         value, end = _object(text, decoder)
         yield start, text.passed(end), value
+        if between := _BETWEEN_OBJECTS.match(text.text, text.at):
+            text.passed(between.end())
+            continue
         mark = text.next()
         if mark == ",":
             text.passed(text.at + 1)
