@@ -8,6 +8,7 @@ fell, is listed with the command that repeats it, and makes the exit code 1. ``d
 """
 
 import argparse
+import gc
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -31,6 +32,8 @@ def main() -> None:
     parser.add_argument("--kind", help="only kinds whose name holds this")
     options = parser.parse_args()
     campaign = Campaign(options.folder, options.seed)
+    # A child that collects garbage would copy every page that it shares with this process.
+    gc.freeze()
     numbers = options.only or [
         number for number in range(options.count) if (options.kind or "") in TARGETS[number % len(TARGETS)].kind
     ]

@@ -1,6 +1,5 @@
 """The campaign: which variant has which number, what became of each, and a list that is gone on with."""
 
-import gc
 import importlib
 import json
 import shutil
@@ -99,7 +98,6 @@ class Campaign:
         preload()
         self.valid = make_valid(self.folder)
         self.numbers: dict[str, str] = {}
-        gc.freeze()
 
     def attack(self, number: int) -> Attack:
         """The attack of a number: every target in turn, what somebody thought of and what chance does in turn."""
@@ -136,7 +134,7 @@ class Campaign:
         given, file = self._copied(attack, case)
         before = file.read_bytes()
         attack.change(given, file)
-        if attack.file and not attack.target.named and file.is_file() and file.read_bytes() == before:
+        if file.is_file() and file.stat().st_size == len(before) and file.read_bytes() == before:
             found, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
         else:
             kept = listing(given)

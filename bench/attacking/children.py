@@ -116,8 +116,12 @@ def _be_command(arguments: list[str], folder: Path, cache: Path, printed: tuple[
 
 
 def _run() -> int:
+    import torch
+
     from benchmark.cli.app import main
 
+    # Threads of the parent do not come along, and a copy that waits for them waits for ever.
+    torch.set_num_threads(1)
     try:
         main()
     except SystemExit as ended:

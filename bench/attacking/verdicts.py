@@ -57,6 +57,9 @@ def verdict(
         return Verdict.TRACEBACK
     if ended.code == 0:
         return _accepted(target, ended, valid_numbers, out, may_be_valid=may_be_valid)
+    if f"{out}/" in ended.err:
+        # A search that found nothing, as it might with other weights, and says where it says why.
+        return Verdict.OTHER_INPUT if may_be_valid else Verdict.SILENT
     if out.exists() and not target.keeps_work and any(path.is_file() for path in out.rglob("*")):
         return Verdict.WROTE
     if ended.code == 1 and target.lists_faults:

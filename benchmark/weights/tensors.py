@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
 from benchmark.foreign.json_text import parse_json
 from benchmark.foreign.tensor_headers import require_sound_header
 from benchmark.machine.storage import canonical_json, write_bytes
@@ -61,7 +62,7 @@ def read_tensors(
             tensors = {name: stream.get_tensor(name) for name in sorted(stream.keys())}
             return tensors, _facts(stream, entry)
     except _BROKEN as error:
-        raise InputError(f"cannot read {what}{path} ({error}); {instead}") from error
+        raise InputError(f"cannot read {what}{path} ({one_line(error)}); {instead}") from error
 
 
 def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]], dict[str, Any]]:
@@ -83,7 +84,7 @@ def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]]
             shapes = {name: tuple(stream.get_slice(name).get_shape()) for name in list(stream.keys())}
             return shapes, _facts(stream, FACTS)
     except _BROKEN as error:
-        raise InputError(f"cannot read weights from {path} ({error}); {instead}") from error
+        raise InputError(f"cannot read weights from {path} ({one_line(error)}); {instead}") from error
 
 
 def _facts(stream: Any, entry: str) -> dict[str, Any]:
