@@ -155,6 +155,12 @@ _ROOT_COMMANDS: Final[dict[str, tuple[tuple[str, ...], Numbers]]] = {
     "sheets": (("sheets", *_OUT, "--data", "{in}"), written("**/*.jsonl", "**/*.png", "**/*.jpg")),
     "data check": (("data", "check", "{in}"), printed),
 }
+_GENERATED_COMMANDS: Final[dict[str, tuple[tuple[str, ...], Numbers]]] = {
+    "eval": ((*_EVAL, "--data", "{in}", "--split", "adv", *_MODEL), printed_json),
+    "data stats": (("data", "stats", "{in}", "--workers", "1"), printed),
+    "data show": _ROOT_COMMANDS["data show"],
+    "data check": _ROOT_COMMANDS["data check"],
+}
 
 
 def _root(kind: str, command: str, *files: str, form: str = "json", named: tuple[Named, ...] = ()) -> Target:
@@ -191,6 +197,14 @@ _WEIGHTS: Final = (
         "planner.safetensors",
         "tensors",
         (*_EVAL, *_READ, "--model", "ego-status", "--checkpoint", "{in}"),
+        named=_HEADERS,
+    ),
+    _file(
+        "weights of planners",
+        "eval --checkpoint of a network",
+        "network.safetensors",
+        "tensors",
+        (*_EVAL, *_READ, "--model", "vad-mini", "--checkpoint", "{in}"),
         named=_HEADERS,
     ),
     _file(
@@ -283,6 +297,31 @@ TARGETS: Final[tuple[Target, ...]] = (
     *(
         _root("pictures of roots", command, "samples/CAM_*/*.jpg", form="bytes", named=SPARSE)
         for command in ("data show", "sheets", "data check")
+    ),
+    _file(
+        "pictures of roots",
+        "eval",
+        "root",
+        "bytes",
+        (*_EVAL, "--data", "{in}", "--model", "vad-mini"),
+        files=("samples/CAM_*/*.jpg",),
+        named=SPARSE,
+        other_files=True,
+        keeps_work=True,
+    ),
+    *(
+        _file(
+            "generated roots",
+            command,
+            "generated",
+            "json",
+            arguments,
+            files=("v*/challenger.json", "v*/challenger.json", "v*/splits.json", "v*/[!c]*.json", "report.json"),
+            numbers=numbers,
+            named=_of_bytes(variants.JSONS),
+            lists_faults=command == "data check",
+        )
+        for command, (arguments, numbers) in _GENERATED_COMMANDS.items()
     ),
     *(
         _root("maps of roots", command, "maps/expansion/*.json", named=_of_bytes(variants.JSONS))

@@ -28,7 +28,7 @@ def make_valid(folder: Path) -> Path:
         folder: Holds everything of a campaign.
 
     Returns:
-        Their folder: ``root``, ``recordings``, ``records``, weights, plans and a frozen split.
+        Their folder: ``root`` and what was ``generated`` from it, ``recordings``, ``records``, and files.
     """
     valid = folder / "valid"
     if (valid / "complete").is_file():
@@ -43,6 +43,8 @@ def make_valid(folder: Path) -> Path:
     _by_command(valid, "eval", "--model", "constant-velocity")
     (valid / "made" / "runs").rename(valid / "records")
     _by_command(valid, "generate", *SEARCH, "--freeze", "frozen.json")
+    (valid / "made" / "data" / "root" / "adv").rename(valid / "generated")
+    shutil.rmtree(valid / "generated" / ".challenger")
     shutil.rmtree(valid / "made")
     (valid / "complete").touch()
     return valid
@@ -69,8 +71,9 @@ def write_weights(folder: Path) -> None:
     torch.save(content, folder / "old.pth", _use_new_zipfile_serialization=False)
     torch.save(load_denoiser(PACKAGED_WEIGHTS).state_dict(), folder / "denoiser.ckpt")
     shutil.copy(PACKAGED_WEIGHTS, folder / "denoiser.safetensors")
-    planner = Path(baselines.__file__).parents[1] / "weights" / "ego_status.safetensors"
-    shutil.copy(planner, folder / "planner.safetensors")
+    packaged = Path(baselines.__file__).parents[1] / "weights"
+    shutil.copy(packaged / "ego_status.safetensors", folder / "planner.safetensors")
+    shutil.copy(packaged / "vad-mini.safetensors", folder / "network.safetensors")
     rng = np.random.default_rng(0)
     anchors = {"anchors_all": [rng.normal(size=(6, 12, 2)) for _ in range(4)], "grouped": [[0], [1], [2], [3]]}
     (folder / "anchors.pkl").write_bytes(pickle.dumps(anchors))

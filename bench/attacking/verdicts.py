@@ -9,6 +9,7 @@ from bench.attacking.children import HANG_S, MEMORY_BYTES, Ended
 from bench.attacking.targets import Target
 
 _LONGEST_SENTENCE: Final = 1200
+_BEFORE: Final = re.compile(r"warning: |[a-z ]+: \d+ of \d+ ")
 
 
 class Verdict(StrEnum):
@@ -57,11 +58,11 @@ def verdict(
         return Verdict.TRACEBACK
     if ended.code == 0:
         return _accepted(target, ended, valid_numbers, out, may_be_valid=may_be_valid)
-    if f"{out}/" in ended.err:
-        # A search that found nothing, as it might with other weights, and says where it says why.
-        return Verdict.OTHER_INPUT if may_be_valid else Verdict.SILENT
     if out.exists() and not target.keeps_work and any(path.is_file() for path in out.rglob("*")):
-        return Verdict.WROTE
+        if f"{out}/" not in ended.err:
+            return Verdict.WROTE
+        # A search that found nothing, as it might with other weights, and names the file that says why.
+        return Verdict.OTHER_INPUT if may_be_valid else Verdict.SILENT
     if ended.code == 1 and target.lists_faults:
         return Verdict.ANSWERED if is_a_list(ended.out, places) else Verdict.UNCLEAR
     return Verdict.ANSWERED if ended.code == 2 and is_one_sentence(ended.err, places) else Verdict.UNCLEAR
@@ -85,9 +86,9 @@ def is_a_list(said: str, places: tuple[Path, ...]) -> bool:
 
 
 def is_one_sentence(said: str, places: tuple[Path, ...]) -> bool:
-    """Whether a refusal is one printable sentence that names a path; warnings may come before it."""
+    """Whether a refusal is one printable sentence that names a path; warnings and progress may come before it."""
     *before, last = said.splitlines() or [""]
-    if not all(line.startswith("warning: ") for line in before) or not said.endswith("\n"):
+    if not all(map(_BEFORE.match, before)) or not said.endswith("\n"):
         return False
     sentence = re.fullmatch(r"error: (.*)", last)
     if sentence is None or len(last) > _LONGEST_SENTENCE or not last.isprintable():

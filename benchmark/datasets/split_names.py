@@ -11,6 +11,10 @@ from benchmark.machine.storage import read_json
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
 
 
+class NoSuchSplit(InputError):
+    """A data set is sound, but has no split of a name."""
+
+
 def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
     """Read the custom splits of a data set: ``<version>/splits.json``, or ``splits.json`` in the root.
 
@@ -68,7 +72,8 @@ def scenes_of_split(
         Sorted scene names.
 
     Raises:
-        InputError: If there is no such split, or ``splits.json`` names a scene that is not here.
+        NoSuchSplit: If there is no such split.
+        InputError: If ``splits.json`` names a scene that is not here.
     """
     if split in custom:
         absent = sorted(set(custom[split]) - set(present))
@@ -85,7 +90,7 @@ def scenes_of_split(
         return known[split]
     there = sorted({*custom, *known})
     only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
-    raise InputError(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
+    raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
 
 
 def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -1,5 +1,6 @@
 """Roots that `data check` calls wrong are refused by each command that reads them, and nothing is written."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from tests.benchmark.datasets.nuscenes_tables import TinyRoot
 from tests.hand_made import scene_on_straight_road
 
 COMMANDS = {
-    "eval": ("eval", "--split", "val", "--model", "images"),
+    "eval": ("eval", "--split", "val", "--model", "constant-velocity"),
     "generate": ("generate", "--split", "adv"),
     "sheets": ("sheets", "--split", "val"),
     "data show": ("data", "show"),
@@ -65,4 +66,16 @@ def test_another_keyframe_rate_can_be_looked_at_with_a_warning(tmp_path: Path) -
     assert info.code == 0 and "scene-9901" in info.out
     assert info.err.startswith("warning: the keyframes of scene-9901 are 1 s apart") and info.err.count("\n") == 1
     show = challenger_bench("data", "show", root, "--to", tmp_path / "out")
-    assert show.code == 0 and "1 pictures" in show.out and show.err.startswith("warning: ")
+    assert show.code == 0 and "1 picture in" in show.out and show.err.startswith("warning: ")
+
+
+@pytest.mark.parametrize("split", ["val", "adv", "mine"])
+def test_a_broken_list_of_splits_is_said_whatever_split_is_asked_for(tmp_path: Path, split: str) -> None:
+    root = TinyRoot.of(tmp_path / "root", [scene_on_straight_road(seconds=4.0)]).write()
+    for names, says in ((["scene-9901"] * 2, "lists a scene twice"), (["scene-9902"], "there is no such scene")):
+        (root / "splits.json").write_text(json.dumps({split: names}))
+        asked = ("--split", split, "--data", root, "--out", tmp_path / "out")
+        for command in (("eval", "--model", "constant-velocity"), ("sheets",)):
+            assert says in refusal(*command, *asked)
+    (root / "splits.json").write_text("{}")
+    assert "make it with" in refusal("sheets", "--split", "adv", "--data", root, "--out", tmp_path / "out")
