@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.errors import InputError, did_you_mean
+from benchmark.foreign.files import one_line
 from benchmark.machine.storage import read_json
 
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
@@ -75,11 +76,13 @@ def scenes_of_split(
         NoSuchSplit: If there is no such split.
         InputError: If ``splits.json`` names a scene that is not here.
     """
+    if split in custom and not custom[split]:
+        raise InputError(f"{where}: splits.json puts no scene into {split!r}; correct it, or ask for another split")
     if split in custom:
         absent = sorted(set(custom[split]) - set(present))
         if absent:
             raise InputError(
-                f"{where}: splits.json puts {absent[0]} into {split!r}, but there is no such scene; complete the data "
+                f"{where}: splits.json puts {one_line(absent[0], 80)} into {split!r}, but there is no such scene; complete the data "
                 "set or correct splits.json"
             )
         return tuple(sorted(custom[split]))

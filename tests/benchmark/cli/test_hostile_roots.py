@@ -72,7 +72,11 @@ def test_another_keyframe_rate_can_be_looked_at_with_a_warning(tmp_path: Path) -
 @pytest.mark.parametrize("split", ["val", "adv", "mine"])
 def test_a_broken_list_of_splits_is_said_whatever_split_is_asked_for(tmp_path: Path, split: str) -> None:
     root = TinyRoot.of(tmp_path / "root", [scene_on_straight_road(seconds=4.0)]).write()
-    for names, says in ((["scene-9901"] * 2, "lists a scene twice"), (["scene-9902"], "there is no such scene")):
+    for names, says in (
+        (["scene-9901"] * 2, "lists a scene twice"),
+        (["scene-9902"], "no such scene"),
+        ([], "puts no scene"),
+    ):
         (root / "splits.json").write_text(json.dumps({split: names}))
         asked = ("--split", split, "--data", root, "--out", tmp_path / "out")
         for command in (("eval", "--model", "constant-velocity"), ("sheets",)):
