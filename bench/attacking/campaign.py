@@ -132,9 +132,9 @@ class Campaign:
         attack = self.attack(number)
         case = self.folder / f"case-{self.seed}-{number}"
         given, file = self._copied(attack, case)
-        before = file.read_bytes()
+        before = listing(given)
         attack.change(given, file)
-        if file.is_file() and file.stat().st_size == len(before) and file.read_bytes() == before:
+        if listing(given) == before:
             found, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
         else:
             kept = listing(given)

@@ -82,8 +82,8 @@ def scenes_of_split(
         absent = sorted(set(custom[split]) - set(present))
         if absent:
             raise InputError(
-                f"{where}: splits.json puts {one_line(absent[0], 80)} into {split!r}, but there is no such scene; complete the data "
-                "set or correct splits.json"
+                f"{where}: splits.json puts {one_line(absent[0], 80)} into {split!r}, but there is no such scene; "
+                "complete the data set or correct splits.json"
             )
         return tuple(sorted(custom[split]))
     known: dict[str, tuple[str, ...]] = {} if built_as is None else {built_as: tuple(sorted(present))}
