@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: setup browser demo paper test check bench clean
+.PHONY: setup browser demo paper test check bench attack clean
 
 setup: $(VENV)/.complete
 
@@ -56,6 +56,10 @@ test: check
 
 bench: setup
 	for script in bench/[a-z]*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+# Hostile variants of everything that commands read; the same command goes on (docs/hostile-input.md).
+attack: setup
+	$(BIN)/python bench/attack.py --seed $${SEED:-0} --count $${COUNT:-500}
 
 clean:
 	rm -rf $(VENV) challenger-out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

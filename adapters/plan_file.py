@@ -24,6 +24,8 @@ from adapters.models import published_as
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
+from benchmark.foreign.files import one_line
+from benchmark.foreign.tables import read_table
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
@@ -239,25 +241,19 @@ def read_plan_file(path: Path) -> PlanFile:
 
 
 def _read_table(path: Path) -> Any:
-    import pandas as pd
-
     if not path.is_file():
         raise InputError(f"there is no plan file {path}")
     kind = path.suffix.lower()
+    if kind not in (".csv", ".parquet", ".json"):
+        raise InputError(f"{path} is neither .csv, .parquet nor .json")
     try:
-        if kind == ".csv":
-            return pd.read_csv(path, dtype={"sample_token": str, "scene": str, "frame": str})
-        if kind == ".json":
-            return pd.read_json(path, orient="records", dtype=False, convert_dates=False, precise_float=True)
-        if kind == ".parquet":
-            return pd.read_parquet(path)
+        return read_table(path)
     except ImportError as error:
         raise InputError(
             f"reading {path} needs pyarrow; pip install 'challenger-bench[parquet]', or save the plans as CSV"
         ) from error
     except (ValueError, OSError, AttributeError, TypeError) as error:
-        raise InputError(f"{path} cannot be read as {kind[1:]}: {str(error).splitlines()[0]}") from error
-    raise InputError(f"{path} is neither .csv, .parquet nor .json")
+        raise InputError(f"{path} cannot be read as {kind[1:]}: {one_line(error)}; make it again") from error
 
 
 def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...]) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
+    from benchmark.datasets.schema import FaultList
     from benchmark.machine.workspace import Workspace
     from benchmark.records.ablation import AblationReport
     from benchmark.records.quality import QualityRecord
@@ -101,7 +102,14 @@ def workspace(out: Path = OUT) -> "Workspace":
     return Workspace(out)
 
 
-def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: int = 0, out: Path = OUT) -> "DataSet":
+def open_data(
+    data: str | Path = "mini",
+    *,
+    tables: str | None = None,
+    workers: int = 0,
+    out: Path = OUT,
+    rates: "FaultList | None" = None,
+) -> "DataSet":
     """Open a data set; the embedded one is built into the user's cache the first time.
 
     Args:
@@ -110,6 +118,8 @@ def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: 
         tables: Version folder below the root, if there are several.
         workers: Processes that build the embedded data set; 0 takes all processors.
         out: Folder below which the small town of the demo lies.
+        rates: For whoever judges nothing: gets scenes whose keyframes are not half a second apart, which are refused
+            if it is not given.
 
     Returns:
         The data set.
@@ -123,7 +133,7 @@ def open_data(data: str | Path = "mini", *, tables: str | None = None, workers: 
     if str(data) == DEMONSTRATED:
         return open_root(workspace(out).demonstrated("val"), name=DEMONSTRATED)
     if str(data) != EMBEDDED:
-        return open_root(Path(data), version=tables)
+        return open_root(Path(data), version=tables, rates=rates)
     from generation.sources.mini import TownSettings, build_town
 
     settings = TownSettings()

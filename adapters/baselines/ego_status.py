@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Command, Observation, Plan, PlanFrame, SceneInfo
+from benchmark.weights.tensors import read_tensors
 
 PAST_STEPS = 4
 """Poses before now that the network sees, half a second apart."""
@@ -114,15 +114,17 @@ class EgoStatus:
 
     def _load(self, path: Path) -> None:
         self._network = EgoStatusNetwork()
+        instead = "make them with: challenger-bench train ego-status"
+        tensors, _ = read_tensors(path, what="the weights of ego-status from ", instead=instead)
         try:
-            self._network.load_state_dict(load_file(path))
-            self.weights_sha256 = file_sha256(path)
-        except (OSError, SafetensorError, RuntimeError) as error:
-            reason = str(error).splitlines()[0]
+            self._network.load_state_dict(tensors)
+        except RuntimeError as error:
             raise InputError(
-                f"{path} does not hold the weights of ego-status ({reason}); make them with: challenger-bench train "
-                "ego-status"
+                f"{path} does not hold the weights of ego-status ({one_line(error)}); {instead}"
             ) from error
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in self._network.state_dict().values()):
+            raise InputError(f"the weights of ego-status in {path} hold NaN or infinity; {instead}")
+        self.weights_sha256 = file_sha256(path)
         self._network.eval()
 
     def reset(self, scene: SceneInfo) -> None:

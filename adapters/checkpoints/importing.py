@@ -26,6 +26,8 @@ from adapters.models import Model, published_model
 from adapters.networks.sparse.anchors import with_anchors
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
+from benchmark.foreign.files import open_file
+from benchmark.foreign.limits import CHECKPOINT, PICKLE
 from benchmark.machine.storage import file_sha256, only_writer
 from benchmark.report.words import counted
 from benchmark.runs.code_identity import outside_identity
@@ -172,10 +174,12 @@ def resolve_checkpoint(model: str, checkpoint: Path | None, cache: Path | None =
                 f"{provenance.model}"
             )
         return checkpoint
+    open_file(checkpoint, CHECKPOINT).close()
     digest = file_sha256(checkpoint)
     known = {path: found for path, found in cached_weights(folder, model).items() if found.source_sha256 == digest}
     beside = published_beside(checkpoint) if published_model(model).net.anchors else None
     if beside is not None:
+        open_file(beside, PICKLE).close()
         those = (None, file_sha256(beside))
         known = {path: found for path, found in known.items() if found.anchors_sha256 in those}
     return _only(model, known) if known else import_checkpoint(checkpoint, model, folder).path

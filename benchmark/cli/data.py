@@ -1,7 +1,7 @@
 """Commands on data sets: ``data info|stats|show|check|import|build``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,6 +26,9 @@ from benchmark.cli.whole_help import WholeSummaries
 from benchmark.errors import InputError
 from benchmark.report.words import counted
 
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
 app = typer.Typer(cls=WholeSummaries, help="Look at, check, import and build data sets.", no_args_is_help=True)
 
 
@@ -43,11 +46,22 @@ def data_info_command(
 
     api.worker_count(workers)
     require_root(root, tables, out)
-    found = contents(api.open_data(root, tables=tables, workers=workers, out=out))
+    found = contents(_open_to_look(root, tables, workers, out))
     if json_output:
         print_json(found)
     else:
         typer.echo(contents_text(found), nl=False)
+
+
+def _open_to_look(root: str, tables: str | None, workers: int, out: Path) -> "DataSet":
+    """Open a data set that may have another keyframe rate; a warning says so."""
+    from benchmark.datasets.schema import FaultList
+
+    rates = FaultList()
+    dataset = api.open_data(root, tables=tables, workers=workers, out=out, rates=rates)
+    for fault in rates.told():
+        api.tell(f"warning: {fault.sentence}; commands that judge refuse {root}")
+    return dataset
 
 
 @app.command("stats")
@@ -100,7 +114,7 @@ def data_show_command(
     from generation.render.pictures import write_pictures
     from generation.render.schematic import SchematicRenderer
 
-    dataset = api.open_data(root, tables=tables, workers=workers, out=out)
+    dataset = _open_to_look(root, tables, workers, out)
     names = (name_list(scenes) or dataset.scene_names(None))[:limit]
     write = write_condition_pictures if conditions else write_pictures
     written = write(dataset, names, to, SchematicRenderer())

@@ -6,16 +6,17 @@ The files are those of the CAN bus expansion. The devkit's reader refuses scene 
 the published Adv-nuSc has, so they are read here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import FRAME_HZ
-from benchmark.errors import InputError
+from benchmark.datasets.schema.beside import CAN_BUS, require_records
+from benchmark.datasets.schema.kinds import Kind
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.planning import EgoState
@@ -42,35 +43,29 @@ class CanMessages:
     values: Floats
 
     @classmethod
-    def read(cls, path: Path, fields: Sequence[tuple[str, int]]) -> Self | None:
+    def read(cls, path: Path, fields: Mapping[str, Kind]) -> Self | None:
         """Read a message file.
 
         Args:
             path: ``can_bus/<scene>_<message>.json``.
-            fields: Names of fields and the number of values in each.
+            fields: What each message holds, ``utime`` among it.
 
         Returns:
             The messages, or ``None`` if there is no such file or it is empty.
 
         Raises:
-            InputError: If the file is broken, a field is missing or a number is not finite.
+            InputError: If the file is broken, a field is missing or holds what it must not.
         """
         if not path.is_file():
             return None
-        messages = read_json(path)
-        if not isinstance(messages, list):
-            raise InputError(f"{path} must hold a list of CAN messages; fetch or make it again")
+        messages = require_records(path, "message", read_json(path), fields)
         if not messages:
             return None
-        try:
-            times_us = np.array([round(message["utime"]) for message in messages], dtype=np.int64)
-            columns = [_column(messages, name).reshape(len(messages), length) for name, length in fields]
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            needed = ", ".join(("utime", *(name for name, _ in fields)))
-            raise InputError(f"{path}: every message needs the fields {needed} ({error}); make it again") from error
-        values = np.concatenate(columns, axis=-1)
-        if not np.isfinite(values).all():
-            raise InputError(f"{path} has a value that is not a finite number; make it again or remove the file")
+        times_us = np.array([message["utime"] for message in messages], dtype=np.int64)
+        columns = [
+            np.array([message[name] for message in messages], dtype=np.float64) for name in fields if name != "utime"
+        ]
+        values = np.concatenate([column.reshape(len(messages), -1) for column in columns], axis=-1)
         order = np.argsort(times_us, kind="stable")
         return cls(times_us[order], values[order])
 
@@ -103,10 +98,6 @@ class CanMessages:
         return self.before(timestamp_us)
 
 
-def _column(messages: list[dict[str, Any]], name: str) -> Floats:
-    return np.array([message[name] for message in messages], dtype=np.float64)
-
-
 @dataclass(frozen=True, slots=True)
 class CanBus:
     """CAN bus messages of one scene.
@@ -134,11 +125,10 @@ class CanBus:
             InputError: If a file is broken.
         """
         folder = root / "can_bus"
-        pose_fields = (("vel", 3), ("accel", 3), ("rotation_rate", 3))
-        return cls(
-            CanMessages.read(folder / f"{scene}_pose.json", pose_fields),
-            CanMessages.read(folder / f"{scene}_steeranglefeedback.json", (("value", 1),)),
+        motion, steering = (
+            CanMessages.read(folder / f"{scene}_{message}.json", fields) for message, fields in CAN_BUS.items()
         )
+        return cls(motion, steering)
 
 
 def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_bus: CanBus) -> EgoState:

@@ -5,16 +5,21 @@ data set, little for one.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.datasets.scene_tables import SceneTables, read_scene_tables
-from benchmark.datasets.tables import Row, Tables, check_tables, read_tables
+from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.integrity.opened import check_opened, check_scene
+from benchmark.datasets.integrity.tables import CheckedTables
+from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, camera_mounts, read_rows, read_scene_tables
+from benchmark.datasets.schema import FaultList, Refusal, check_table
+from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
 
 _FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
-"""Tables that the devkit reads and checks where they are, and nobody here."""
+"""Tables that the devkit reads where they are, and nobody here."""
 
 
 class OpenTables(ABC):
@@ -29,14 +34,15 @@ class OpenTables(ABC):
         """File names of the camera keyframes of all scenes, relative to the root."""
 
     @abstractmethod
-    def of_scene(self, scene: Row) -> Any:
+    def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit, with the rows of at least one scene.
 
         Args:
             scene: Row of the scene table.
+            adversaries: Instances that were made to be adversaries of the scene.
 
         Raises:
-            InputError: If a table has changed since it was opened.
+            InputError: If a table has changed since it was opened, or the rows of the scene do not go together.
         """
 
 
@@ -61,46 +67,57 @@ class SceneByScene(OpenTables):
         """File names of the camera keyframes of all scenes."""
         return self._tables.keyframe_images
 
-    def of_scene(self, scene: Row) -> Any:
+    def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit with the rows of this scene alone."""
         token = scene["token"]
         if self._kept[0] != token:
             self._kept = ("", None)
-            self._kept = (token, _devkit_with(self._root, self._version, self._tables.of_scene(token)))
+            self._kept = (token, _devkit_with(self._root, self._version, self._tables.of_scene(token, adversaries)))
         return self._kept[1]
 
 
 class AllScenes(OpenTables):
-    """The devkit has read the tables.
+    """The devkit holds all rows.
 
     Args:
         nusc: ``NuScenes`` of the devkit.
+        tables: Its rows.
+        folder: Version folder.
     """
 
-    def __init__(self, nusc: Any) -> None:
-        self._nusc = nusc
+    def __init__(self, nusc: Any, tables: Tables, folder: Path) -> None:
+        self._nusc, self._folder = nusc, folder
+        self._tables = tables
+        self._shared = CheckedTables.of_sound_rows(
+            {name: tables[name] for name in tables if name not in GROWING_TABLES}
+        )
+        self._unchecked = _rows_of_scenes(tables)
 
     def rows(self, table: str) -> list[Row]:
         """Rows of the table ``scene`` or ``log``."""
-        rows: list[Row] = getattr(self._nusc, table)
-        return rows
+        return self._tables[table]
 
     def keyframe_images(self) -> Iterable[str]:
         """File names of the camera keyframes of all scenes."""
-        rows = self._nusc.sample_data
-        return (row["filename"] for row in rows if row["is_key_frame"] and row["sensor_modality"] == "camera")
+        cameras, rows = camera_mounts(self._tables), self._tables["sample_data"]
+        return (row["filename"] for row in rows if row["is_key_frame"] and row["calibrated_sensor_token"] in cameras)
 
-    def of_scene(self, scene: Row) -> Any:
+    def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit with all rows."""
+        if scene["token"] in self._unchecked:
+            rows = self._unchecked[scene["token"]]
+            check_scene(self._shared, rows, scene, adversaries, Refusal(folder=self._folder))
+            del self._unchecked[scene["token"]]
         return self._nusc
 
 
-def open_tables(root: Path, version: str) -> OpenTables:
+def open_tables(root: Path, version: str, rates: FaultList | None = None) -> OpenTables:
     """Check the tables of a data set.
 
     Args:
         root: Root of the data set.
         version: Version folder, with all 13 tables.
+        rates: Gets scenes that cannot be judged because of the rate of their keyframes; they are refused if not given.
 
     Returns:
         The tables, scene by scene where they can be taken apart.
@@ -108,53 +125,70 @@ def open_tables(root: Path, version: str) -> OpenTables:
     Raises:
         InputError: If a table is broken, or links to nothing.
     """
-    if not any((root / version / f"{table}.json").exists() for table in _FURTHER_TABLES):
-        tables = read_scene_tables(root / version)
-        if tables is not None and all((root / str(row["filename"])).is_file() for row in tables.shared["map"]):
+    folder = root / version
+    rates = Refusal(folder=folder) if rates is None else rates
+    if not any((folder / f"{table}.json").exists() for table in _FURTHER_TABLES):
+        tables = read_scene_tables(folder, rates)
+        if tables is not None:
+            _require_masks(root, tables.shared["map"])
             return SceneByScene(root, version, tables)
-    return AllScenes(_whole_devkit(root, version))
+    rows = _whole_tables(folder, rates)
+    _require_masks(root, rows["map"])
+    return AllScenes(_devkit_with(root, version, rows), rows, folder)
+
+
+def _whole_tables(folder: Path, rates: FaultList) -> Tables:
+    faults = Refusal(folder=folder)
+    rows = {table: check_table(table, read_rows(folder, table), faults)[0] for table in NUSCENES_TABLES}
+    check_opened(CheckedTables.of_sound_rows(rows), faults, rates)
+    return rows
+
+
+def _rows_of_scenes(tables: Tables) -> dict[str, dict[str, list[Row]]]:
+    """Rows of the growing tables by scene and table."""
+    found: dict[str, dict[str, list[Row]]] = {
+        scene["token"]: {table: [] for table in GROWING_TABLES} for scene in tables["scene"]
+    }
+    scene_of = {row["token"]: row["scene_token"] for row in tables["sample"]}
+    for row in tables["sample"]:
+        found[row["scene_token"]]["sample"].append(row)
+    for table, link, target in (
+        ("sample_data", "ego_pose_token", "ego_pose"),
+        ("sample_annotation", "instance_token", "instance"),
+    ):
+        scenes_naming: defaultdict[str, set[str]] = defaultdict(set)
+        for row in tables[table]:
+            scene = scene_of[row["sample_token"]]
+            found[scene][table].append(row)
+            scenes_naming[row[link]].add(scene)
+        for row in tables[target]:
+            for scene in scenes_naming[row["token"]]:
+                found[scene][target].append(row)
+    return found
+
+
+def _require_masks(root: Path, maps: list[Row]) -> None:
+    for row in maps:
+        if not (root / row["filename"]).is_file():
+            raise InputError(
+                f"map mask {root / row['filename']} of map.json is missing; the devkit needs the file (any small PNG "
+                "does)"
+            )
 
 
 def _devkit_with(root: Path, version: str, tables: Tables) -> Any:
     from nuscenes.nuscenes import NuScenes
 
     class NuScenesWithRows(NuScenes):  # type: ignore[misc]
-        """Is given its rows instead of reading files."""
+        """Is given its rows instead of reading files; it reads tables that nobody here does."""
 
         def __load_table__(self, table: str) -> list[Row]:
-            return tables[table]
+            rows: list[Row] = tables[table] if table in tables else super().__load_table__(table)
+            return rows
 
     try:
         return NuScenesWithRows(version=version, dataroot=str(root), verbose=False)
     except Exception as error:
-        raise _cannot_open(root, version, error) from error
-
-
-def _whole_devkit(root: Path, version: str) -> Any:
-    """The devkit crashes on broken tables, so they are then read again to say what is wrong."""
-    from nuscenes.nuscenes import NuScenes
-
-    try:
-        nusc = NuScenes(version=version, dataroot=str(root), verbose=False)
-    except Exception as error:
-        tables = read_tables(root / version)
-        _check(tables, root, version)
-        raise _cannot_open(root, version, error) from error
-    _check({table: getattr(nusc, table) for table in nusc.table_names if hasattr(nusc, table)}, root, version)
-    return nusc
-
-
-def _cannot_open(root: Path, version: str, error: Exception) -> InputError:
-    return InputError(
-        f"nuscenes-devkit cannot open {root / version} ({type(error).__name__}: {error}); correct the tables"
-    )
-
-
-def _check(tables: Tables, root: Path, version: str) -> None:
-    check_tables(tables, root / version)
-    for row in tables["map"]:
-        if not (root / str(row["filename"])).is_file():
-            raise InputError(
-                f"map mask {root / str(row['filename'])} of map.json is missing; the devkit needs the file (any small "
-                "PNG does)"
-            )
+        raise InputError(
+            f"nuscenes-devkit cannot open {root / version} ({type(error).__name__}: {error}); correct the tables"
+        ) from error

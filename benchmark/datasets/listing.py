@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from benchmark.datasets.roots import variant_folders
 from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.table_rows import table_rows
-from benchmark.datasets.tables import find_version
+from benchmark.datasets.tables import find_version, variant_folders
 from benchmark.machine.storage import read_kept_json
 
 

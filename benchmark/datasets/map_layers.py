@@ -9,6 +9,8 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
+from benchmark.datasets.schema.beside import ARC_LINE, MAP_NODE, require_records
+from benchmark.datasets.schema.rows import shown
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -62,13 +64,16 @@ def read_road_map(path: Path) -> RoadMap:
         raise InputError(f"{path} must be a map expansion, an object of layers; fetch or make it again")
     _require_version(layers, path)
     try:
+        require_records(path, "node", layers["node"], MAP_NODE)
+        for lane, arclines in _mapping(layers["arcline_path_3"]).items():
+            require_records(path, f"path of lane {shown(lane)}", arclines, ARC_LINE)
         return _Shapes(layers).road_map(path.stem)
     except KeyError as error:
         raise InputError(
             f"{path}: layer or record {error.args[0]!r} is missing; the map expansion is incomplete, fetch or make it "
             "again"
         ) from error
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{path} is not a well-formed map expansion ({error}); fetch or make it again") from error
 
 
@@ -87,7 +92,7 @@ class _Shapes:
 
     def __init__(self, layers: Mapping[str, Any]) -> None:
         self.layers = layers
-        self.nodes = {row["token"]: (float(row["x"]), float(row["y"])) for row in layers["node"]}
+        self.nodes = {row["token"]: (row["x"], row["y"]) for row in layers["node"]}
         self.polygons = {row["token"]: row for row in layers["polygon"]}
         self.lines = {row["token"]: row["node_tokens"] for row in layers["line"]}
         self.arclines: Mapping[str, Any] = _mapping(layers["arcline_path_3"])

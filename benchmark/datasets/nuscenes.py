@@ -16,6 +16,7 @@ from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.observations import observations_of_scene
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
+from benchmark.datasets.schema import FaultList
 from benchmark.datasets.sensors import read_cameras, read_lidar
 from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.sweep_poses import read_sweep_poses
@@ -59,13 +60,17 @@ class NuScenesData:
         self._fingerprint: str | None = None
 
     @classmethod
-    def open(cls, root: Path, *, version: str | None = None, name: str | None = None) -> Self:
+    def open(
+        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+    ) -> Self:
         """Open a data set: any version folder, any scene names, with or without CAN bus, lidar or image files.
 
         Args:
             root: Root folder, the one that contains the version folder.
             version: Version folder; needed only where there are several.
             name: Shown in tables; the root's name by default.
+            rates: For whoever judges nothing: gets scenes whose keyframes are not half a second apart, which are
+                refused if it is not given.
 
         Returns:
             The data set, its tables loaded and checked.
@@ -75,7 +80,7 @@ class NuScenesData:
         """
         root = Path(root)
         version = find_version(root, version)
-        return cls(open_tables(root, version), root, version, name or root.resolve().name)
+        return cls(open_tables(root, version, rates), root, version, name or root.resolve().name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
@@ -138,7 +143,7 @@ class NuScenesData:
             InputError: As `scene`.
         """
         scene, row = self.scene(name), self._row(name)
-        nusc = self._tables.of_scene(row)
+        nusc = self._devkit(row)
         yield from observations_of_scene(
             nusc, self.root, scene, samples_of_scene(nusc, row), CanBus.read(self.root, name)
         )
@@ -157,7 +162,7 @@ class NuScenesData:
             InputError: As `scene`.
         """
         row = self._row(name)
-        nusc = self._tables.of_scene(row)
+        nusc = self._devkit(row)
         return videos_of_scene(nusc, self.root, samples_of_scene(nusc, row), sweeps=sweeps)
 
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
@@ -173,7 +178,7 @@ class NuScenesData:
             InputError: As `scene`.
         """
         row = self._row(name)
-        samples = samples_of_scene(self._tables.of_scene(row), row)
+        samples = samples_of_scene(self._devkit(row), row)
         return truth_of_scene(self.scene(name), [sample["token"] for sample in samples])
 
     def has_map(self, name: str) -> bool:
@@ -219,22 +224,22 @@ class NuScenesData:
             raise InputError(f"{self.root} has no scene {name!r}; it has {len(self._rows)}: {some}")
         return self._rows[name]
 
+    def _devkit(self, row: Row) -> Any:
+        return self._tables.of_scene(row, self._adversaries(row["name"]))
+
+    def _adversaries(self, name: str) -> tuple[str, ...]:
+        made = self._provenance["scenes"].get(name, {}) if self._provenance else {}
+        return tuple(made.get("adversaries", ()))
+
     def _log(self, row: Row) -> Row:
         return self._logs[row["log_token"]]
 
     def _read_scene(self, row: Row) -> Scene:
-        nusc, log = self._tables.of_scene(row), self._log(row)
+        nusc, log = self._devkit(row), self._log(row)
         samples = samples_of_scene(nusc, row)
         timeline = read_timeline(nusc, samples)
         cameras = read_cameras(nusc, samples[0])
         agents, annotations = read_objects(nusc, samples, timeline.keyframes)
-        made = self._provenance["scenes"].get(row["name"], {}) if self._provenance else {}
-        adversaries = tuple(made.get("adversaries", ()))
-        if unknown := sorted(set(adversaries) - set(agents.ids)):
-            raise InputError(
-                f"{self.root / self.version / 'challenger.json'} names the adversary {unknown[0]} of {row['name']}, "
-                "which is never annotated there; write the data set again"
-            )
         return Scene(
             name=row["name"],
             token=row["token"],
@@ -250,7 +255,7 @@ class NuScenesData:
             cameras=cameras,
             lidar=read_lidar(nusc, samples[0]),
             road_map=self._map_around(str(log["location"]), timeline.ego.position),
-            adversaries=adversaries,
+            adversaries=self._adversaries(row["name"]),
             sweep_poses=read_sweep_poses(nusc, samples, [camera.name for camera in cameras]),
         )
 
@@ -275,11 +280,13 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
     if not isinstance(value, dict) or not isinstance(made, dict) or not isinstance(value.get("split"), str):
         raise InputError(f"{path} must be an object with a split and its scenes; write the data set again")
     for name, entry in made.items():
-        adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
+        adversaries = entry.get("adversaries") if isinstance(entry, dict) else None
         if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
             raise InputError(f"{path}: scene {name} must be an object with a list of adversaries; write it again")
         if not isinstance(entry.get("source_scene", ""), str):
             raise InputError(f"{path}: the source_scene of {name} must be the name of a scene; write it again")
         if name not in scenes:
             raise InputError(f"{path} names the scene {name}, which is not in scene.json; write the data set again")
+    if left_out := sorted(scenes - set(made)):
+        raise InputError(f"{path} leaves out the scene {left_out[0]} of scene.json; write the data set again")
     return value

@@ -5,14 +5,14 @@ roots: ``v0/``, ``v1/``, ... side by side, each a complete nuScenes root. They a
 are called ``v0/scene-0061``.
 """
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
 from benchmark.datasets.nuscenes import NuScenesData
-from benchmark.datasets.tables import version_folders
+from benchmark.datasets.schema import FaultList
+from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.planning import CameraView, Observation
@@ -81,13 +81,16 @@ class VariantRoots:
         self._variants = variants
 
     @classmethod
-    def open(cls, root: Path, *, version: str | None = None, name: str | None = None) -> Self:
+    def open(
+        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+    ) -> Self:
         """Open every variant.
 
         Args:
             root: Folder that holds ``v0/``, ``v1/``, ...
             version: Version folder in each; needed only where there are several.
             name: Shown in tables; the folder's name by default.
+            rates: As in `NuScenesData.open`.
 
         Returns:
             The data set.
@@ -95,7 +98,9 @@ class VariantRoots:
         Raises:
             InputError: If a variant cannot be opened.
         """
-        variants = {folder: NuScenesData.open(root / folder, version=version) for folder in variant_folders(root)}
+        variants = {
+            folder: NuScenesData.open(root / folder, version=version, rates=rates) for folder in variant_folders(root)
+        }
         if not variants:
             raise InputError(f"{root} holds no variants (v0/, v1/, ...); give the folder that contains them")
         return cls(root, name or root.resolve().name, variants)
@@ -195,31 +200,16 @@ class VariantRoots:
         return self._variants[folder], inner
 
 
-def variant_folders(root: Path) -> tuple[str, ...]:
-    """Names of the variant roots in a folder: ``v0``, ``v1``, ... in numeric order.
-
-    Args:
-        root: Any path.
-
-    Returns:
-        Folder names; none unless at least one of them holds a version folder. An unfinished variant beside finished
-        ones is among them, so that opening fails and nothing is computed from a part of the data.
-    """
-    if not root.is_dir():
-        return ()
-    numbered = [path for path in root.iterdir() if re.fullmatch(r"v\d+", path.name) and path.is_dir()]
-    if not any(map(version_folders, numbered)):
-        return ()
-    return tuple(path.name for path in sorted(numbered, key=lambda path: int(path.name[1:])))
-
-
-def open_data(root: Path, *, version: str | None = None, name: str | None = None) -> DataSet:
+def open_data(
+    root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+) -> DataSet:
     """Open a nuScenes-format root, or a folder of variant roots.
 
     Args:
         root: Root folder.
         version: Version folder; needed only where there are several.
         name: Shown in tables; the folder's name by default.
+        rates: As in `NuScenesData.open`.
 
     Returns:
         The data set.
@@ -229,5 +219,5 @@ def open_data(root: Path, *, version: str | None = None, name: str | None = None
     """
     root = Path(root)
     if variant_folders(root):
-        return VariantRoots.open(root, version=version, name=name)
-    return NuScenesData.open(root, version=version, name=name)
+        return VariantRoots.open(root, version=version, name=name, rates=rates)
+    return NuScenesData.open(root, version=version, name=name, rates=rates)

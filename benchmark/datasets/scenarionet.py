@@ -21,13 +21,16 @@ from benchmark.constants import (
 )
 from benchmark.datasets.scenarionet_map import map_of_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
+from benchmark.datasets.scenarionet_values import name_of, real_numbers
 from benchmark.datasets.sensors import standard_lidar
 from benchmark.datasets.tables import scene_number
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
+from benchmark.foreign.limits import RECORDED_OBJECTS, RECORDED_POSES, RECORDING_S
+from benchmark.foreign.pickles import read_pickle
 from benchmark.geometry import Floats, poses_between, quaternion_from_yaw
 from benchmark.machine.storage import content_seed, token
 from benchmark.scene import EgoTrack, Scene
-from benchmark.weights.foreign import read_pickle
 
 _FALLBACK_LOCATION: Final = OFFICIAL_LOCATIONS[0]
 _UNOFFICIAL_NUMBERS: Final = range(2000, 10000)
@@ -121,7 +124,7 @@ def read_scenarionet(path: Path) -> Scene:
         recording.value["map_features"],
         path=path,
         location=_location(recording),
-        official=recording.metadata.get("map") in OFFICIAL_LOCATIONS,
+        official=_is_official(recording.metadata.get("map")),
         ego_path=position[:, :2],
     )
     others = {name: track for name, track in tracks.items() if track is not ego}
@@ -158,30 +161,40 @@ def _read_recording(path: Path) -> _Recording:
     if not all(isinstance(value[key], dict) for key in ("metadata", "tracks", "map_features")):
         raise InputError(f"{path}: metadata, tracks and map_features must be dictionaries; fetch the file again")
     try:
-        seconds = np.asarray(metadata["ts"], dtype=np.float64).reshape(-1)
-    except (KeyError, TypeError, ValueError):
+        seconds = real_numbers(metadata["ts"]).reshape(-1)
+    except (KeyError, ValueError):
         raise InputError(f"{path}: metadata has no usable list of times 'ts'; fetch the file again") from None
-    steps = np.diff(seconds)
-    if len(seconds) != value["length"] or len(seconds) < 2 or not np.isfinite(seconds).all() or not (steps > 0).all():
+    steps, length = np.diff(seconds), value["length"]
+    whole = isinstance(length, int | np.integer) and len(seconds) == length >= 2
+    if not whole or not np.isfinite(seconds).all() or not (steps > 0).all():
         raise InputError(
-            f"{path}: metadata 'ts' must be {value['length']} increasing finite times, one a step; fetch the file again"
+            f"{path}: metadata 'ts' must be {one_line(length, 40)} increasing finite times, one a step; fetch the file "
+            "again"
         )
     if not 0.01 <= float(np.median(steps)) <= 1.0:
         raise InputError(f"{path}: 'ts' steps by {np.median(steps):g}; it must be in seconds, at 1 to 100 Hz")
-    dataset = str(metadata.get("dataset", "unknown"))
-    return _Recording(path, str(value["id"]), dataset, seconds - seconds[0], metadata, value)
+    if seconds[-1] - seconds[0] > RECORDING_S:
+        raise InputError(
+            f"{path} lasts {seconds[-1] - seconds[0]:g} s; one recording has at most {RECORDING_S:g} s, cut it"
+        )
+    dataset = name_of(metadata.get("dataset", "unknown"), "metadata dataset", path)
+    return _Recording(path, name_of(value["id"], "id", path), dataset, seconds - seconds[0], metadata, value)
 
 
 def _tracks_of(recording: _Recording) -> dict[str, SourceTrack]:
-    read = {
-        str(name): read_track(track, str(name), len(recording.seconds), recording.path)
-        for name, track in recording.value["tracks"].items()
-    }
+    path, given = recording.path, recording.value["tracks"]
+    named = {name_of(name, "the name of a track", path): track for name, track in given.items()}
+    if len(named) != len(given):
+        raise InputError(f"{path} has two tracks of one name; fetch the file again")
+    frames = max(len(recording.seconds), (recording.seconds[-1] + 1.0) * FRAME_HZ)
+    if len(named) > RECORDED_OBJECTS or len(named) * frames > RECORDED_POSES:
+        raise InputError(f"{path} has {len(named)} tracks at {frames:.0f} frames, which is too much; cut it")
+    read = {name: read_track(track, name, len(recording.seconds), path) for name, track in named.items()}
     return {name: track for name, track in read.items() if track is not None}
 
 
 def _ego_of(recording: _Recording, tracks: Mapping[str, SourceTrack]) -> SourceTrack:
-    name = str(recording.metadata.get("sdc_id"))
+    name = name_of(recording.metadata.get("sdc_id"), "metadata sdc_id", recording.path)
     if name not in tracks:
         raise InputError(
             f"{recording.path}: metadata sdc_id {name!r} names no track, so there is no ego; fetch the file again"
@@ -234,7 +247,11 @@ def _ego_track(seconds: Floats, position: Floats, heading: Floats, wanted: Float
 
 def _location(recording: _Recording) -> str:
     location = recording.metadata.get("map")
-    return location if location in OFFICIAL_LOCATIONS else _FALLBACK_LOCATION
+    return str(location) if _is_official(location) else _FALLBACK_LOCATION
+
+
+def _is_official(location: Any) -> bool:
+    return isinstance(location, str) and location in OFFICIAL_LOCATIONS
 
 
 def _scene_name(recording: _Recording) -> str:

@@ -1,6 +1,6 @@
 """Map features of ScenarioNet files as a `RoadMap`."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -9,7 +9,9 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
+from benchmark.datasets.scenarionet_values import FARTHEST_M, name_of, real_numbers
 from benchmark.errors import InputError
+from benchmark.foreign.limits import MAP_LANES, MAP_LINKS, MAP_MEETINGS, MAP_POINTS
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
 
@@ -20,6 +22,7 @@ _JOINED_WITHIN_M: Final = 0.2
 _JOINED_TURN_RAD: Final = np.deg2rad(45.0)
 _DEFAULT_LANE_WIDTH_M: Final = 3.5
 _WIDEST_LANE_M: Final = 10.0
+_COUNTED_AT_ONCE: Final = 512
 _RING_PREFIX: Final = "boundary_"
 _CANVAS_M: Final = {
     "singapore-onenorth": (1585.6, 2025.0),
@@ -53,7 +56,7 @@ def map_of_features(
     Raises:
         InputError: If a feature has no type or coordinates that are not finite.
     """
-    read = {str(name): _Feature(feature, str(name), path) for name, feature in features.items()}
+    read = _read_features(features, path)
     low, high = ego_path.min(axis=0) - _REACH_M, ego_path.max(axis=0) + _REACH_M
     lanes = {name: feature for name, feature in read.items() if feature.is_lane}
     crossings = _surfaces(read, ("CROSSWALK",))
@@ -74,6 +77,35 @@ def map_of_features(
     return replace(_moved(road_map, shift) if shift.any() else road_map, canvas_m=(width, height)), shift
 
 
+def _read_features(features: Mapping[Any, Any], path: Path) -> dict[str, "_Feature"]:
+    """Features by name, which can be joined in seconds: not too many, and not all across one another."""
+    named = {name_of(name, "the name of a map feature", path): feature for name, feature in features.items()}
+    read = {name: _Feature(feature, name, path) for name, feature in named.items()}
+    lines = [line for each in read.values() for line in (each.line, each.outline) if line is not None]
+    links = sum(len(each.entries or ()) + len(each.exits or ()) for each in read.values())
+    lanes = sum(each.is_lane for each in read.values())
+    if sum(map(len, lines)) > MAP_POINTS or links > MAP_LINKS or lanes > MAP_LANES or _meet_often(lines):
+        raise InputError(
+            f"{path}: its map has {sum(map(len, lines))} points, {lanes} lanes and {links} links, or lines that cross "
+            "each other more often than roads do; cut it around the ego, or fetch the file again"
+        )
+    return read
+
+
+def _meet_often(lines: Sequence[Floats]) -> bool:
+    """Whether too many pieces of lines come near each other; counted by their boxes."""
+    if not lines:
+        return False
+    starts, ends = (np.concatenate([line[part] for line in lines]) for part in (slice(-1), slice(1, None)))
+    boxes = shapely.box(*np.minimum(starts, ends).T, *np.maximum(starts, ends).T)
+    tree, meetings = shapely.STRtree(boxes), 0
+    for first in range(0, len(boxes), _COUNTED_AT_ONCE):
+        meetings += tree.query(boxes[first : first + _COUNTED_AT_ONCE]).shape[1]
+        if meetings > MAP_MEETINGS:
+            return True
+    return False
+
+
 class _Feature:
     """One map feature with its coordinates checked."""
 
@@ -84,9 +116,9 @@ class _Feature:
         self.type: str = feature["type"]
         self.line = _coordinates(feature, "polyline", name, path)
         self.outline = _coordinates(feature, "polygon", name, path)
-        self.width = feature.get("width")
-        self.entries = _names(feature.get("entry_lanes"))
-        self.exits = _names(feature.get("exit_lanes"))
+        self.width = _width(feature.get("width"), name, path)
+        self.entries = _names(feature.get("entry_lanes"), name, path)
+        self.exits = _names(feature.get("exit_lanes"), name, path)
 
     @property
     def is_lane(self) -> bool:
@@ -104,31 +136,48 @@ class _Feature:
         assert self.line is not None
         width_m = _DEFAULT_LANE_WIDTH_M
         if self.width is not None:
-            sides = np.asarray(self.width, dtype=np.float64)
-            total = sides.sum(axis=-1) if sides.ndim == 2 else sides
+            sides = self.width
+            with np.errstate(over="ignore"):
+                total = sides.sum(axis=-1) if sides.ndim == 2 else sides
             known = total[np.isfinite(total) & (total > 1.0)]
             width_m = float(np.median(known)) if len(known) else width_m
         return LineString(self.line).buffer(min(width_m, _WIDEST_LANE_M) / 2, cap_style="flat")
 
 
 def _coordinates(feature: Mapping[str, Any], key: str, name: str, path: Path) -> Floats | None:
-    if key not in feature or feature[key] is None or len(feature[key]) == 0:
+    if key not in feature or feature[key] is None:
         return None
     try:
-        points = np.asarray(feature[key], dtype=np.float64)
+        points = real_numbers(feature[key])
+        if points.shape[:1] == (0,):
+            return None
         if points.ndim != 2 or points.shape[1] < 2:
             raise ValueError(f"shape {points.shape}")
-    except (TypeError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: {key} of map feature {name} is not a list of points ({error})") from error
     points = points[:, :2]
     if not np.isfinite(points).all():
         raise InputError(f"{path}: {key} of map feature {name} has a coordinate that is not finite")
+    if np.abs(points).max() > FARTHEST_M:
+        raise InputError(f"{path}: {key} of map feature {name} has coordinates that cannot be metres")
     moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     return points[moved] if moved.sum() > 1 else None
 
 
-def _names(value: Any) -> tuple[str, ...] | None:
-    return None if value is None else tuple(str(name) for name in value)
+def _width(value: Any, name: str, path: Path) -> Floats | None:
+    try:
+        return None if value is None else real_numbers(value)
+    except ValueError as error:
+        raise InputError(f"{path}: width of map feature {name} is no list of numbers ({error})") from error
+
+
+def _names(value: Any, name: str, path: Path) -> tuple[str, ...] | None:
+    if value is None:
+        return None
+    is_list = value.ndim > 0 if isinstance(value, np.ndarray) else isinstance(value, list | tuple | set | frozenset)
+    if not is_list:
+        raise InputError(f"{path}: the lanes before and after map feature {name} must be lists; fetch the file again")
+    return tuple(name_of(other, f"a neighbour of map feature {name}", path) for other in value)
 
 
 def _surfaces(features: Mapping[str, _Feature], types: tuple[str, ...]) -> dict[str, Polygon]:

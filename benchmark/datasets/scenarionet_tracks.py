@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES
 from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.scenarionet_values import FARTHEST_M, real_numbers
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, poses_between, quaternion_from_yaw
 from benchmark.scene import Agents, Annotations
@@ -31,8 +32,6 @@ _CATEGORY_OF_TYPE: Final = {
 }
 _LONGEST_CAR_M: Final = 6.5
 _LONGEST_TRUCK_M: Final = 10.0
-_FARTHEST_M: Final = 1e8
-"""More than any projected map coordinate."""
 _LARGEST_M: Final = 1000.0
 
 
@@ -71,13 +70,13 @@ def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | N
         InputError: If arrays are missing, have wrong shapes, or are not finite where the object is there.
     """
     try:
-        state, kind = track["state"], str(track["type"])
-        valid = np.asarray(state["valid"], np.float64).reshape(steps) > 0
-        position = np.asarray(state["position"], np.float64)
-        heading = np.asarray(state["heading"], np.float64).reshape(steps)
-        sizes = np.column_stack(
-            [np.asarray(state[field], np.float64).reshape(steps) for field in ("length", "width", "height")]
-        )
+        if not isinstance(track, dict) or not isinstance(track["state"], dict) or not isinstance(track["type"], str):
+            raise TypeError("no dictionary with a state and a type")
+        state, kind = track["state"], track["type"]
+        valid = real_numbers(state["valid"]).reshape(steps) > 0
+        position = real_numbers(state["position"])
+        heading = real_numbers(state["heading"]).reshape(steps)
+        sizes = np.column_stack([real_numbers(state[field]).reshape(steps) for field in ("length", "width", "height")])
         if position.shape not in ((steps, 2), (steps, 3)):
             raise ValueError(f"position has shape {position.shape}")
     except (KeyError, TypeError, ValueError) as error:
@@ -97,7 +96,7 @@ def read_track(track: Any, name: str, steps: int, path: Path) -> SourceTrack | N
     if not np.isfinite(size).all() or not (size > 0).all():
         raise InputError(f"{path}: track {name} has the size {size.tolist()}; sizes must be positive, fetch it again")
     farthest_m = np.abs(position[valid]).max()
-    if farthest_m > _FARTHEST_M or size.max() > _LARGEST_M:
+    if farthest_m > FARTHEST_M or size.max() > _LARGEST_M:
         raise InputError(
             f"{path}: track {name} has positions up to {farthest_m:g} and the size {size.tolist()}; these cannot be "
             "metres, fetch the file again"
@@ -109,8 +108,8 @@ def _category(track: Mapping[str, Any], kind: str, size: Floats) -> str:
     """The source's own nuScenes category if it has one; else by type, vehicles without a type by their length."""
     metadata = track.get("metadata")
     detailed = metadata.get("type") if isinstance(metadata, dict) else None
-    if detailed in CATEGORIES:
-        return str(detailed)
+    if isinstance(detailed, str) and detailed in CATEGORIES:
+        return detailed
     if kind != "VEHICLE":
         return _CATEGORY_OF_TYPE.get(kind, "movable_object.debris")
     if size[0] <= _LONGEST_CAR_M:

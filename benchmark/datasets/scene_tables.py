@@ -1,12 +1,14 @@
 """Tables of a nuScenes-format root scene by scene, so that memory does not hold the rows of all scenes.
 
-Five tables grow with the number of scenes. Their rows stay in their files: one pass checks them and notes where the
-rows of each scene are. This works only for tables in which nothing leads from one scene into another.
+Five tables grow with the number of scenes. Their rows stay in their files: one pass checks them against the schema and
+notes where the rows of each scene are; what the rows of a scene say together is checked when they are read.
 """
 
-from collections.abc import Callable, Sequence
+import gc
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,14 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.integrity.links import check_link, note_dead_link
+from benchmark.datasets.integrity.opened import check_opened, check_scene
+from benchmark.datasets.integrity.tables import CheckedTables
+from benchmark.datasets.schema import LINKS, FaultList, Refusal, check_rows, check_table
 from benchmark.datasets.stored_rows import PassOverRows, StoredRows
-from benchmark.datasets.tables import Row, Tables, check_rows, check_shared_tables
-from benchmark.errors import InputError
+from benchmark.datasets.tables import Row, Tables
 
 Numbers = NDArray[np.int64]
 
 GROWING_TABLES: Final = ("sample", "ego_pose", "sample_data", "instance", "sample_annotation")
 _NO_ROW: Final = -1
+_LOST: Final = -2
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,50 +35,70 @@ class SceneTables:
     """Checked tables, most of whose rows are read when their scene is.
 
     Attributes:
-        shared: Rows of the tables that do not grow with the scenes.
         keyframe_images: File names of all camera keyframes.
     """
 
-    shared: Tables
     keyframe_images: tuple[str, ...]
+    _shared: CheckedTables
+    _faults: Refusal
     _stored: dict[str, StoredRows]
     _of_scene: dict[str, list[Numbers]]
+    _sound: set[str] = field(default_factory=set)
 
-    def of_scene(self, token: str) -> dict[str, list[Row]]:
+    @property
+    def shared(self) -> Tables:
+        """Rows of the tables that do not grow with the scenes."""
+        return self._shared.rows
+
+    def of_scene(self, token: str, adversaries: Collection[str] = ()) -> dict[str, list[Row]]:
         """Rows that belong to a scene, in the order of the files; the shared tables whole.
 
         Args:
             token: Of the scene.
+            adversaries: Instances that were made to be adversaries of the scene.
 
         Returns:
             Rows by table name, the caller's own.
 
         Raises:
-            InputError: If a file has changed or cannot be read.
+            InputError: If a file has changed or cannot be read, or what the rows say together cannot be.
         """
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
-        copied = {table: [dict(row) for row in rows] for table, rows in self.shared.items()}
-        return copied | {table: self._stored[table].read(self._of_scene[table][number]) for table in GROWING_TABLES}
+        rows = {table: self._stored[table].read(self._of_scene[table][number]) for table in GROWING_TABLES}
+        if token not in self._sound:
+            check_scene(self._shared, rows, self.shared["scene"][number], adversaries, self._faults)
+            self._sound.add(token)
+        return {table: [dict(row) for row in shared] for table, shared in self.shared.items()} | rows
 
 
-def read_scene_tables(folder: Path) -> SceneTables | None:
+def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
     """Pass over the tables of a version folder.
 
     Args:
         folder: Version folder.
+        rates: Gets scenes that cannot be judged, for their keyframes are too far apart or too near.
 
     Returns:
-        The tables, or ``None`` if `tables.check_tables` would refuse them, if something leads from one scene into
-        another, or if that cannot be told: then they must be read whole.
+        The tables, or ``None`` if by a chance of one in millions of millions two tokens cannot be told apart: then
+        the tables must be read whole.
 
     Raises:
-        InputError: If a file cannot be read.
+        InputError: If a file cannot be read, or holds what it must not.
     """
+    collecting = gc.isenabled()
+    # Rows hold no circles, so looking for some among millions of them is time lost.
+    gc.disable()
     try:
-        return _Reading(folder).result()
-    except (InputError, KeyError, TypeError, ValueError, RecursionError):
-        # Whoever reads them whole finds what it was, and says so.
+        return _Reading(folder, rates).result()
+    except _SameHash:
         return None
+    finally:
+        if collecting:
+            gc.enable()
+
+
+class _SameHash(Exception):
+    """Two tokens have the same hash."""
 
 
 @dataclass(slots=True)
@@ -82,8 +108,6 @@ class _Column:
     parts: list[Numbers] = field(default_factory=list)
 
     def add(self, values: Sequence[str]) -> None:
-        if not all(value.__class__ is str for value in values):
-            raise ValueError("a token that is no text")
         self.parts.append(np.fromiter(map(hash, values), np.int64, len(values)))
 
     def whole(self) -> Numbers:
@@ -93,41 +117,38 @@ class _Column:
 class _Reading:
     """The pass over all tables of a folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, rates: FaultList) -> None:
         self._folder = folder
+        self._faults = Refusal(folder=folder)
+        self._rates = rates
         self._stored: dict[str, StoredRows] = {}
         self._images: list[str] = []
         names = [table for table in NUSCENES_TABLES if table not in GROWING_TABLES]
-        self._shared: dict[str, list[Row]] = {
-            table: list(chain.from_iterable(PassOverRows(folder / f"{table}.json").batches())) for table in names
-        }
-        self._known = check_shared_tables(self._shared, folder)
-        modality = {row["token"]: row["modality"] for row in self._shared["sensor"]}
-        mounts = self._shared["calibrated_sensor"]
-        self._cameras = {row["token"] for row in mounts if modality[row["sensor_token"]] == "camera"}
+        rows = {table: check_table(table, read_rows(folder, table), self._faults)[0] for table in names}
+        self._shared = CheckedTables.of_sound_rows(rows)
+        self._cameras = camera_mounts(rows)
 
     def result(self) -> SceneTables:
-        """Raises ValueError or InputError where the tables must be read whole."""
-        scenes = {row["token"]: number for number, row in enumerate(self._shared["scene"])}
-        sample = self._pass("sample", ("token", "next", "scene_token"))
-        sample_rows = _RowsByToken(sample["token"])
-        scene_rows = _RowsByToken(np.fromiter(map(hash, scenes), np.int64, len(scenes)))
-        scene_of_sample = scene_rows.find(sample["scene_token"])
-        _require_same_scene(scene_of_sample, sample_rows.find(sample["next"], or_none=True))
-        first = np.array([hash(row["first_sample_token"]) for row in self._shared["scene"]], dtype=np.int64)
-        if not np.array_equal(scene_of_sample[sample_rows.find(first)], np.arange(len(scenes))):
-            raise ValueError("the first sample of a scene is another's")
-        poses = _RowsByToken(self._pass("ego_pose", ("token",))["token"])
+        """Raises InputError for the first fault."""
+        samples: list[Row] = []
+        sample_rows = self._by_token("sample", self._pass("sample", ("token",), samples.extend)["token"])
+        check_opened(CheckedTables.of_sound_rows({**self._shared.rows, "sample": samples}), self._faults, self._rates)
+        scenes = {row["token"]: number for number, row in enumerate(self._shared.rows["scene"])}
+        scene_of_sample = np.array([scenes[row["scene_token"]] for row in samples], dtype=np.int64)
+        del samples
+        poses = self._by_token("ego_pose", self._pass("ego_pose", ("token",))["token"])
         data = self._pass("sample_data", ("token", "next", "sample_token", "ego_pose_token"), self._note_images)
-        scene_of_data = scene_of_sample[sample_rows.find(data["sample_token"])]
-        _require_same_scene(scene_of_data, _RowsByToken(data["token"]).find(data["next"], or_none=True))
-        pose_of_data = poses.find(data["ego_pose_token"])
-        del data, poses
-        instances = _RowsByToken(self._pass("instance", ("token",))["token"])
+        scene_of_data = scene_of_sample[self._follow("sample_data", "sample_token", data, sample_rows)]
+        following = self._follow("sample_data", "next", data, self._by_token("sample_data", data["token"]))
+        self._require_same_scene(scene_of_data, following)
+        pose_of_data = self._follow("sample_data", "ego_pose_token", data, poses)
+        del data, poses, following
+        instances = self._by_token("instance", self._pass("instance", ("token",))["token"])
         annotations = self._pass("sample_annotation", ("token", "sample_token", "instance_token"))
-        _RowsByToken(annotations["token"])
-        scene_of_annotation = scene_of_sample[sample_rows.find(annotations["sample_token"])]
-        instance_of_annotation = instances.find(annotations["instance_token"])
+        self._by_token("sample_annotation", annotations["token"])
+        at_sample = self._follow("sample_annotation", "sample_token", annotations, sample_rows)
+        scene_of_annotation = scene_of_sample[at_sample]
+        instance_of_annotation = self._follow("sample_annotation", "instance_token", annotations, instances)
         count = len(scenes)
         data_rows, annotation_rows = _grouped(scene_of_data, count), _grouped(scene_of_annotation, count)
         of_scene = {
@@ -137,17 +158,23 @@ class _Reading:
             "sample_annotation": annotation_rows,
             "instance": [_small(np.unique(instance_of_annotation[rows])) for rows in annotation_rows],
         }
-        return SceneTables(self._shared, tuple(self._images), self._stored, of_scene)
+        return SceneTables(tuple(self._images), self._shared, self._faults, self._stored, of_scene)
 
     def _pass(
         self, table: str, wanted: tuple[str, ...], look: Callable[[list[Row]], None] | None = None
     ) -> dict[str, Numbers]:
-        """Check a table's rows one by one; hashes of the texts in some of its fields."""
+        """Check a table's rows, and their links to shared tables; hashes of the texts in some of their fields."""
         reading, columns = PassOverRows(self._folder / f"{table}.json"), {name: _Column() for name in wanted}
+        known = {name: rows.keys() for name, rows in self._shared.by_token.items()}
+        links = [link for link in LINKS if link.table == table and link.target in known]
+        count = 0
         for rows in reading.batches():
-            check_rows(table, rows, self._known, self._folder)
+            check_rows(table, rows, self._faults, first=count)
+            count += len(rows)
+            for link in links:
+                check_link(link, rows, known[link.target], self._faults)
             for name, column in columns.items():
-                column.add([row[name] for row in rows])
+                column.add(list(map(itemgetter(name), rows)))
             if look is not None:
                 look(rows)
         self._stored[table] = reading.stored()
@@ -155,10 +182,38 @@ class _Reading:
 
     def _note_images(self, rows: list[Row]) -> None:
         cameras = (row for row in rows if row["calibrated_sensor_token"] in self._cameras)
-        names = [row["filename"] for row in cameras if row["is_key_frame"]]
-        if not all(isinstance(name, str) for name in names):
-            raise ValueError("a file name that is no text")
-        self._images += names
+        self._images += [row["filename"] for row in cameras if row["is_key_frame"]]
+
+    def _row(self, table: str, number: int) -> Row:
+        return self._stored[table].read(np.array([number]))[0]
+
+    def _by_token(self, table: str, hashes: Numbers) -> "_RowsByToken":
+        """Rows of a table by token; refuses a token that is there twice."""
+        rows = _RowsByToken(hashes)
+        if rows.alike:
+            first, second = (self._row(table, number)["token"] for number in rows.alike)
+            if first != second:
+                raise _SameHash
+            self._faults.add("tokens used twice", table, first, "two rows have this token")
+        return rows
+
+    def _follow(self, table: str, name: str, columns: dict[str, Numbers], targets: "_RowsByToken") -> Numbers:
+        """Numbers of the rows that a field names; refuses one that leads nowhere."""
+        link = next(link for link in LINKS if (link.table, link.field) == (table, name))
+        found = targets.find(columns[name], or_none=link.may_be_empty)
+        lost = np.flatnonzero(found == _LOST)
+        if len(lost):
+            row = self._row(table, int(lost[0]))
+            note_dead_link(link, row["token"], row[name], self._faults)
+        return found
+
+    def _require_same_scene(self, scene_of: Numbers, following: Numbers) -> None:
+        linked = np.flatnonzero(following != _NO_ROW)
+        strayed = linked[scene_of[linked] != scene_of[following[linked]]]
+        if len(strayed):
+            row = self._row("sample_data", int(strayed[0]))
+            sentence = f"next {row['next']} is a row of another scene"
+            self._faults.add("chains that leave their owner", "sample_data", row["token"], sentence)
 
 
 class _RowsByToken:
@@ -167,36 +222,47 @@ class _RowsByToken:
     Args:
         hashes: One for each row.
 
-    Raises:
-        ValueError: If two are equal: a token that is there twice, or a chance of one in millions of millions.
+    Attributes:
+        alike: Two rows with the same hash, or none.
     """
 
     def __init__(self, hashes: Numbers) -> None:
         self._order = np.argsort(hashes, kind="stable")
         self._sorted = hashes[self._order]
-        if (self._sorted[1:] == self._sorted[:-1]).any():
-            raise ValueError("a token that is there twice")
+        alike = np.flatnonzero(self._sorted[1:] == self._sorted[:-1])[:1]
+        self.alike = tuple(int(number) for at in alike for number in self._order[at : at + 2])
 
     def find(self, hashes: Numbers, *, or_none: bool = False) -> Numbers:
-        """Numbers of the rows that are named; where it may name none, -1 for the empty text.
-
-        Raises:
-            ValueError: If there is no such row.
-        """
-        if not len(self._sorted) and len(hashes):
-            raise ValueError("a link that leads nowhere")
-        at = np.searchsorted(self._sorted, hashes)
-        at[at == len(self._sorted)] = 0
-        empty = (hashes == hash("")) & or_none
-        if not ((self._sorted[at] == hashes) | empty).all():
-            raise ValueError("a link that leads nowhere")
-        return np.where(empty, _NO_ROW, self._order[at])
+        """Numbers of the rows that are named; where it may name none, -1 for the empty text; -2 for no row."""
+        if not len(self._sorted):
+            found = np.full(len(hashes), _LOST)
+        else:
+            at = np.searchsorted(self._sorted, hashes)
+            at[at == len(self._sorted)] = 0
+            found = np.where(self._sorted[at] == hashes, self._order[at], _LOST)
+        if or_none:
+            found[hashes == hash("")] = _NO_ROW
+        return found
 
 
-def _require_same_scene(scene_of: Numbers, following: Numbers) -> None:
-    linked = following != _NO_ROW
-    if (scene_of[linked] != scene_of[following[linked]]).any():
-        raise ValueError("a link from one scene to another")
+def read_rows(folder: Path, table: str) -> list[Row]:
+    """All rows of a table.
+
+    Raises:
+        InputError: If it cannot be read, or is not a JSON list of objects.
+    """
+    return list(chain.from_iterable(PassOverRows(folder / f"{table}.json").batches()))
+
+
+def camera_mounts(tables: Tables) -> frozenset[str]:
+    """Tokens of the calibrated cameras.
+
+    Args:
+        tables: The tables sensor and calibrated_sensor.
+    """
+    modality = {row["token"]: row["modality"] for row in tables["sensor"]}
+    mounts = tables["calibrated_sensor"]
+    return frozenset(row["token"] for row in mounts if modality.get(row["sensor_token"]) == "camera")
 
 
 def _grouped(scene_of: Numbers, count: int) -> list[Numbers]:

@@ -1,15 +1,14 @@
 """Cameras and lidar of a nuScenes data set: calibration, and images on demand."""
 
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmark.constants import CAMERA_NAMES, LIDAR_FROM_REAR_AXLE_M, LIDAR_NAME
 from benchmark.datasets.tables import Row
-from benchmark.errors import InputError
+from benchmark.foreign.pictures import read_picture
 from benchmark.geometry import quaternion_from_yaw, transform_matrix
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, LidarMount
@@ -46,9 +45,6 @@ def read_cameras(nusc: Any, sample: Row) -> tuple[Camera, ...]:
 
     Returns:
         Cameras, possibly none.
-
-    Raises:
-        InputError: If an intrinsic matrix or an image size makes no sense.
     """
     return tuple(_camera(nusc, row) for row in _camera_rows(nusc, sample))
 
@@ -63,9 +59,6 @@ def read_views(nusc: Any, root: Path, sample: Row) -> dict[str, CameraView]:
 
     Returns:
         Views in the order of `read_cameras`.
-
-    Raises:
-        InputError: If a calibration makes no sense or a file name leaves the root.
     """
     views = (view_of(nusc, root, row, _camera(nusc, row)) for row in _camera_rows(nusc, sample))
     return {view.camera.name: view for view in views}
@@ -82,64 +75,16 @@ def view_of(nusc: Any, root: Path, row: Row, camera: Camera) -> CameraView:
 
     Returns:
         The view; its file is opened only when it is loaded.
-
-    Raises:
-        InputError: If the file name leaves the root.
     """
     pose = nusc.get("ego_pose", row["ego_pose_token"])
-    path = file_inside(root, row)
+    path = root / row["filename"]
     return CameraView(
         camera=camera,
         path=path,
-        timestamp_us=round(row["timestamp"]),
+        timestamp_us=row["timestamp"],
         global_T_ego=transform_matrix(pose["rotation"], pose["translation"]),
-        load=partial(load_image, path),
+        load=partial(read_picture, path),
     )
-
-
-def file_inside(root: Path, row: Row) -> Path:
-    """Path of a sample_data row's file.
-
-    Args:
-        root: Data set root.
-        row: Row of the sample_data table.
-
-    Returns:
-        A path below the root.
-
-    Raises:
-        InputError: If the table names a place outside the root.
-    """
-    name = PurePosixPath(str(row["filename"]))
-    if name.is_absolute() or ".." in name.parts or not name.parts:
-        raise InputError(
-            f"sample_data {row['token']} names the file {str(name)!r}, which is not inside {root}; file names must be "
-            "relative to the root"
-        )
-    return root / name
-
-
-def load_image(path: Path) -> NDArray[np.uint8]:
-    """Read an image file.
-
-    Args:
-        path: JPEG or PNG file.
-
-    Returns:
-        (height, width, 3) RGB.
-
-    Raises:
-        InputError: If it is missing, truncated or not an image.
-    """
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"), dtype=np.uint8)
-    except FileNotFoundError as error:
-        raise InputError(f"image {path} is missing; complete the data set or leave its scene out") from error
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"image {path} cannot be read ({error}); fetch or make it again") from error
 
 
 def _camera_rows(nusc: Any, sample: Row) -> list[Row]:
@@ -151,21 +96,11 @@ def _camera_rows(nusc: Any, sample: Row) -> list[Row]:
 
 def _camera(nusc: Any, row: Row) -> Camera:
     calibration = nusc.get("calibrated_sensor", row["calibrated_sensor_token"])
-    try:
-        intrinsic = np.array(calibration["camera_intrinsic"], dtype=np.float64)
-        width, height = int(row["width"]), int(row["height"])
-    except (KeyError, TypeError, ValueError):
-        intrinsic, width, height = np.zeros(0), 0, 0
-    if intrinsic.shape != (3, 3) or not np.isfinite(intrinsic).all() or width < 1 or height < 1:
-        raise InputError(
-            f"camera {row['channel']} of sample_data {row['token']} needs a 3 x 3 camera_intrinsic and an image width "
-            f"and height; correct calibrated_sensor {calibration['token']} or the row"
-        )
     return Camera(
         name=row["channel"],
         translation=np.array(calibration["translation"], np.float64),
         rotation=np.array(calibration["rotation"], np.float64),
-        intrinsic=intrinsic,
-        width=width,
-        height=height,
+        intrinsic=np.array(calibration["camera_intrinsic"], np.float64),
+        width=row["width"],
+        height=row["height"],
     )

@@ -6,9 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.errors import InputError, did_you_mean
+from benchmark.foreign.files import one_line
 from benchmark.machine.storage import read_json
 
 _SUFFIXED = re.compile(r"scene-\d{4}-.+")
+
+
+class NoSuchSplit(InputError):
+    """A data set is sound, but has no split of a name."""
 
 
 def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
@@ -68,14 +73,17 @@ def scenes_of_split(
         Sorted scene names.
 
     Raises:
-        InputError: If there is no such split, or ``splits.json`` names a scene that is not here.
+        NoSuchSplit: If there is no such split.
+        InputError: If ``splits.json`` names a scene that is not here.
     """
+    if split in custom and not custom[split]:
+        raise InputError(f"{where}: splits.json puts no scene into {split!r}; correct it, or ask for another split")
     if split in custom:
         absent = sorted(set(custom[split]) - set(present))
         if absent:
             raise InputError(
-                f"{where}: splits.json puts {absent[0]} into {split!r}, but there is no such scene; complete the data "
-                "set or correct splits.json"
+                f"{where}: splits.json puts {one_line(absent[0], 80)} into {split!r}, but there is no such scene; "
+                "complete the data set or correct splits.json"
             )
         return tuple(sorted(custom[split]))
     known: dict[str, tuple[str, ...]] = {} if built_as is None else {built_as: tuple(sorted(present))}
@@ -85,7 +93,7 @@ def scenes_of_split(
         return known[split]
     there = sorted({*custom, *known})
     only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
-    raise InputError(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
+    raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
 
 
 def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -11,10 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.roots import variant_folders
 from benchmark.datasets.split_names import read_splits, scenes_of_split
 from benchmark.datasets.table_rows import count_rows, table_rows
-from benchmark.datasets.tables import find_version
+from benchmark.datasets.tables import find_version, variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 from benchmark.published import ADV_NUSC

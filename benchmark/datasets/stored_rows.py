@@ -3,6 +3,7 @@
 import codecs
 import json
 import os
+import re
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ _BATCH_ROWS: Final = 4096
 _READ_THROUGH_BYTES: Final = 1 << 14
 """Rows that lie nearer to each other than this are read in one piece."""
 _SPACE: Final = " \t\n\r"
+_BETWEEN_OBJECTS: Final = re.compile(rf"[{_SPACE}]*,[{_SPACE}]*(?=\{{)")
+"""Most objects are followed by another one that begins in what has been read already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +93,7 @@ class PassOverRows:
             Some thousand rows.
 
         Raises:
-            InputError: If the file cannot be read.
-            ValueError: If it is not a JSON list of objects; what is wrong is left to `tables.check_tables`.
+            InputError: If the file cannot be read, or is not a JSON list of objects.
         """
         batch: list[Row] = []
         try:
@@ -106,8 +108,18 @@ class PassOverRows:
                         batch = []
         except OSError as error:
             raise InputError(f"cannot read {self._path}: {error.strerror or error}") from error
+        except RecursionError as error:
+            raise self._no_list("something in it is nested too deeply") from error
+        except ValueError as error:
+            raise self._no_list(str(error)) from error
         if batch:
             yield batch
+
+    def _no_list(self, why: str) -> InputError:
+        return InputError(
+            f"{self._path} is not a JSON list of rows ({why}, after {len(self._starts)} rows); it may be truncated, "
+            "fetch or make it again"
+        )
 
     def stored(self) -> StoredRows:
         """Where the rows are; call it after the pass."""
@@ -158,21 +170,24 @@ def _objects(stream: IO[bytes]) -> Iterator[tuple[int, int, Row]]:
     """First byte, bytes and value of each object of a JSON list, as strict as `json.load`."""
     text, decoder = _Text(stream), json.JSONDecoder()
     if text.next() != "[":
-        raise ValueError("not a JSON list")
+        raise ValueError("it does not begin with [")
     text.passed(text.at + 1)
     mark = text.next()
     while mark != "]":
         if mark != "{":
-            raise ValueError("not a list of objects")
+            raise ValueError("a row is no object")
         start = text.byte
         value, end = _object(text, decoder)
         yield start, text.passed(end), value
+        if between := _BETWEEN_OBJECTS.match(text.text, text.at):
+            text.passed(between.end())
+            continue
         mark = text.next()
         if mark == ",":
             text.passed(text.at + 1)
             mark = text.next()
             if mark != "{":
-                raise ValueError("no object after a comma")
+                raise ValueError("a row is no object")
         elif mark != "]":
             raise ValueError("no comma after an object")
     text.passed(text.at + 1)

@@ -1,6 +1,7 @@
 """Tables read row by row and counted, without the devkit: only tokens are held in memory."""
 
 from collections.abc import Collection, Iterator
+from itertools import chain
 from pathlib import Path
 
 from benchmark.datasets.stored_rows import PassOverRows
@@ -65,16 +66,7 @@ def table_rows(path: Path, *needed: str) -> Iterator[Row]:
     Raises:
         InputError: If the file is absent, not a JSON list of objects, or a row lacks a field.
     """
-    for number, row in enumerate(_values(path)):
+    for number, row in enumerate(chain.from_iterable(PassOverRows(path).batches())):
         if not all(isinstance(row.get(field), str) for field in needed):
             raise InputError(f"{path} row {number} is not an object with {' and '.join(needed)}; make the table again")
         yield row
-
-
-def _values(path: Path) -> Iterator[Row]:
-    """Rows of a JSON list, decoded as the file is read."""
-    try:
-        for batch in PassOverRows(path).batches():
-            yield from batch
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not a JSON list of rows ({error}); it may be truncated, make it again") from error

@@ -4,7 +4,6 @@ A file holds ``x, y, heading`` (M,), ``ptr`` (N + 1,) so that track i is ``ptr[i
 (N,), optionally ``is_ego`` (N,), and the scalars ``hz, source, licence``.
 """
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
+from benchmark.foreign.arrays import read_npz
+from benchmark.foreign.files import one_line
 from benchmark.geometry import Bools, Floats
 
 REQUIRED: Final = ("ptr", "x", "y", "heading", "length", "cls", "hz", "source", "licence")
@@ -60,14 +61,15 @@ def read_recorded_tracks(path: Path) -> RecordedTracks:
         InputError: If the file is broken, lacks an array, or holds numbers that cannot be tracks.
     """
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            missing = [name for name in REQUIRED if name not in archive.files]
-            if missing:
-                raise InputError(f"{path} lacks the arrays {', '.join(missing)}; it is not a track file")
-            arrays: dict[str, Any] = {name: archive[name] for name in REQUIRED}
-            arrays["is_ego"] = archive["is_ego"] if "is_ego" in archive.files else np.zeros(len(arrays["cls"]), bool)
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(f"cannot read the tracks in {path} ({error}); fetch or make the file again") from error
+        arrays = read_npz(path)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot read the tracks in {path} ({one_line(error)}); fetch or make the file again"
+        ) from error
+    missing = [name for name in REQUIRED if name not in arrays]
+    if missing:
+        raise InputError(f"{path} lacks the arrays {', '.join(missing)}; it is not a track file")
+    arrays = {"is_ego": np.zeros(len(np.atleast_1d(arrays["cls"])), np.bool_), **arrays}
     _check_arrays(path, arrays)
     return RecordedTracks(
         source=str(arrays["source"]),
@@ -85,6 +87,12 @@ def read_recorded_tracks(path: Path) -> RecordedTracks:
 
 def _check_arrays(path: Path, arrays: dict[str, Any]) -> None:
     """Refuse arrays whose shapes or values contradict each other."""
+    kinds = {"ptr": "iu", "cls": "U", "source": "U", "licence": "U", "is_ego": "biuf"}
+    for name in (*REQUIRED, "is_ego"):
+        if arrays[name].size and arrays[name].dtype.kind not in kinds.get(name, "fiu"):
+            raise InputError(f"{path}: {name} holds {arrays[name].dtype}, which it cannot be; make the file again")
+    if any(arrays[name].size != 1 for name in ("hz", "source", "licence")):
+        raise InputError(f"{path}: hz, source and licence must be one value each; make the file again")
     ptr, samples, count = arrays["ptr"], len(np.atleast_1d(arrays["x"])), len(np.atleast_1d(arrays["cls"]))
     if ptr.ndim != 1 or len(ptr) != count + 1 or ptr[0] != 0 or ptr[-1] != samples or (np.diff(ptr) < 0).any():
         raise InputError(f"{path}: ptr must rise from 0 to the number of samples, one entry more than tracks")

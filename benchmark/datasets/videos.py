@@ -26,7 +26,7 @@ def videos_of_scene(
         Views by camera, cameras in the order of `read_views` of the first sample.
 
     Raises:
-        InputError: If a calibration makes no sense, a file name leaves the root, or a camera's rows turn back in time.
+        InputError: If a camera's rows turn back in time.
     """
     videos: dict[str, list[CameraView]] = {}
     for index, sample in enumerate(samples):

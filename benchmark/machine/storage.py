@@ -1,6 +1,7 @@
 """Files that are either whole or absent, and keys made of content.
 
 Everything the project writes goes through here: a temporary file beside the target, flushed to disk, then renamed.
+JSON is read by one door (`benchmark.foreign`), whoever wrote it.
 """
 
 import contextlib
@@ -15,6 +16,8 @@ from typing import Any
 from urllib.parse import quote
 
 from benchmark.errors import InputError
+from benchmark.foreign.json_text import read_json as read_json
+from benchmark.foreign.json_text import read_json_lines as read_json_lines
 
 
 def canonical_json(value: Any, *, indent: int | None = None) -> str:
@@ -155,26 +158,6 @@ def write_json_lines(path: Path, rows: list[Any]) -> None:
     write_bytes(path, "".join(canonical_json(row) + "\n" for row in rows).encode())
 
 
-def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The value.
-
-    Raises:
-        InputError: If it is absent, unreadable or not JSON.
-    """
-    try:
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({error}); it may be truncated, fetch or make it again") from error
-
-
 def read_kept_json(path: Path) -> Any | None:
     """Read a JSON file that work resumes from; ``None`` if it is absent or damaged, so that it is made again.
 
@@ -188,30 +171,3 @@ def read_kept_json(path: Path) -> Any | None:
         return read_json(path)
     except InputError:
         return None
-
-
-def read_json_lines(path: Path) -> list[Any]:
-    """Read one JSON value a line.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The values.
-
-    Raises:
-        InputError: If it is absent, unreadable or a line is not JSON.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not text ({error}); fetch or make it again") from error
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        try:
-            rows.append(json.loads(line))
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path} line {number} is not valid JSON ({error}); it may be truncated") from error
-    return rows

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.datasets.split_names import NoSuchSplit
 from benchmark.errors import InputError
 
 GENERATED_SPLITS = ("val-r", "adv")
@@ -119,5 +120,5 @@ def is_finished(root: Path) -> bool:
 def _has_split(source: DataSet, split: str) -> bool:
     try:
         return bool(source.scene_names(split))
-    except InputError:
+    except NoSuchSplit:
         return False

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmark.datasets.sensors import load_image
 from benchmark.errors import InputError
+from benchmark.foreign.pictures import read_picture
 from benchmark.machine.devices import single_precision
 from benchmark.quality.consistency import SubjectFeatures, similarities
 from benchmark.quality.cut_masks import Mask
@@ -145,7 +145,7 @@ def _load(view: "CameraView", definition: Definition) -> NDArray[np.uint8]:
             f"there is no lossless frame {path} beside {view.path.name}; render the split with --lossless, or leave "
             "--lossless out here"
         )
-    return load_image(path)
+    return read_picture(path)
 
 
 def _subjects(scene: "Scene", video: CameraVideo, networks: Networks) -> list[SubjectRow]:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from benchmark.errors import InputError
+from benchmark.foreign.limits import RECORD
 from benchmark.machine.storage import (
     file_sha256,
     read_json,
@@ -174,7 +175,7 @@ def read_files(directory: Path) -> RecordFiles:
         InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
     """
     run = _run(directory)
-    rows, summary = read_json_lines(directory / ROWS_FILE), read_json(directory / SUMMARY_FILE)
+    rows, summary = read_json_lines(directory / ROWS_FILE, RECORD), read_json(directory / SUMMARY_FILE, RECORD)
     for name in _HASHED:
         if file_sha256(directory / name) != run["files"].get(name):
             raise InputError(_does_not_belong(directory, name))
@@ -184,7 +185,7 @@ def read_files(directory: Path) -> RecordFiles:
 
 
 def _run(directory: Path) -> dict[str, Any]:
-    run = read_json(directory / RUN_FILE)
+    run = read_json(directory / RUN_FILE, RECORD)
     if not isinstance(run, dict) or type(run.get("schema")) is not int or not isinstance(run.get("files"), dict):
         raise InputError(f"{directory / RUN_FILE} is not a run record: it has no schema number or no hashes of files")
     if run["schema"] > SCHEMA:

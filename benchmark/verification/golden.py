@@ -1,14 +1,14 @@
 """Reading golden sets: directories of numbers that a stranger made, so everything about them is checked."""
 
-import warnings
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
+from benchmark.foreign.arrays import read_npz
+from benchmark.foreign.files import one_line
 from benchmark.geometry import Bools, Floats
 
 
@@ -62,20 +62,14 @@ class GoldenArrays:
             InputError: If it is absent, truncated, not an npz file, or holds pickled objects.
         """
         try:
-            # A handle of our own: numpy leaves its one open where the file is not what it says.
-            with path.open("rb") as stream, warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
-                stored = np.load(stream, allow_pickle=False)
-                arrays = {name: stored[name] for name in stored.files} if isinstance(stored, NpzFile) else None
-        except Exception as error:
-            # Parsers of zip files and array headers raise a dozen kinds of exceptions on bytes that are neither.
-            reason = (str(error).splitlines() or ["it is empty"])[0]
+            arrays = read_npz(path)
+        except (OSError, ValueError) as error:
+            if _is_single_array(path):
+                raise InputError(f"{path} holds a single array and is not an npz file; numpy.savez makes one") from None
             raise InputError(
-                f"cannot read golden numbers from {path} ({reason}); it must be a whole npz file without pickled "
-                "objects, fetch or make it again"
+                f"cannot read golden numbers from {path} ({one_line(error)}); it must be a whole npz file without "
+                "pickled objects, fetch or make it again"
             ) from error
-        if arrays is None:
-            raise InputError(f"{path} holds a single array and is not an npz file; numpy.savez makes one")
         return cls(path, arrays)
 
     def floats(self, name: str, *shape: int | None) -> Floats:
@@ -136,3 +130,11 @@ class GoldenArrays:
             wanted = " x ".join("any" if length is None else str(length) for length in shape) or "one number"
             raise InputError(f"array {name} in {self.path} has shape {array.shape}, not {wanted}; make the file again")
         return array
+
+
+def _is_single_array(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(6) == b"\x93NUMPY"
+    except OSError:
+        return False

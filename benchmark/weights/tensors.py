@@ -1,6 +1,5 @@
 """Tensors with facts about them: one safetensors file, whose header holds the facts as JSON."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +10,9 @@ import torch
 from torch import Tensor
 
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
+from benchmark.foreign.json_text import parse_json
+from benchmark.foreign.tensor_headers import require_sound_header
 from benchmark.machine.storage import canonical_json, write_bytes
 
 FACTS: Final = "challenger-bench"
@@ -55,11 +57,12 @@ def read_tensors(
         InputError: If it is absent or broken.
     """
     try:
+        require_sound_header(path)
         with safetensors.safe_open(path, framework="pt") as stream:
             tensors = {name: stream.get_tensor(name) for name in sorted(stream.keys())}
             return tensors, _facts(stream, entry)
     except _BROKEN as error:
-        raise InputError(f"cannot read {what}{path} ({error}); {instead}") from error
+        raise InputError(f"cannot read {what}{path} ({one_line(error)}); {instead}") from error
 
 
 def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]], dict[str, Any]]:
@@ -76,13 +79,14 @@ def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]]
         InputError: If it is absent or broken.
     """
     try:
+        require_sound_header(path)
         with safetensors.safe_open(path, framework="pt") as stream:
             shapes = {name: tuple(stream.get_slice(name).get_shape()) for name in list(stream.keys())}
             return shapes, _facts(stream, FACTS)
     except _BROKEN as error:
-        raise InputError(f"cannot read weights from {path} ({error}); {instead}") from error
+        raise InputError(f"cannot read weights from {path} ({one_line(error)}); {instead}") from error
 
 
 def _facts(stream: Any, entry: str) -> dict[str, Any]:
-    facts = json.loads((stream.metadata() or {}).get(entry, "null"))
+    facts = parse_json((stream.metadata() or {}).get(entry, "null").encode())
     return facts if isinstance(facts, dict) else {}

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.roots import variant_folders
+from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, read_json, write_bytes, writing_to

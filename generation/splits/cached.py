@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmark.datasets.roots import DataSet, variant_folders
+from benchmark.datasets.roots import DataSet
 from benchmark.datasets.split_names import read_splits
-from benchmark.datasets.tables import version_folders
+from benchmark.datasets.tables import variant_folders, version_folders
 from benchmark.machine.storage import content_key
 from benchmark.machine.workspace import cache_root, is_finished
 from generation.render.contract import Renderer

@@ -92,6 +92,7 @@ def require_data(
         InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
     """
     from benchmark.datasets.listing import listed_scenes
+    from benchmark.datasets.split_names import NoSuchSplit
     from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, GENERATED_SPLITS, is_finished
 
     space, name = api.workspace(out), Path(data).resolve().name
@@ -104,7 +105,7 @@ def require_data(
     every = listed_scenes(root, version=tables)
     try:
         of_split = listed_scenes(root, split, version=tables)
-    except InputError as error:
+    except NoSuchSplit as error:
         if split not in GENERATED_SPLITS or not every:
             raise
         raise InputError(

@@ -1,6 +1,6 @@
 """The table checker: what is wrong with a nuScenes-format data set, in sentences."""
 
 from benchmark.datasets.integrity.check import check_tables
-from benchmark.datasets.integrity.faults import Fault
+from benchmark.datasets.schema import Fault
 
 __all__ = ["Fault", "check_tables"]

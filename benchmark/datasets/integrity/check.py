@@ -4,14 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.integrity.faults import Fault, FaultList
 from benchmark.datasets.integrity.files import check_files
-from benchmark.datasets.integrity.links import check_chains, check_links
+from benchmark.datasets.integrity.links import check_chains, check_links, check_sample_chains
 from benchmark.datasets.integrity.provenance import check_provenance, check_splits
+from benchmark.datasets.integrity.rates import check_rates
 from benchmark.datasets.integrity.tables import read_checked
-from benchmark.datasets.integrity.values import check_sensors, check_values
-from benchmark.datasets.roots import variant_folders
-from benchmark.datasets.tables import version_folders
+from benchmark.datasets.integrity.values import check_copied_intrinsics, check_images, check_sensors, check_shared
+from benchmark.datasets.schema import Fault, FaultList
+from benchmark.datasets.tables import variant_folders, version_folders
 from benchmark.errors import InputError
 
 
@@ -49,8 +49,12 @@ def _check(folder: Path, data_root: Path) -> list[Fault]:
     faults = FaultList()
     tables = read_checked(folder, faults)
     check_links(tables, faults)
+    check_sample_chains(tables, faults)
+    check_rates(tables, faults)
     check_chains(tables, faults)
-    check_values(tables, faults)
+    check_shared(tables, faults)
+    check_images(tables, faults)
+    check_copied_intrinsics(tables, faults)
     check_sensors(tables, faults)
     check_files(data_root, tables, faults)
     check_splits(folder, tables, faults)

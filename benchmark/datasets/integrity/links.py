@@ -1,62 +1,67 @@
 """Links between tables, and chains of rows."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
-from typing import Final, TypeVar
+from collections.abc import Callable, Iterable, Sequence, Set
+from itertools import chain
+from operator import itemgetter
+from typing import TypeVar
 
-from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.datasets.schema import LINKS, FaultList, Link
+from benchmark.datasets.schema.faults import Severity
+from benchmark.datasets.schema.rows import shown
 from benchmark.report.words import counted
 
 Key = TypeVar("Key")
 
-# Logs that maps list are left out: the maps of the official v1.0-mini list logs that only v1.0-trainval has.
-_LINKS: Final = (
-    ("calibrated_sensor", "sensor_token", "sensor"),
-    ("instance", "category_token", "category"),
-    ("instance", "first_annotation_token", "sample_annotation"),
-    ("instance", "last_annotation_token", "sample_annotation"),
-    ("sample", "scene_token", "scene"),
-    ("sample", "prev", "sample"),
-    ("sample", "next", "sample"),
-    ("sample_annotation", "sample_token", "sample"),
-    ("sample_annotation", "instance_token", "instance"),
-    ("sample_annotation", "visibility_token", "visibility"),
-    ("sample_annotation", "attribute_tokens", "attribute"),
-    ("sample_annotation", "prev", "sample_annotation"),
-    ("sample_annotation", "next", "sample_annotation"),
-    ("sample_data", "sample_token", "sample"),
-    ("sample_data", "ego_pose_token", "ego_pose"),
-    ("sample_data", "calibrated_sensor_token", "calibrated_sensor"),
-    ("sample_data", "prev", "sample_data"),
-    ("sample_data", "next", "sample_data"),
-    ("scene", "log_token", "log"),
-    ("scene", "first_sample_token", "sample"),
-    ("scene", "last_sample_token", "sample"),
-)
-_MAY_BE_EMPTY: Final = frozenset({"prev", "next", "visibility_token"})
-
 
 def check_links(tables: CheckedTables, faults: FaultList) -> None:
     """Note links that lead nowhere."""
-    for table, field, target in _LINKS:
-        if target in tables.unreadable:
-            continue
-        known = tables.by_token[target]
-        for row in tables.having(table, field):
-            linked = row[field] if isinstance(row[field], list) else [row[field]]
-            for token in linked:
-                if token not in known and not (token == "" and field in _MAY_BE_EMPTY):
-                    shown = repr(token) if len(token) <= 70 else f"{token[:67]!r}..."
-                    sentence = f"{field} {shown} is not in {target}.json"
-                    faults.add(f"{field} that lead nowhere", table, row["token"], sentence)
+    known = {table: rows.keys() for table, rows in tables.by_token.items() if table not in tables.unreadable}
+    for link in LINKS:
+        if link.target in known and link.table in tables.rows:
+            check_link(link, list(tables.having(link.table, link.field)), known[link.target], faults)
+
+
+def check_link(link: Link, rows: Sequence[Row], known: Set[str], faults: FaultList, *, among: str = "") -> None:
+    """Note rows whose link leads nowhere.
+
+    Args:
+        link: What links.
+        rows: Rows in which it can be relied on.
+        known: Tokens of the table that it leads to.
+        faults: Gets the faults.
+        among: Which rows of the table the known ones are, where they are not all.
+    """
+    values = map(itemgetter(link.field), rows)
+    linked = chain.from_iterable(values) if link.field.endswith("_tokens") else values
+    if set(linked) - ({""} if link.may_be_empty else set()) <= known:
+        return
+    for row in rows:
+        for token in row[link.field] if isinstance(row[link.field], list) else [row[link.field]]:
+            if token not in known and (token or not link.may_be_empty):
+                note_dead_link(link, row["token"], token, faults, among=among)
+
+
+def note_dead_link(link: Link, row_token: str, token: str, faults: FaultList, *, among: str = "") -> None:
+    """Note that a row names a token that no row of the other table has, or none among some of its rows."""
+    sentence = f"{link.field} {shown(token)} is not in {link.target}.json{among}"
+    faults.add(f"{link.field} that lead nowhere", link.table, row_token, sentence)
+
+
+def check_sample_chains(tables: CheckedTables, faults: FaultList) -> None:
+    """Note scenes without samples, broken chains of samples, and wrong counts and ends of scenes."""
+    samples = _grouped(tables.having("sample", "scene_token"), lambda row: str(row["scene_token"]))
+    if "sample" not in tables.unreadable:
+        for scene in tables.rows["scene"]:
+            if scene["token"] not in samples:
+                faults.add("scenes without samples", "scene", scene["token"], "no sample is of this scene")
+    _check_group(tables, "sample", {f"scene {owner}": rows for owner, rows in samples.items()}, faults)
+    _check_ends(tables, "scene", ("nbr_samples", "first_sample_token", "last_sample_token"), samples, faults)
 
 
 def check_chains(tables: CheckedTables, faults: FaultList) -> None:
-    """Note broken chains of samples, sensor rows and annotations, and wrong counts and ends."""
-    samples = _grouped(tables.having("sample", "scene_token"), lambda row: str(row["scene_token"]))
-    _check_group(tables, "sample", {f"scene {owner}": rows for owner, rows in samples.items()}, faults)
-    _check_ends(tables, "scene", ("nbr_samples", "first_sample_token", "last_sample_token"), samples, faults)
+    """Note broken chains of sensor rows and of annotations, and wrong counts and ends of objects."""
 
     def channel_of(row: Row) -> str | None:
         sample = tables.get("sample", row["sample_token"], "scene_token")
@@ -146,7 +151,10 @@ def _check_chain(
         now, then = time_of(row), time_of(following)
         if now is not None and then is not None and then <= now:
             sentence = f"next {row['next']} is not later: {then} follows {now}"
-            faults.add("chains that go back in time", table, row["token"], sentence)
+            # A sweep out of order is left out by whoever reads, so the data can still be used.
+            swept = table == "sample_data" and not (row.get("is_key_frame") and following.get("is_key_frame"))
+            severity: Severity = "warning" if swept else "error"
+            faults.add("chains that go back in time", table, row["token"], sentence, severity=severity)
     heads = [row for row in rows if row["prev"] not in members]
     visited: set[str] = set()
     row_now = heads[0] if heads else rows[0]

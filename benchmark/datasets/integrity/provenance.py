@@ -1,12 +1,13 @@
 """The two files beside the tables: ``splits.json`` and ``challenger.json``."""
 
 from collections import defaultdict
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import VEHICLE_CATEGORIES
-from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
@@ -41,9 +42,7 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
         faults.add("no scenes", PROVENANCE, "", f"{PROVENANCE} has no object named scenes")
         return
     by_name = {row["name"]: row for row in tables.having("scene", "name")}
-    annotations: defaultdict[str, list[Row]] = defaultdict(list)
-    for row in tables.having("sample_annotation", "instance_token", "sample_token", "num_lidar_pts"):
-        annotations[row["instance_token"]].append(row)
+    annotations = _by_instance(tables)
     for name, entry in sorted(scenes.items()):
         scene = by_name.get(name)
         if scene is None:
@@ -54,9 +53,30 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
             faults.add("scenes without adversaries list", PROVENANCE, "", f"{name} has no list named adversaries")
             continue
         for token in adversaries:
-            _check_adversary(tables, scene, token, annotations[token], faults)
+            _check_adversary(tables, scene, token, annotations.get(token, []), faults)
     for name in sorted(set(by_name) - set(scenes)):
         faults.add("scenes left out", PROVENANCE, "", f"{name} is in scene.json but not in {PROVENANCE}")
+
+
+def check_adversaries(tables: CheckedTables, scene: Row, adversaries: Collection[str], faults: FaultList) -> None:
+    """Note adversaries of a scene that are not there, not vehicles, or would be dropped by metrics.
+
+    Args:
+        tables: Tables with all rows of the scene.
+        scene: Its row.
+        adversaries: Instances.
+        faults: Gets the faults.
+    """
+    annotations = _by_instance(tables) if adversaries else {}
+    for token in adversaries:
+        _check_adversary(tables, scene, token, annotations.get(token, []), faults)
+
+
+def _by_instance(tables: CheckedTables) -> Mapping[str, list[Row]]:
+    annotations: defaultdict[str, list[Row]] = defaultdict(list)
+    for row in tables.having("sample_annotation", "instance_token", "sample_token", "num_lidar_pts"):
+        annotations[row["instance_token"]].append(row)
+    return annotations
 
 
 def _check_adversary(

@@ -1,42 +1,39 @@
-"""Values inside the tables: geometry, calibration, times, names."""
+"""What rows of several tables say together: calibration, images, times of sensors, maps of logs."""
 
 from collections import Counter, defaultdict
 from typing import Any, Final
 
-import numpy as np
-
 from benchmark.constants import LIDAR_NAME
-from benchmark.datasets.integrity.faults import FaultList
 from benchmark.datasets.integrity.tables import CheckedTables, Row
+from benchmark.datasets.schema import FaultList
 
-_NORM_TOLERANCE: Final = 1e-3
 KEYFRAME_TOLERANCE_S: Final = 0.1
 """Farthest in time that a keyframe's sensor rows may be from their sample; in nuScenes it is about 50 ms."""
 
 
-def check_values(tables: CheckedTables, faults: FaultList) -> None:
-    """Note values that no scene can have."""
-    for table in ("ego_pose", "calibrated_sensor", "sample_annotation"):
-        for row in tables.having(table, "rotation"):
-            norm = float(np.linalg.norm(row["rotation"]))
-            if abs(norm - 1) > _NORM_TOLERANCE:
-                sentence = f"rotation has norm {norm:.4g}, a rotation quaternion has 1"
-                faults.add("rotations without norm 1", table, row["token"], sentence)
-    for row in tables.having("sample_annotation", "size"):
-        if min(row["size"]) <= 0:
-            faults.add("sizes not positive", "sample_annotation", row["token"], f"size is {row['size']}, not positive")
-    for field in ("num_lidar_pts", "num_radar_pts"):
-        for row in tables.having("sample_annotation", field):
-            if row[field] < 0:
-                sentence = f"{field} is {row[field]}, a count cannot be negative"
-                faults.add(f"negative {field}", "sample_annotation", row["token"], sentence)
-    for table, field in (("scene", "name"), ("sensor", "channel"), ("category", "name"), ("attribute", "name")):
-        used = Counter(row[field] for row in tables.having(table, field))
-        for name, count in used.items():
-            if count > 1:
-                faults.add(f"{field} used twice", table, "", f"{count} rows have the {field} {name!r}")
-    _check_calibration(tables, faults)
+def check_shared(tables: CheckedTables, faults: FaultList) -> None:
+    """Note cameras and logs that cannot be, in the tables that do not grow with the scenes."""
+    for row in tables.having("calibrated_sensor", "sensor_token", "camera_intrinsic"):
+        sensor = tables.get("sensor", row["sensor_token"], "modality", "channel")
+        if sensor is None or sensor["modality"] != "camera":
+            continue
+        problem = _intrinsic_problem(row["camera_intrinsic"])
+        if problem:
+            sentence = f"camera_intrinsic of {sensor['channel']} {problem}"
+            faults.add("wrong camera_intrinsic", "calibrated_sensor", row["token"], sentence)
+    if "scene" not in tables.unreadable and not tables.rows["scene"]:
+        faults.add("no scenes", "scene", "", "scene.json is empty; a data set needs at least one scene")
     _check_logs(tables, faults)
+
+
+def check_images(tables: CheckedTables, faults: FaultList) -> None:
+    """Note camera images without pixels."""
+    for row in tables.having("sample_data", "width", "height", "calibrated_sensor_token"):
+        calibration = tables.get("calibrated_sensor", row["calibrated_sensor_token"], "sensor_token")
+        sensor = None if calibration is None else tables.get("sensor", calibration["sensor_token"], "modality")
+        if sensor is not None and sensor["modality"] == "camera" and min(row["width"], row["height"]) <= 0:
+            sentence = f"the image is {row['width']} x {row['height']} pixels"
+            faults.add("images without pixels", "sample_data", row["token"], sentence)
 
 
 def check_sensors(tables: CheckedTables, faults: FaultList) -> None:
@@ -99,34 +96,16 @@ def _channel(tables: CheckedTables, row: Row) -> str | None:
     return None if sensor is None else str(sensor["channel"])
 
 
-def _check_calibration(tables: CheckedTables, faults: FaultList) -> None:
-    for row in tables.having("calibrated_sensor", "sensor_token", "camera_intrinsic"):
-        sensor = tables.get("sensor", row["sensor_token"], "modality", "channel")
-        if sensor is None or sensor["modality"] != "camera":
-            continue
-        problem = _intrinsic_problem(row["camera_intrinsic"])
-        if problem:
-            sentence = f"camera_intrinsic of {sensor['channel']} {problem}"
-            faults.add("wrong camera_intrinsic", "calibrated_sensor", row["token"], sentence)
-    for row in tables.having("sample_data", "width", "height", "calibrated_sensor_token"):
-        calibration = tables.get("calibrated_sensor", row["calibrated_sensor_token"], "sensor_token")
-        sensor = None if calibration is None else tables.get("sensor", calibration["sensor_token"], "modality")
-        if sensor is not None and sensor["modality"] == "camera" and min(row["width"], row["height"]) <= 0:
-            sentence = f"the image is {row['width']} x {row['height']} pixels"
-            faults.add("images without pixels", "sample_data", row["token"], sentence)
-    _check_copied_intrinsics(tables, faults)
-
-
 def _intrinsic_problem(intrinsic: Any) -> str:
-    if len(intrinsic) != 3 or any(len(row) != 3 for row in intrinsic):
+    if not intrinsic:
         return "is not a 3 x 3 matrix"
     if intrinsic[0][0] <= 0 or intrinsic[1][1] <= 0:
         return "has a focal length that is not positive"
     return "" if intrinsic[2] == [0, 0, 1] else f"ends with the row {intrinsic[2]}, not 0, 0, 1"
 
 
-def _check_copied_intrinsics(tables: CheckedTables, faults: FaultList) -> None:
-    """Warn where CAM_BACK has the matrix of CAM_FRONT: its lens is wider on nuScenes' cars."""
+def check_copied_intrinsics(tables: CheckedTables, faults: FaultList) -> None:
+    """Warn where CAM_BACK has the matrix of CAM_FRONT, whose lens is narrower; so it is in the published Adv-nuSc."""
     front_and_back: defaultdict[str, dict[str, Row]] = defaultdict(dict)
     for row in tables.having("sample_data", "sample_token", "calibrated_sensor_token"):
         channel = _channel(tables, row)

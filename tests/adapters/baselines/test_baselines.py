@@ -4,12 +4,14 @@ import hashlib
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors.torch import load_file, save
 
 from adapters.baselines.constant_velocity import ConstantVelocity
 from adapters.baselines.ego_status import EgoStatus, motion_of
@@ -130,6 +132,25 @@ def test_training_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     other = train_ego_status(tmp_path, tmp_path / "three.safetensors", seed=1, settings=few)
     assert other["line"]["samples"] == len(read_samples(tmp_path, ["line"])["line"])
     assert (tmp_path / "one.safetensors").read_bytes() != (tmp_path / "three.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda state: save(state).replace(b'"F32"', b'"%s"' % (b"x" * 100_000), 1),
+        lambda state: save({name: tensor * np.nan for name, tensor in state.items()}),
+        lambda state: save({name: tensor[:1] for name, tensor in state.items()}),
+        lambda state: save({"x" * 10_000: torch.zeros(1)}),
+        lambda state: b"",
+    ],
+)
+def test_hostile_weights_are_one_short_sentence(tmp_path: Path, damage: Callable[[Any], bytes]) -> None:
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(damage(load_file(str(files("adapters") / "weights" / "ego_status.safetensors"))))
+    with pytest.raises(InputError) as refusal:
+        EgoStatus(path)
+    said = str(refusal.value)
+    assert str(path) in said and "train ego-status" in said and len(said) < 600 and said.isprintable()
 
 
 def test_unusable_tracks_are_one_sentence(tmp_path: Path) -> None:

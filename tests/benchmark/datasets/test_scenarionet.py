@@ -12,9 +12,9 @@ from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, OFFICIAL_LOCATIONS
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
 from benchmark.errors import InputError
+from benchmark.foreign.pickles import read_pickle
 from benchmark.geometry import to_global
 from benchmark.road_map import DividerKind
-from benchmark.weights.foreign import read_pickle
 
 SHARED = Path(__file__).resolve().parents[4] / "shared"
 FILES = tuple(sorted((SHARED / "data" / "scenes").glob("sd_*.pkl")))
@@ -246,7 +246,7 @@ def test_arrays_and_containers_of_any_protocol_are_read(tmp_path: Path, protocol
         assert np.array_equal(read[key], expected) and type(read[key]) is type(expected), key
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.data())
 def test_a_damaged_pickle_is_refused_or_read_but_never_crashes(data: st.DataObject) -> None:
     import tempfile

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmark.errors import InputError
-from benchmark.weights.foreign import read_pickle
+from benchmark.foreign.pickles import read_pickle
 from benchmark.weights.tensors import read_header, read_tensors, write_tensors
 
 

@@ -10,10 +10,10 @@ import shapely.geometry
 from scipy.spatial.transform import Rotation
 
 from benchmark.constants import CAMERA_NAMES
+from benchmark.foreign.pickles import read_pickle
 from benchmark.geometry import Floats, transform_matrix
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import Agents, Annotations, Camera, EgoTrack, LidarMount, Scene, SweepPoses
-from benchmark.weights.foreign import read_pickle
 
 RECORDED = Path(__file__).resolve().parents[5] / "shared" / "data" / "nuscenes"
 TABLES = RECORDED / "scene0061_tables_v1.0-test"

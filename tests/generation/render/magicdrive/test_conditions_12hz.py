@@ -124,10 +124,11 @@ def add_sweeps(rows: TinyRoot, channel: str, *, period_s: float, count: int, lea
         for number in range(1, count + 1):
             token = f"{key['token']}+{number}"
             at = [start[0] + SPEED * number * period_s, *start[1:]]
-            rows.tables["ego_pose"].append({**pose, "token": token, "translation": at})
+            time_us = key["timestamp"] + round(number * period_s * 1e6)
+            rows.tables["ego_pose"].append({**pose, "token": token, "translation": at, "timestamp": time_us})
             sweep: dict[str, Any] = {
                 **key, "token": token, "ego_pose_token": token, "is_key_frame": False,
-                "timestamp": key["timestamp"] + round(number * period_s * 1e6), "filename": f"sweeps/{token}",
+                "timestamp": time_us, "filename": f"sweeps/{token}",
             }  # fmt: skip
             rows.tables["sample_data"].append(sweep)
             chain.append(sweep)

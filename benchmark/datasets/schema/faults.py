@@ -1,8 +1,11 @@
-"""Faults and the list that keeps them few enough to read."""
+"""Faults, the list that keeps them few enough to read, and the refusal of whoever needs a data set without any."""
 
 from collections import Counter
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final, Literal
+
+from benchmark.errors import InputError
 
 Severity = Literal["error", "warning"]
 
@@ -57,3 +60,29 @@ class FaultList:
             if count > SHOWN_PER_KIND
         ]
         return sorted([*self.faults, *more], key=lambda fault: fault.severity)
+
+
+@dataclass(slots=True)
+class Refusal(FaultList):
+    """Refuses at the first error; warnings are nobody's business who does not ask for them.
+
+    Attributes:
+        folder: Version folder of the tables.
+    """
+
+    folder: Path = Path()
+
+    def add(self, kind: str, table: str, token: str, sentence: str, *, severity: Severity = "error") -> None:
+        """Raise for an error.
+
+        Raises:
+            InputError: The sentence, where it was found, and how to see all faults.
+        """
+        if severity == "warning":
+            return
+        path = self.folder / (table if table.endswith(".json") else f"{table}.json")
+        place = f"{path} row {token}" if token else str(path)
+        raise InputError(
+            f"{place}: {sentence}; correct the data set (to see all faults, run challenger-bench data check "
+            f"{self.folder.parent})"
+        )

@@ -1,0 +1,227 @@
+"""The campaign: which variant has which number, what became of each, and a list that is gone on with."""
+
+import importlib
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from random import Random
+from typing import Final
+
+from bench.attacking.children import Ended, run_command
+from bench.attacking.mutations import FORMS
+from bench.attacking.targets import TARGETS, Target
+from bench.attacking.valid import make_valid
+from bench.attacking.verdicts import FINE, Verdict, verdict
+from benchmark.errors import InputError
+
+RESULTS: Final = "results-{seed}.jsonl"
+_SHOWN: Final = 400
+_IMPORTED: Final = (
+    "adapters.plan_file",
+    "adapters.registry",
+    "benchmark.cli.app",
+    "benchmark.datasets.integrity",
+    "benchmark.runs.rescoring",
+    "generation.build.split",
+    "generation.diffusion.checkpoint",
+    "generation.render.pictures",
+    "generation.sources.importing",
+    "leaderboard.build",
+    "nuscenes.map_expansion.map_api",
+    "nuscenes.nuscenes",
+    "pandas",
+    "torch._dynamo",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Attack:
+    """One variant of one input of one command.
+
+    Attributes:
+        number: In the campaign; with the seed it says everything.
+        target: What is attacked.
+        name: How.
+        change: Given the copied input and the attacked file in it, changes that.
+        file: The attacked file, relative to the copied input; empty where that is a file.
+        may_be_valid: Whether a valid input may come of it.
+    """
+
+    number: int
+    target: Target
+    name: str
+    change: Callable[[Path, Path], None]
+    file: str
+    may_be_valid: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of a variant, as it is kept.
+
+    Attributes:
+        number: Of the attack.
+        kind: Row of the table.
+        command: What was attacked.
+        name: How, and in which file.
+        verdict: One of `Verdict`.
+        code: Exit code.
+        cpu_s: Processor time.
+        wall_s: Time on the wall.
+        peak_mb: Largest memory in use.
+        said: Last words on standard error.
+    """
+
+    number: int
+    kind: str
+    command: str
+    name: str
+    verdict: str
+    code: int
+    cpu_s: float
+    wall_s: float
+    peak_mb: int
+    said: str
+
+
+class Campaign:
+    """Attacks with their valid inputs, and what the commands find in those."""
+
+    def __init__(self, folder: Path, seed: int, targets: tuple[Target, ...] = TARGETS) -> None:
+        self.folder = folder.resolve()
+        self.seed = seed
+        self.targets = targets
+        preload()
+        self.valid = make_valid(self.folder)
+        self.numbers: dict[str, str] = {}
+
+    def attack(self, number: int) -> Attack:
+        """The attack of a number: every target in turn, what somebody thought of and what chance does in turn."""
+        target = self.targets[number % len(self.targets)]
+        turn = number // len(self.targets)
+        chance = Random(f"{self.seed}/{number}")
+        file = self._file(target, chance)
+        # All of the named ones come, in an order of the seed.
+        order = Random(f"{self.seed}/{target.name}").sample(target.named, len(target.named))
+        if turn % 2 == 0 and turn // 2 < len(order):
+            named = order[turn // 2]
+            return Attack(number, target, named.name, named.change, file, named.may_be_valid)
+        mutation = chance.choice(FORMS[target.form])
+
+        def change(_: Path, attacked: Path) -> None:
+            content = attacked.read_bytes()
+            attacked.unlink()
+            attacked.write_bytes(mutation.change(content, chance))
+
+        may_be_valid = mutation.may_be_valid or target.other_files
+        return Attack(number, target, f"{mutation.name} in {file or target.copied}", change, file, may_be_valid)
+
+    def _file(self, target: Target, chance: Random) -> str:
+        if not target.files:
+            return ""
+        whole = self.valid / target.copied
+        found = sorted(whole.glob(chance.choice(target.files)))
+        return chance.choice(found).relative_to(whole).as_posix()
+
+    def run(self, number: int) -> Result:
+        """Make a variant, give it to its command, and say what became of it; leaves nothing behind."""
+        attack = self.attack(number)
+        case = self.folder / f"case-{self.seed}-{number}"
+        given, file = self._copied(attack, case)
+        before = listing(given)
+        attack.change(given, file)
+        if listing(given) == before:
+            found, ended = Verdict.UNCHANGED, Ended(0, "", "", 0.0, 0.0, 1.0, 0)
+        else:
+            kept = listing(given)
+            ended = self._ended(attack.target, case)
+            places = (given, self.valid)
+            valid_numbers = "" if ended.code else self._valid_numbers(attack.target)
+            found = verdict(attack.target, ended, valid_numbers, case / "out", places, may_be_valid=attack.may_be_valid)
+            if found in FINE and listing(given) != kept:
+                found = Verdict.WROTE
+        shutil.rmtree(case)
+        said = "\n".join(ended.err.strip().splitlines()[-3:])[-_SHOWN:]
+        measured = round(ended.cpu_s, 2), round(ended.wall_s, 2), ended.peak_bytes >> 20
+        kind, command = attack.target.kind, attack.target.command
+        return Result(number, kind, command, attack.name, found.value, ended.code, *measured, said)
+
+    def _copied(self, attack: Attack, case: Path) -> tuple[Path, Path]:
+        shutil.rmtree(case, ignore_errors=True)
+        case.mkdir(parents=True)
+        valid, given = self.valid / attack.target.copied, case / attack.target.copied
+        if valid.is_dir():
+            shutil.copytree(valid, given)
+        else:
+            shutil.copy(valid, given)
+        return given, given / attack.file if attack.file else given
+
+    def _ended(self, target: Target, case: Path) -> Ended:
+        places = {"in": case / target.copied, "valid": self.valid, "out": case / "out"}
+        return run_command([each.format(**places) for each in target.arguments], case, case / "cache")
+
+    def _valid_numbers(self, target: Target) -> str:
+        """What a command finds in the valid input; empty where it refuses it, as weights of a made-up model."""
+        if target.name not in self.numbers:
+            case = self.folder / f"case-{self.seed}-valid"
+            attack = Attack(-1, target, "", lambda _, __: None, "", may_be_valid=True)
+            self._copied(attack, case)
+            ended = self._ended(target, case)
+            if ended.code not in (0, 2) or "Traceback" in ended.err:
+                raise InputError(f"{target.name} fails on what is valid: {ended.err.strip()[-_SHOWN:]}; mend it first")
+            self.numbers[target.name] = target.numbers(ended, case / "out") if ended.code == 0 else ""
+            shutil.rmtree(case)
+        return self.numbers[target.name]
+
+
+def listing(given: Path) -> list[tuple[str, int, int]]:
+    """Every file of an input with size and time of change."""
+    files = sorted(path for path in given.rglob("*") if path.is_file()) if given.is_dir() else [given]
+    return [(str(path), path.lstat().st_size, path.lstat().st_mtime_ns) for path in files if path.is_file()]
+
+
+def preload() -> None:
+    """Import what commands import, once: every child is a copy of this process."""
+    for name in _IMPORTED:
+        importlib.import_module(name)
+
+
+def known_results(path: Path) -> dict[int, Result]:
+    """Results of an earlier command; a last line that was cut off is left out."""
+    found: dict[int, Result] = {}
+    if path.is_file():
+        for line in path.read_text().splitlines():
+            try:
+                result = Result(**json.loads(line))
+            except (ValueError, TypeError):
+                continue
+            found[result.number] = result
+    return found
+
+
+def run_campaign(campaign: Campaign, numbers: Iterable[int], *, again: bool = False) -> Iterator[Result]:
+    """Run attacks, and keep what became of them below the campaign's folder.
+
+    Args:
+        campaign: The attacks.
+        numbers: Which ones.
+        again: Whether also those that have a result.
+
+    Yields:
+        A result for each, kept ones included.
+    """
+    path = campaign.folder / RESULTS.format(seed=campaign.seed)
+    known = {} if again else known_results(path)
+    began = time.monotonic()
+    for done, number in enumerate(numbers):
+        if number not in known:
+            known[number] = campaign.run(number)
+            with path.open("a") as stream:
+                stream.write(json.dumps(asdict(known[number])) + "\n")
+        if sys.stderr.isatty():
+            print(f"\r{done + 1} variants, {time.monotonic() - began:.0f} s", end="", file=sys.stderr, flush=True)
+        yield known[number]

@@ -1,0 +1,99 @@
+"""The valid files of which hostile ones are made: small, of every kind, and the same each time."""
+
+import json
+import pickle
+import shutil
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from adapters.models import MOTION_ANCHORS
+from bench.attacking.children import run_command
+from benchmark.errors import InputError
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from generation.render.schematic import SchematicRenderer
+from tests.benchmark.datasets.nuscenes_tables import VERSION
+from tests.benchmark.datasets.test_scenarionet import recording
+from tests.hand_made import Car, scene_on_straight_road
+
+SEARCH: Final = ("--candidates", "16", "--rounds", "1", "--vehicles", "1", "--per-scene", "1", "--renderer", "none")
+_CARS: Final = (Car(62.0, 194.75, 9.0), Car(95.0, 198.25, 8.0), Car(45.0, 201.75, 8.0))
+
+
+def make_valid(folder: Path) -> Path:
+    """Make them, where that has not been done.
+
+    Args:
+        folder: Holds everything of a campaign.
+
+    Returns:
+        Their folder: ``root`` and what was ``generated`` from it, ``recordings``, ``records``, and files.
+    """
+    valid = folder / "valid"
+    if (valid / "complete").is_file():
+        return valid
+    shutil.rmtree(valid, ignore_errors=True)
+    valid.mkdir(parents=True)
+    write_recorded(valid / "root")
+    (valid / "recordings").mkdir()
+    (valid / "recordings" / "sd_one.pkl").write_bytes(pickle.dumps(recording()))
+    write_weights(valid)
+    write_plans(valid)
+    _by_command(valid, "eval", "--model", "constant-velocity")
+    (valid / "made" / "runs").rename(valid / "records")
+    _by_command(valid, "generate", *SEARCH, "--freeze", "frozen.json")
+    (valid / "made" / "data" / "root" / "adv").rename(valid / "generated")
+    shutil.rmtree(valid / "generated" / ".challenger")
+    shutil.rmtree(valid / "made")
+    (valid / "complete").touch()
+    return valid
+
+
+def write_recorded(root: Path) -> None:
+    """A data set of one scene, with maps, CAN bus and pictures."""
+    plan = DataSetPlan(root=root, split="val", version=VERSION, renderer=SchematicRenderer(64, 36), frames="keyframes")
+    scene = scene_on_straight_road(_CARS, seconds=8.0)
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    shutil.rmtree(root / ".challenger")
+
+
+def write_weights(folder: Path) -> None:
+    """Checkpoints in both forms of PyTorch, a denoiser in all, the packaged weights of a planner, motion anchors."""
+    import torch
+
+    from adapters import baselines
+    from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
+
+    state = {MOTION_ANCHORS.replace("anchors", "other"): torch.arange(16.0), "b": torch.ones(3, 2, dtype=torch.half)}
+    content = {"meta": {"config": "a = 1", "epoch": 6}, "state_dict": state, "optimizer": {"state": {}}}
+    torch.save(content, folder / "tensors.pth")
+    torch.save(content, folder / "old.pth", _use_new_zipfile_serialization=False)
+    torch.save(load_denoiser(PACKAGED_WEIGHTS).state_dict(), folder / "denoiser.ckpt")
+    shutil.copy(PACKAGED_WEIGHTS, folder / "denoiser.safetensors")
+    packaged = Path(baselines.__file__).parents[1] / "weights"
+    shutil.copy(packaged / "ego_status.safetensors", folder / "planner.safetensors")
+    shutil.copy(packaged / "vad-mini.safetensors", folder / "network.safetensors")
+    rng = np.random.default_rng(0)
+    anchors = {"anchors_all": [rng.normal(size=(6, 12, 2)) for _ in range(4)], "grouped": [[0], [1], [2], [3]]}
+    (folder / "anchors.pkl").write_bytes(pickle.dumps(anchors))
+
+
+def write_plans(folder: Path) -> None:
+    """A plan for every sample, in every form that is read."""
+    import pandas as pd
+
+    samples = json.loads((folder / "root" / VERSION / "sample.json").read_text())
+    straight: dict[str, Any] = {}
+    for step in range(1, 7):
+        straight |= {f"x{step}": 0.0, f"y{step}": 2.5 * step}
+    rows = [{"sample_token": row["token"], "frame": "ego", **straight} for row in samples]
+    pd.DataFrame(rows).to_csv(folder / "plans.csv", index=False)
+    pd.DataFrame(rows).to_json(folder / "plans.json", orient="records")
+
+
+def _by_command(valid: Path, command: str, *arguments: str) -> None:
+    given = ["--data", str(valid / "root"), "--out", str(valid / "made"), "--workers", "1"]
+    ended = run_command([command, *given, *arguments], valid, valid / "cache")
+    if ended.code:
+        raise InputError(f"{command} failed on what is valid: {ended.err.strip()}; mend it first")

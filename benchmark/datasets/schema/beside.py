@@ -1,0 +1,77 @@
+"""What lies beside the tables, as far as it is read: messages of the CAN bus expansion, points of the map expansion."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.datasets.schema.kinds import EARTH_M, TIME, Kind, number, numbers
+from benchmark.datasets.schema.rows import shown
+from benchmark.errors import InputError
+
+_FASTEST: Final = 1e4
+"""No car goes so fast, turns so fast or brakes so hard, in units of metres, radians and seconds."""
+_LONGEST_LANE_M: Final = 1e5
+_MOTION: Final = numbers(
+    "three numbers that a car can reach", 3, lambda values: (np.abs(values) < _FASTEST).all(axis=-1)
+)
+_PLANAR: Final = numbers(
+    "three numbers (x, y in metres within the earth, heading)",
+    3,
+    lambda values: (np.abs(values) <= EARTH_M).all(axis=-1),
+)
+_LENGTHS: Final = numbers(
+    "three lengths, at least 0 and less than a hundred kilometres",
+    3,
+    lambda values: ((values >= 0) & (values < _LONGEST_LANE_M)).all(axis=-1),
+)
+
+CAN_BUS: Final[Mapping[str, Mapping[str, Kind]]] = {
+    "pose": {"utime": TIME, "vel": _MOTION, "accel": _MOTION, "rotation_rate": _MOTION},
+    "steeranglefeedback": {
+        "utime": TIME,
+        "value": number("a number that a steering wheel can reach", -_FASTEST, _FASTEST),
+    },
+}
+"""Fields by message, in the order in which they are read."""
+MAP_NODE: Final[Mapping[str, Kind]] = {
+    axis: number("a number, metres within the earth", -EARTH_M, EARTH_M) for axis in ("x", "y")
+}
+ARC_LINE: Final[Mapping[str, Kind]] = {
+    "start_pose": _PLANAR,
+    "end_pose": _PLANAR,
+    "radius": number("a number, metres", -EARTH_M, EARTH_M),
+    "segment_length": _LENGTHS,
+}
+
+
+def require_records(path: Path, what: str, records: Any, fields: Mapping[str, Kind]) -> Sequence[Mapping[str, Any]]:
+    """Refuse records that lack a field or hold what they must not.
+
+    Args:
+        path: File that they are in.
+        what: What one of them is called.
+        records: What should be a list of objects.
+        fields: Their fields.
+
+    Returns:
+        The records.
+
+    Raises:
+        InputError: For the first fault.
+    """
+    if type(records) is not list or any(type(record) is not dict for record in records):
+        raise InputError(f"{path} must hold a list of {what}s, each an object; fetch or make it again")
+    for name, kind in fields.items():
+        if records and all(name in record for record in records) and kind.column([each[name] for each in records]):
+            continue
+        for index, record in enumerate(records):
+            if name not in record:
+                raise InputError(f"{path}: {what} {index} has no field {name}; fetch or make it again")
+            if not kind.holds(record[name]):
+                raise InputError(
+                    f"{path}: {name} of {what} {index} is {shown(record[name])}, it must be {kind.words}; fetch or "
+                    "make it again"
+                )
+    return records

@@ -1,0 +1,132 @@
+"""Foreign JSON: so many bytes, values and containers within containers, and no text that cannot be written again."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.errors import InputError
+from benchmark.foreign.files import one_line, open_file
+from benchmark.foreign.limits import JSON, Limits, in_words
+
+_ALL_BUT_BRACKETS: Final = bytes(sorted(set(range(256)) - set(b"[]{}")))
+_STRINGS: Final = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
+_STARTS: Final = frozenset(b'[{"-0123456789tfnNI')
+_SPACE: Final = b" \t\r\n"
+_FIRST_BYTES: Final = 4096
+
+
+def parse_json(data: bytes, limits: Limits = JSON) -> Any:
+    """The value of a JSON text.
+
+    Args:
+        data: UTF-8 text.
+        limits: How many values it may have, and how deep they may lie.
+
+    Returns:
+        The value; NaN and infinity are read, as Python writes them.
+
+    Raises:
+        ValueError: If it is not JSON, or more than the limits allow, or has text that is not Unicode; says which.
+    """
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
+        raise ValueError(f"it holds more than {limits.values} values")
+    too_deep = f"its containers lie more than {limits.depth} deep"
+    try:
+        value = json.loads(data)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+    except MemoryError:
+        raise ValueError(f"its {in_words(len(data))} do not fit into memory") from None
+    if _is_deeper(data, limits.depth):
+        raise ValueError(too_deep)
+    # Halves of a pair of UTF-16 codes, escaped or as bytes; looked for only where there can be any.
+    if b"\xed" in data or b"\\ud" in data or b"\\uD" in data:
+        try:
+            json.dumps(value, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("it holds text that is not Unicode") from None
+    return value
+
+
+def _is_deeper(data: bytes, depth: int) -> bool:
+    """Whether brackets are nested deeper; text in quotes is left out only where it makes a difference."""
+    return _layers_left(data, depth) and _layers_left(_STRINGS.sub(b"", data), depth)
+
+
+def _layers_left(data: bytes, depth: int) -> bool:
+    left = data.translate(None, _ALL_BUT_BRACKETS)
+    for _ in range(depth):
+        if not left:
+            return False
+        left = left.replace(b"[]", b"").replace(b"{}", b"")
+    return bool(left)
+
+
+def read_json(path: Path, limits: Limits = JSON) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+        limits: How large and deep it may be.
+
+    Returns:
+        The value.
+
+    Raises:
+        InputError: If it is absent, unreadable, not JSON or more than the limits allow.
+    """
+    try:
+        return parse_json(_bytes(path, limits), limits)
+    except ValueError as error:
+        raise InputError(
+            f"{path} is not valid JSON ({one_line(error)}); it may be truncated, fetch or make it again"
+        ) from error
+
+
+def read_json_lines(path: Path, limits: Limits = JSON) -> list[Any]:
+    """Read one JSON value a line.
+
+    Args:
+        path: The file.
+        limits: How large it may be, a line of it, and how deep each value.
+
+    Returns:
+        The values.
+
+    Raises:
+        InputError: If it is absent, unreadable, a line is not JSON, or it is more than the limits allow.
+    """
+    try:
+        text = _bytes(path, limits).decode()
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not text ({error}); fetch or make it again") from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if len(line) > limits.line_bytes:
+            raise InputError(
+                f"{path} line {number} is longer than {in_words(limits.line_bytes)}; it is damaged or something else, "
+                "fetch or make it again"
+            )
+        try:
+            rows.append(parse_json(line.encode(), limits))
+        except ValueError as error:
+            raise InputError(
+                f"{path} line {number} is not valid JSON ({one_line(error)}); it may be truncated"
+            ) from error
+    return rows
+
+
+def _bytes(path: Path, limits: Limits) -> bytes:
+    """The file, if it begins like JSON: nothing else, and no hole in a sparse file, is read to its end."""
+    try:
+        with open_file(path, limits) as stream:
+            start = stream.peek(_FIRST_BYTES)[:_FIRST_BYTES].lstrip(_SPACE)
+            if start and start[0] not in _STARTS and not start.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
+                # In the words that the whole of it would give.
+                return start[:1] if start[0] < 0x80 else stream.read(_FIRST_BYTES)
+            return stream.read()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    except MemoryError:
+        raise InputError(f"{path} does not fit into the memory of this machine; it is damaged, get it again") from None

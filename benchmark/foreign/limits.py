@@ -1,0 +1,77 @@
+"""How much a foreign file of each kind may be and may cost: the one table."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+MIB: Final = 1 << 20
+GIB: Final = 1 << 30
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a foreign file of one kind may be at most.
+
+    Attributes:
+        what: The kind, in words that fit after "a".
+        file_bytes: Size of the file.
+        depth: Containers within containers.
+        values: Values, entries or rows, each counted as often as it is named.
+        name_characters: Characters of a name.
+        line_bytes: Bytes of one line, where there are lines.
+        content_bytes: What it unpacks to.
+        memory_bytes: Memory of the child process that takes it apart.
+        cpu_s: Its processor time.
+        clock_s: Its time on the wall.
+    """
+
+    what: str
+    file_bytes: int
+    depth: int = 64
+    values: int = 4_000_000
+    name_characters: int = 4096
+    line_bytes: int = 16 * MIB
+    content_bytes: int = GIB
+    memory_bytes: int = 3 * GIB // 2
+    cpu_s: int = 8
+    clock_s: float = 15.0
+
+
+PICKLE: Final = Limits("pickle", 256 * MIB)
+"""ScenarioNet files and published anchors; real ones have some megabytes."""
+CHECKPOINT: Final = Limits("checkpoint", 16 * GIB, values=1_000_000, content_bytes=256 * MIB)
+"""PyTorch files; the largest that is read here has 5 GB. Their content is what stands beside the numbers."""
+LIBRARY_CHECKPOINT: Final = replace(CHECKPOINT, file_bytes=64 * GIB)
+"""What libraries of others read: the encoder of prompts has 45 GB in one file."""
+SAFETENSORS: Final = Limits("weights file", 64 * GIB, values=1_000_000, content_bytes=64 * MIB)
+"""Content is the header."""
+NPZ: Final = Limits("file of arrays", 4 * GIB, values=10_000, content_bytes=8 * GIB)
+JSON: Final = Limits("JSON file", 4 * GIB, values=150_000_000, line_bytes=64 * MIB)
+"""Tables of nuScenes have up to 2 GB."""
+RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
+"""Run records, manifests and lists of a submission."""
+PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)
+"""One row a sample: all of nuScenes has 34,149."""
+PLAN_COLUMNS: Final = 64
+PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
+"""Values are pixels: cameras have 1.4 to 12 million."""
+RECORDING_S: Final = 3600.0
+"""Seconds of one imported recording, whatever its steps."""
+RECORDED_OBJECTS: Final = 5000
+RECORDED_POSES: Final = 4_000_000
+"""Its objects times its frames; a crowded scene of nuScenes has 60,000."""
+MAP_POINTS: Final = 500_000
+"""Of its map; real ones have 20,000."""
+MAP_LANES: Final = 4000
+MAP_LINKS: Final = 200_000
+MAP_MEETINGS: Final = 2_000_000
+"""Pairs of pieces of its lines that come near each other: what it costs to join its surfaces."""
+EXPANSION: Final = 4
+"""How many times its own size a checkpoint's tensors may claim, since tensors may share what is stored."""
+
+
+def in_words(count: int) -> str:
+    """Bytes as somebody would say them."""
+    for unit, size in (("GB", GIB), ("MB", MIB), ("KB", 1024)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count} bytes"
