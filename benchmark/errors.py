@@ -11,10 +11,6 @@ class InputError(Exception):
     of this project and keeps its traceback.
     """
 
-    def __str__(self) -> str:
-        # Names of files may be bytes that are no text, and a sentence must be printable everywhere.
-        return super().__str__().encode(errors="backslashreplace").decode()
-
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The question that a message asks where a name is nearly one that there is.

@@ -9,7 +9,7 @@ import json
 import math
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,9 +93,9 @@ class _Writer:
     def _array(self, value: NDArray[Any]) -> list[Any]:
         if value.dtype.kind not in _NUMBERS:
             raise Unanswerable(f"it holds an array of {value.dtype}")
-        order = "C" if value.flags.c_contiguous else "F"
+        order: Literal["C", "F"] = "F" if value.flags.fnc else "C"
         self._count(1)
-        flat = np.ndarray.view(value, np.ndarray).reshape(-1, order="A").view(np.uint8)
+        flat = np.ascontiguousarray(np.ndarray.view(value, np.ndarray).reshape(-1, order=order)).view(np.uint8)
         return [self._buffer(value, flat, flat.nbytes), value.dtype.str, list(value.shape), order]
 
     def _bytes(self, value: Any, _: int) -> int:
@@ -199,7 +199,7 @@ def _number_type(name: str) -> np.dtype[Any]:
 
 
 def _scalar(kind: np.dtype[Any], data: bytes) -> Any:
-    return np.frombuffer(data, kind, count=1)[0] if data else kind.type()
+    return np.frombuffer(data, kind, count=1)[0] if kind.itemsize else kind.type()
 
 
 _READERS: Final[dict[str, Callable[[Any, list[NDArray[np.uint8]]], Any]]] = {

@@ -116,7 +116,10 @@ _STRANGE_MARKS: Final = (
     "strided", "sparse_coo", "per_tensor_affine", "per_tensor_symmetric", "per_channel_affine", "per_channel_symmetric",
     "per_channel_affine_float_qparams",
 )  # fmt: skip
-_SHARED: Final = (("_codecs", "encode"), ("builtins", "bytearray"), ("builtins", "set"), ("builtins", "complex"))
+_SHARED: Final = (
+    ("_codecs", "encode"),
+    *((module, name) for module in ("builtins", "__builtin__") for name in ("bytearray", "set", "complex")),
+)
 _TORCH: Final[dict[tuple[str, str], Any]] = {
     **{(place, f"{kind}Storage"): made for place in ("torch", "torch.cuda") for kind, made in _KINDS.items()},
     **{(place, f"{kind}Tensor"): made for place in ("torch", "torch.cuda") for kind, made in _KINDS.items()},

@@ -8,6 +8,7 @@ from typing import Any, Final
 from benchmark.foreign.files import one_line, open_file
 from benchmark.foreign.json_text import parse_json
 from benchmark.foreign.limits import SAFETENSORS, Limits, in_words
+from benchmark.runs.code_identity import outside_identity
 
 _ITEM_BITS: Final = {
     "BOOL": 8, "U8": 8, "I8": 8, "F8_E5M2": 8, "F8_E4M3": 8, "F8_E8M0": 8, "I16": 16, "U16": 16, "F16": 16, "BF16": 16,
@@ -21,6 +22,7 @@ _FARTHEST: Final = 1 << 40
 """No axis is longer, not even of a tensor that is empty along another."""
 
 
+@outside_identity
 def require_sound_header(path: Path, limits: Limits = SAFETENSORS) -> None:
     """Look at the header of a safetensors file.
 

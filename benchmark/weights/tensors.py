@@ -14,6 +14,7 @@ from benchmark.foreign.files import one_line
 from benchmark.foreign.json_text import parse_json
 from benchmark.foreign.tensor_headers import require_sound_header
 from benchmark.machine.storage import canonical_json, write_bytes
+from benchmark.runs.code_identity import outside_identity
 
 FACTS: Final = "challenger-bench"
 """Name of the header's entry, if a kind of file has none of its own."""
@@ -87,6 +88,7 @@ def read_header(path: Path, *, instead: str) -> tuple[dict[str, tuple[int, ...]]
         raise InputError(f"cannot read weights from {path} ({one_line(error)}); {instead}") from error
 
 
+@outside_identity
 def _facts(stream: Any, entry: str) -> dict[str, Any]:
     facts = parse_json((stream.metadata() or {}).get(entry, "null").encode())
     return facts if isinstance(facts, dict) else {}
