@@ -280,7 +280,7 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
     if not isinstance(value, dict) or not isinstance(made, dict) or not isinstance(value.get("split"), str):
         raise InputError(f"{path} must be an object with a split and its scenes; write the data set again")
     for name, entry in made.items():
-        adversaries = entry.get("adversaries") if isinstance(entry, dict) else None
+        adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
         if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
             raise InputError(f"{path}: scene {name} must be an object with a list of adversaries; write it again")
         if not isinstance(entry.get("source_scene", ""), str):

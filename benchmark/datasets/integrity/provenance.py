@@ -48,9 +48,11 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
         if scene is None:
             faults.add("unknown scenes", PROVENANCE, "", f"{name} is not in scene.json")
             continue
-        adversaries = entry.get("adversaries") if isinstance(entry, dict) else None
+        adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
         if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
-            faults.add("scenes without adversaries list", PROVENANCE, "", f"{name} has no list named adversaries")
+            faults.add(
+                "scenes without adversaries list", PROVENANCE, "", f"the adversaries of {name} must be a list of tokens"
+            )
             continue
         for token in adversaries:
             _check_adversary(tables, scene, token, annotations.get(token, []), faults)
