@@ -284,6 +284,10 @@ def _row_key(path: Path, columns: tuple[str, ...], values: tuple[Any, ...]) -> t
 def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> Floats:
     import pandas as pd
 
+    # Else they would count as 1 and 0 metres.
+    truths = [column for column in WAYPOINT_COLUMNS if table[column].map(lambda value: isinstance(value, bool)).any()]
+    if truths:
+        raise InputError(f"{path} has true or false in column {', '.join(truths[:_SHOWN])}; waypoints are metres")
     columns = [pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64) for column in WAYPOINT_COLUMNS]
     waypoints: Floats = np.column_stack(columns).reshape(-1, PLAN_STEPS, 2)
     bad = np.flatnonzero(~np.isfinite(waypoints).all(axis=(1, 2)))

@@ -9,10 +9,11 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
-from benchmark.datasets.schema.beside import ARC_LINE, MAP_NODE, require_records
+from benchmark.datasets.schema.beside import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
 from benchmark.datasets.schema.rows import shown
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.road_map import Divider, DividerKind, Lane, RoadMap, as_multipolygon
@@ -26,6 +27,10 @@ _POLYGON_LAYERS: Final = {
     "stop_lines": "stop_line",
     "carparks": "carpark_area",
 }
+_NAMED_LAYERS: Final = (
+    "polygon", "line", "lane", "lane_connector", "drivable_area", "lane_divider", "road_divider", "road_block",
+)  # fmt: skip
+"""Further layers whose records are named; what they hold is sorted by these names."""
 
 
 def expansion_file(root: Path, location: str) -> Path | None:
@@ -65,16 +70,22 @@ def read_road_map(path: Path) -> RoadMap:
     _require_version(layers, path)
     try:
         require_records(path, "node", layers["node"], MAP_NODE)
+        for layer in (*_POLYGON_LAYERS.values(), *_NAMED_LAYERS):
+            require_records(path, f"{layer} record", layers.get(layer, []), MAP_RECORD)
+        for lane, links in _mapping(layers["connectivity"]).items():
+            require_records(path, f"link of lane {shown(lane)}", [links], MAP_LINKS)
         for lane, arclines in _mapping(layers["arcline_path_3"]).items():
             require_records(path, f"path of lane {shown(lane)}", arclines, ARC_LINE)
         return _Shapes(layers).road_map(path.stem)
     except KeyError as error:
         raise InputError(
-            f"{path}: layer or record {error.args[0]!r} is missing; the map expansion is incomplete, fetch or make it "
-            "again"
+            f"{path}: layer or record {one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
+            "fetch or make it again"
         ) from error
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path} is not a well-formed map expansion ({error}); fetch or make it again") from error
+        raise InputError(
+            f"{path} is not a well-formed map expansion ({one_line(error)}); fetch or make it again"
+        ) from error
 
 
 def _require_version(layers: Mapping[str, Any], path: Path) -> None:
@@ -84,7 +95,9 @@ def _require_version(layers: Mapping[str, Any], path: Path) -> None:
     except ValueError:
         version = (0,)
     if version < _OLDEST_VERSION:
-        raise InputError(f"{path} has map version {text}; version 1.3 or later is needed, fetch the newer expansion")
+        raise InputError(
+            f"{path} has map version {one_line(text)}; version 1.3 or later is needed, fetch the newer expansion"
+        )
 
 
 class _Shapes:

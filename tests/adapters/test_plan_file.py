@@ -113,6 +113,7 @@ CHANGES: dict[str, tuple[Callable[[Rows], Rows], str]] = {
     "no last waypoint": (lambda rows: [{k: v for k, v in row.items() if k != "y6"} for row in rows], "no column y6"),
     "nan": (lambda rows: [{**rows[0], "x3": None}, *rows[1:]], "not finite numbers for sample"),
     "infinite": (lambda rows: [{**rows[0], "x3": 1e999}, *rows[1:]], "not finite numbers"),
+    "truth": (lambda rows: [{**rows[0], "x3": True}, *rows[1:]], "true or false in column x3|not finite numbers"),
     "words": (lambda rows: [{**rows[0], "x3": "far"}, *rows[1:]], "not finite numbers"),
     "wrong frame": (lambda rows: [{**rows[0], "frame": "camera"}, *rows[1:]], "unknown frame 'camera'"),
     "empty token": (lambda rows: [{**rows[0], "sample_token": ""}, *rows[1:]], "without a sample_token"),

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.schema.kinds import EARTH_M, TIME, Kind, number, numbers
+from benchmark.datasets.schema.kinds import EARTH_M, LINKS_OF_LIST, TIME, TOKEN, Kind, number, numbers
 from benchmark.datasets.schema.rows import shown
 from benchmark.errors import InputError
 
@@ -38,6 +38,8 @@ CAN_BUS: Final[Mapping[str, Mapping[str, Kind]]] = {
 MAP_NODE: Final[Mapping[str, Kind]] = {
     axis: number("a number, metres within the earth", -EARTH_M, EARTH_M) for axis in ("x", "y")
 }
+MAP_RECORD: Final[Mapping[str, Kind]] = {"token": TOKEN}
+MAP_LINKS: Final[Mapping[str, Kind]] = {"incoming": LINKS_OF_LIST, "outgoing": LINKS_OF_LIST}
 ARC_LINE: Final[Mapping[str, Kind]] = {
     "start_pose": _PLANAR,
     "end_pose": _PLANAR,

@@ -153,9 +153,12 @@ def test_without_a_drivable_area_layer_the_roads_make_it_up(tmp_path: Path) -> N
         ("node", {"a": [1.0, 2.0]}, "must hold a list of nodes"),
         ("arcline_path_3", {"lane": [{"start_pose": [0, 0]}]}, 'path of lane "lane" 0 is .0, 0., it must be three'),
         ("node", [], "record 'n[0-9]+' is missing"),
-        ("polygon", None, "not a well-formed map expansion"),
+        ("polygon", None, "a list of polygon records"),
         ("canvas_edge", 3, "not a well-formed map expansion"),
         ("lane_divider", [{"token": "x", "line_token": "gone"}], "record 'gone' is missing"),
+        ("lane_divider", [{"token": "x", "line_token": "x" * 1000}], "record 'x{1,200}.{0,20} is missing"),
+        ("walkway", [{"token": True, "polygon_token": ""}], "token of walkway record 0 is true"),
+        ("connectivity", {"lane": {"incoming": [1e300], "outgoing": []}}, "incoming of link of lane"),
     ],
 )
 def test_a_broken_expansion_is_refused(tmp_path: Path, layer: str, value: Any, message: str) -> None:
