@@ -128,7 +128,7 @@ def generate_command(
     from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_source
     from benchmark.cli.beforehand.places import require_place
     from generation.search.presets import hyper_parameters, trajectory_model
-    from generation.splits.freezing import require_freezable
+    from generation.splits.format import require_freezable
 
     _require_generated(split)
     frozen = None if from_file is None else _frozen(from_file, split, context)

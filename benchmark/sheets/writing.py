@@ -129,6 +129,8 @@ def write_sheets(
             "(run again, it searches anew where they are missing)"
         )
     job = _job(data, split, root, settings)
+    # What is wrong with the first scene is said before anything is written.
+    data.scene(chosen[0])
     directory = split_folder(root, data.name, split)
     with only_writer(directory):
         _tidy(directory, job.facts, data.scene_names(split))

@@ -27,8 +27,8 @@ from generation.search.chains import Chain, SearchResult, first_units, search_ch
 from generation.search.definition import Search
 from generation.search.eligibility import not_tried_together
 from generation.splits.building import require_not_frozen
-from generation.splits.format import Choice, write_frozen
-from generation.splits.freezing import freeze, require_freezable
+from generation.splits.format import Choice, require_freezable, write_frozen
+from generation.splits.freezing import freeze
 
 
 class NothingSurvivedError(InputError):

@@ -207,6 +207,20 @@ def read_frozen(path: Path) -> FrozenSplit:
     )
 
 
+def require_freezable(split: str, path: Path) -> None:
+    """Refuse, before a long search, what could not be frozen after it.
+
+    Raises:
+        InputError: If the split is not searched for, there is something else of this name, or no folder to put it into.
+    """
+    if split != "adv":
+        raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
+    if path.exists():
+        read_frozen(path)
+    elif not path.parent.is_dir():
+        raise InputError(f"there is no folder {path.parent} for the frozen split; make it or name another file")
+
+
 def write_frozen(path: Path, frozen: FrozenSplit) -> None:
     """Write a frozen split; one that is there is never replaced by another.
 

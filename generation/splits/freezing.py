@@ -2,11 +2,9 @@
 
 import functools
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Final
 
 from benchmark.datasets.roots import DataSet
-from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.workers import Executor
 from benchmark.scene import Scene
@@ -24,26 +22,11 @@ from generation.splits.format import (
     Pose,
     Recordings,
     SearchFacts,
-    read_frozen,
 )
 from generation.splits.tracks import adversarial, recorded_pose
 
 _UNKNOWN: Final = "0" * 64
 """Stands for a hash until the scene is put together."""
-
-
-def require_freezable(split: str, path: Path) -> None:
-    """Refuse, before a long search, what could not be frozen after it.
-
-    Raises:
-        InputError: If the split is not searched for, there is something else of this name, or no folder to put it into.
-    """
-    if split != "adv":
-        raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
-    if path.exists():
-        read_frozen(path)
-    elif not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent} for the frozen split; make it or name another file")
 
 
 def freeze(

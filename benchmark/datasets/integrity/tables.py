@@ -45,8 +45,8 @@ class CheckedTables:
                 yield row
 
     def get(self, table: str, token: str, *fields: str) -> Row | None:
-        """A row by its token, if it exists and these fields of it can be relied on."""
-        row = self.by_token[table].get(token)
+        """A row by its token, if it exists and these fields of it can be relied on; what is no text names none."""
+        row = self.by_token[table].get(token) if isinstance(token, str) else None
         if row is None or not self.unsound:
             return row
         bad = self.unsound.get(id(row))

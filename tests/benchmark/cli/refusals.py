@@ -129,7 +129,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("demo --workers -1", "--workers"),
 )
 DRY: tuple[tuple[str, str], ...] = (
-    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad on all scenes of adv"),
+    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 27 scenes of adv"),
     (f"eval --dry-run --model idm --json {_OUT}", "run idm on 10 scenes of val"),
     (f"sheets --dry-run --limit 2 --split val-r {_OUT}", "write sheets of 2 scenes of val-r"),
     (f"quality --dry-run --masks boxes {_OUT}", "score 10 scenes of val"),
