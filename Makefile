@@ -15,7 +15,7 @@ $(VENV)/.complete: pyproject.toml constraints.txt
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
 	  { echo "challenger-bench needs Python 3.11 or newer, and $(PYTHON) is older; try: make PYTHON=python3.12"; exit 2; }
 	@echo "setting up $(CURDIR)/$(VENV): torch, nuscenes-devkit, ray, transformers, the tools of the tests and what they need"
-	@echo "about 0.6 GB to fetch and 2.3 GB on disk, minutes; with CUDA libraries about 3 GB and 8 GB. Nothing outside this folder."
+	@echo "about 0.6 GB to fetch and 2.3 GB on disk, minutes; CUDA libraries, where they come along, are some 6 GB more on disk"
 	@$(PYTHON) -m venv $(VENV)
 	@$(torch_without_cuda)
 	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"

@@ -1,5 +1,6 @@
 """Commands that make scenes: ``generate`` and ``ablate``."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -125,7 +126,7 @@ def generate_command(
     dry_run: DryRunOption = False,
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
-    from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_source
+    from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_root, require_source
     from benchmark.cli.beforehand.places import require_place
     from generation.search.presets import hyper_parameters, trajectory_model
     from generation.splits.format import require_freezable
@@ -141,15 +142,21 @@ def generate_command(
     _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
     if renderer is RendererName.MAGICDRIVE:
         _require_magicdrive(render_device, weights_folder, dry_run=dry_run)
-    image_size(size)
+    pixels, named = image_size(size), name_list(scenes)
     place = executor_of(executor, address, workers)
-    ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
+    if frozen is None:
+        ahead = require_source(data, tables, source_split, out, scenes=named, limit=limit)
+    else:
+        made = tuple(scene.name for scene, _ in frozen.chosen(named, limit))
+        ahead = replace(require_root(data, tables, out), scenes=made)
     require_place(out, "--out")
     if renderer is RendererName.SCHEMATIC and not dry_run:
-        least = len(ahead.scenes or ()) if split == "val-r" else 1
-        require_room_to_draw(api.workspace(out), data, split, scenes=least, size=image_size(size), frames=frames.value)
+        # How many a search finds is not known.
+        least = 1 if split == "adv" and frozen is None else len(ahead.scenes)
+        require_room_to_draw(api.workspace(out), data, split, scenes=least, size=pixels, frames=frames.value)
     if dry_run and ahead.builds:
-        then = f"build split {split} from {ahead.counted()}; --dry-run says how much work that is once they are there"
+        from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
+        then = f"build split {split} from {from_what}; --dry-run says how much work that is once they are there"
         say_plan(ahead.plan(then), json_output=json_output)
         return
     _require_cluster(place, ahead)
@@ -161,7 +168,7 @@ def generate_command(
         under_test = api.planner_under_test(surrogate, surrogate_checkpoint, data=data, seed=seed, workers=workers)
     drawing: Renderer | None = None
     if renderer is RendererName.SCHEMATIC:
-        drawing = api.schematic_renderer(image_size(size))
+        drawing = api.schematic_renderer(pixels)
     rendering, photorealistic = None, None
     if renderer is RendererName.MAGICDRIVE:
         from generation.render.magicdrive.command import magicdrive_renderer, rendering_executor
@@ -186,7 +193,7 @@ def generate_command(
         hyper=hyper,
         prior=trajectory_model(preset.value, denoiser, device, calls=calls, dropout=dropout),
         source_split=source_split,
-        scenes=name_list(scenes),
+        scenes=named,
         limit=limit,
         adversaries=adversaries,
         surrogate=under_test,

@@ -9,6 +9,7 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
+from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import Estimate, rendering_estimate, workers_of
 from generation.build.settings import BuildSettings
@@ -73,16 +74,17 @@ class FrozenReport:
         count = len(self.written)
         if self.estimate is not None:
             return (
-                f"would build {count} scenes of frozen split {self.name} from {self.scenes} recorded scenes; "
+                f"would build {counted(count, 'scene')} of frozen split {self.name} from "
+                f"{counted(self.scenes, 'recorded scene')}; "
                 f"{self.estimate.sentence()}; nothing was written"
             )
         tables = (
             "equal to those that were frozen"
             if not self.other_tables
-            else f"differ in {len(self.other_tables)} of {count} scenes, because the recordings here differ"
+            else f"differ in {len(self.other_tables)} of {counted(count, 'scene')}, because the recordings here differ"
         )
         return (
-            f"{count} scenes built from frozen split {self.name}, {self.scenes} recorded scenes\n"
+            f"{counted(count, 'scene')} built from frozen split {self.name}, {counted(self.scenes, 'recorded scene')}\n"
             f"  tables: {tables}\n  images: {self._images(count)}"
         )
 
@@ -110,7 +112,7 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) ->
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
             of another frozen one, another command is writing there, or it cannot be written.
     """
-    chosen = _chosen(split, settings)
+    chosen = split.chosen(settings.scenes, settings.limit)
     content = split.frozen.content_id
     recorded = sorted({frozen.source for frozen, _ in chosen})
     report = FrozenReport(split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen))
@@ -164,25 +166,6 @@ def _require_room(root: Path, name: str, content: str) -> None:
             f"{root} is built from the frozen split {kept.get('name')}, which is not the same; build {name} in another "
             "--out, nothing was changed"
         )
-
-
-def _chosen(split: NamedSplit, settings: BuildSettings) -> list[tuple[FrozenScene, int]]:
-    """The frozen scenes to build, each with its number among the variants of its recording."""
-    seen: dict[str, int] = {}
-    numbered = []
-    for frozen in split.frozen.scenes:
-        numbered.append((frozen, seen.get(frozen.source, 0)))
-        seen[frozen.source] = numbered[-1][1] + 1
-    wanted = set(seen if settings.scenes is None else settings.scenes)
-    unknown = sorted(wanted - set(seen) - {frozen.name for frozen in split.frozen.scenes})
-    if unknown:
-        raise InputError(
-            f"frozen split {split.name} has no scene made from {', '.join(unknown)}; it has scenes made from "
-            f"{', '.join(sorted(seen)[:8])}{' ...' if len(seen) > 8 else ''}"
-        )
-    asked = [each for each in numbered if each[0].source in wanted or each[0].name in wanted]
-    recorded = set(sorted({frozen.source for frozen, _ in asked})[: settings.limit])
-    return [each for each in asked if each[0].source in recorded]
 
 
 def _require_recorded(source: DataSet, recorded: Sequence[str]) -> None:

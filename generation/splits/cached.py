@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmark.datasets.listing import listed_scenes
 from benchmark.datasets.roots import DataSet
-from benchmark.datasets.split_names import read_splits
-from benchmark.datasets.tables import variant_folders, version_folders
 from benchmark.machine.storage import content_key
 from benchmark.machine.workspace import cache_root, is_finished
 from generation.render.contract import Renderer
@@ -57,11 +56,6 @@ def known_scenes(data: str, split: str, root: Path) -> tuple[str, ...]:
     Raises:
         InputError: If neither can be read.
     """
-    if not is_finished(root):
-        return tuple(sorted(scene.name for scene in newest_split(data, split).frozen.scenes))
-    found: list[str] = []
-    for variant in variant_folders(root) or ("",):
-        for version in version_folders(root / variant):
-            names = read_splits(root / variant, version).get(split, ())
-            found += [f"{variant}/{name}" if variant else name for name in sorted(names)]
-    return tuple(found)
+    if is_finished(root):
+        return listed_scenes(root, split)
+    return tuple(sorted(scene.name for scene in newest_split(data, split).frozen.scenes))

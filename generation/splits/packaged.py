@@ -1,12 +1,13 @@
 """Frozen splits by name: those that come with the package, and any file."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from benchmark.errors import InputError
-from generation.splits.format import FrozenSplit, read_frozen
+from generation.splits.format import FrozenScene, FrozenSplit, read_frozen
 
 _FOLDER: Final = Path(__file__).parent
 _NUMBERED: Final = re.compile(r"(?P<data>.+)-(?P<split>[a-z]+)-(?P<number>[1-9]\d*)")
@@ -18,6 +19,35 @@ class NamedSplit:
 
     name: str
     frozen: FrozenSplit
+
+    def chosen(self, scenes: Sequence[str] | None, limit: int | None) -> list[tuple[FrozenScene, int]]:
+        """Some of its scenes.
+
+        Args:
+            scenes: Names of its scenes, or of recorded ones for all that are made of them; ``None`` for all.
+            limit: Only those of the first so many recorded scenes.
+
+        Returns:
+            The scenes, each with its number among the variants of its recording.
+
+        Raises:
+            InputError: If a name is unknown.
+        """
+        seen: dict[str, int] = {}
+        numbered = []
+        for frozen in self.frozen.scenes:
+            numbered.append((frozen, seen.get(frozen.source, 0)))
+            seen[frozen.source] = numbered[-1][1] + 1
+        wanted = set(seen if scenes is None else scenes)
+        unknown = sorted(wanted - set(seen) - {frozen.name for frozen in self.frozen.scenes})
+        if unknown:
+            raise InputError(
+                f"frozen split {self.name} has no scene made from {', '.join(unknown)}; it has scenes made from "
+                f"{', '.join(sorted(seen)[:8])}{' ...' if len(seen) > 8 else ''}"
+            )
+        asked = [each for each in numbered if each[0].source in wanted or each[0].name in wanted]
+        recorded = set(sorted({frozen.source for frozen, _ in asked})[:limit])
+        return [each for each in asked if each[0].source in recorded]
 
 
 def packaged_splits(data: str = "", split: str = "adv") -> tuple[str, ...]:

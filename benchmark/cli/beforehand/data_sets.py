@@ -12,6 +12,7 @@ from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.machine.workspace import Workspace
+    from generation.splits.packaged import NamedSplit
 
 _BYTES_OF_A_PIXEL: Final = 0.22
 """Of the embedded town's images, with their rows in the tables: 0.36 GB for 10 scenes at 448 x 256."""
@@ -149,6 +150,7 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
     from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, is_finished
     from generation.sources.mini import TownSettings
     from generation.sources.town.scenes import town_scene_names
+    from generation.splits.packaged import newest_split
 
     splits = ("val", *GENERATED_SPLITS)
     if split not in splits:
@@ -169,9 +171,10 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
     if is_finished(made):
         return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit), tuple(builds))
     if split == "adv":
-        builds += _frozen_ahead()
-        known = api.known_scenes(EMBEDDED, split, out) or ()
-        return Ahead(_chosen(known, split, scenes, limit), tuple(builds))
+        frozen = newest_split(EMBEDDED)
+        builds += _frozen_ahead(frozen)
+        made_names = tuple(sorted(scene.name for scene in frozen.frozen.scenes))
+        return Ahead(_chosen(made_names, split, scenes, limit), tuple(builds))
     needed = town_bytes(len(recorded))
     require_place(made, "--out")
     require_room(made, needed, f"split {split} of the embedded data set", "--out")
@@ -179,12 +182,10 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
     return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
 
 
-def _frozen_ahead() -> list[str]:
-    """The newest frozen split of the embedded data set, where it is not built yet."""
-    from benchmark.machine.workspace import EMBEDDED, cache_root, is_finished
-    from generation.splits.packaged import newest_split
+def _frozen_ahead(newest: "NamedSplit") -> list[str]:
+    """A frozen split of the embedded data set, where it is not built yet."""
+    from benchmark.machine.workspace import cache_root, is_finished
 
-    newest = newest_split(EMBEDDED)
     # What else its folder's name is made of is known once the recordings are there.
     if any(is_finished(root) for root in cache_root().glob(f"{newest.name}-*")):
         return []

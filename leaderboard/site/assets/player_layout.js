@@ -199,10 +199,8 @@
         },
       });
       fill();
-      const star = model.privileged ? element("abbr", { title: "Sees boxes, map or the recorded future" }, " †") : null;
-      const small = model.miniature ? element("abbr", { title: "Miniature: shows the pipeline, ranks nothing" }, " §") : null;
       return element("div", { class: "cp-row" },
-        element("label", { class: "cp-name", title: name }, box, swatch, element("span", {}, name, star, small)), track);
+        element("label", { class: "cp-name", title: name }, box, swatch, element("span", {}, name, ...player.marks(model))), track);
     }
 
     buildChoices() {

@@ -155,11 +155,17 @@
       const why = scene.models.length ? "No planner is chosen." : "No planner ran on this scene.";
       return [element("p", { class: "cp-note" }, `${caption}. ${why}`)];
     }
-    return [element("div", { class: "cp-box" }, table(caption, entries, compare)), ...notes.filter(Boolean)];
+    return [element("div", { class: "cp-box" }, table(caption, models, entries, compare)), ...notes.filter(Boolean)];
+  }
+
+  /** What stands after the names of planners that see what no car sees, and of miniatures. @returns {(Node|null)[]} */
+  function marks({ privileged, miniature }) {
+    return [privileged ? element("abbr", { title: "Sees boxes, map or the recorded future" }, " †") : null,
+      miniature ? element("abbr", { title: "Miniature: shows the pipeline, ranks nothing" }, " §") : null];
   }
 
   /** @returns {HTMLElement} */
-  function table(caption, entries, compare) {
+  function table(caption, models, entries, compare) {
     const groups = [["", 1], ["collides within", 3], ["contact", 1], ["cause", 1], ["L2, metres, at", 3]];
     const heads = ["planner", ...HORIZONS.map(([words]) => words), "", "", ...HORIZONS.map(([words]) => words)];
     // Distances always differ.
@@ -171,7 +177,8 @@
         element("tr", {}, ...groups.map(([words, span]) => element("th", { scope: "colgroup", colspan: span }, words))),
         element("tr", {}, ...heads.map((words, column) => element(words ? "th" : "td",
           { scope: words ? "col" : null, class: kinds(null, column) }, words)))),
-      element("tbody", {}, ...entries.map(({ name, cells }) => element("tr", {}, element("th", { scope: "row", title: name }, name),
+      element("tbody", {}, ...entries.map(({ name, cells }, row) => element("tr", {},
+        element("th", { scope: "row", title: name }, name, ...marks(models[row])),
         ...cells.map(({ words, kind, title }, at) => element("td", { class: kinds(kind, at + 1), title }, words))))));
   }
 
@@ -194,5 +201,5 @@
     return [`${seconds(scene, sample)}.`, ...models.map((model) => entry(model, sample, judge).sentence)].join(" ");
   }
 
-  Object.assign(player, { element, along, collisions, fillTrack, markMoment, paintSwatch, verdicts, sentence });
+  Object.assign(player, { element, along, collisions, fillTrack, markMoment, marks, paintSwatch, verdicts, sentence });
 })();
