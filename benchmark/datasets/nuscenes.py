@@ -281,7 +281,9 @@ def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:
         raise InputError(f"{path} must be an object with a split and its scenes; write the data set again")
     for name, entry in made.items():
         adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
-        if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
+        if not isinstance(adversaries, list) or not all(
+            isinstance(token, str) and token.isprintable() for token in adversaries
+        ):
             raise InputError(f"{path}: scene {name} must be an object with a list of adversaries; write it again")
         if not isinstance(entry.get("source_scene", ""), str):
             raise InputError(f"{path}: the source_scene of {name} must be the name of a scene; write it again")

@@ -17,12 +17,13 @@ _SPACE: Final = b" \t\r\n"
 _FIRST_BYTES: Final = 4096
 
 
-def parse_json(data: bytes, limits: Limits = JSON) -> Any:
+def parse_json(data: bytes, limits: Limits = JSON, *, any_text: bool = False) -> Any:
     """The value of a JSON text.
 
     Args:
         data: UTF-8 text.
         limits: How many values it may have, and how deep they may lie.
+        any_text: Leaves text that is not Unicode to the caller, who can say where it stands.
 
     Returns:
         The value; NaN and infinity are read, as Python writes them.
@@ -42,7 +43,7 @@ def parse_json(data: bytes, limits: Limits = JSON) -> Any:
     if _is_deeper(data, limits.depth):
         raise ValueError(too_deep)
     # Halves of a pair of UTF-16 codes, escaped or as bytes; looked for only where there can be any.
-    if b"\xed" in data or b"\\ud" in data or b"\\uD" in data:
+    if not any_text and (b"\xed" in data or b"\\ud" in data or b"\\uD" in data):
         try:
             json.dumps(value, ensure_ascii=False).encode()
         except UnicodeEncodeError:
@@ -65,12 +66,13 @@ def _layers_left(data: bytes, depth: int) -> bool:
     return bool(left)
 
 
-def read_json(path: Path, limits: Limits = JSON) -> Any:
+def read_json(path: Path, limits: Limits = JSON, *, any_text: bool = False) -> Any:
     """Read a JSON file.
 
     Args:
         path: The file.
         limits: How large and deep it may be.
+        any_text: Leaves text that is not Unicode to the caller, who can say where it stands.
 
     Returns:
         The value.
@@ -79,7 +81,7 @@ def read_json(path: Path, limits: Limits = JSON) -> Any:
         InputError: If it is absent, unreadable, not JSON or more than the limits allow.
     """
     try:
-        return parse_json(_bytes(path, limits), limits)
+        return parse_json(_bytes(path, limits), limits, any_text=any_text)
     except ValueError as error:
         raise InputError(
             f"{path} is not valid JSON ({one_line(error)}); it may be truncated, fetch or make it again"

@@ -45,8 +45,10 @@ LIBRARY_CHECKPOINT: Final = replace(CHECKPOINT, file_bytes=64 * GIB)
 SAFETENSORS: Final = Limits("weights file", 64 * GIB, values=1_000_000, content_bytes=64 * MIB)
 """Content is the header."""
 NPZ: Final = Limits("file of arrays", 4 * GIB, values=10_000, content_bytes=8 * GIB)
-JSON: Final = Limits("JSON file", 4 * GIB, values=150_000_000, line_bytes=64 * MIB)
-"""Tables of nuScenes have up to 2 GB."""
+JSON: Final = Limits("JSON file", 512 * MIB, values=12_000_000, line_bytes=64 * MIB)
+"""Maps, CAN bus, manifests, small tables: the largest map of nuScenes has 40 MB and 4 million values."""
+TABLE: Final = replace(JSON, what="table", file_bytes=4 * GIB, values=150_000_000)
+"""Tables that are read whole by their check; those of nuScenes have up to 2 GB."""
 RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 """Run records, manifests and lists of a submission."""
 PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)

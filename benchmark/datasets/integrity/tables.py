@@ -1,6 +1,5 @@
 """Tables after the check of their rows: which rows and fields can be relied on by the checks that follow."""
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,9 @@ from typing import Any, Self
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.schema import FaultList, check_table
+from benchmark.errors import InputError
+from benchmark.foreign.json_text import read_json
+from benchmark.foreign.limits import TABLE
 
 Row = dict[str, Any]
 
@@ -78,14 +80,15 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
 
 def _content(path: Path, table: str, faults: FaultList) -> Any | None:
     """What a file holds; nothing, and a fault, where it cannot be read."""
-    try:
-        content = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        sentence = f"{path.name} is missing; a data set has all 13 tables, if need be empty"
-        faults.add("missing table", table, "", sentence)
+    if not path.exists():
+        faults.add(
+            "missing table", table, "", f"{path.name} is missing; a data set has all 13 tables, if need be empty"
+        )
         return None
-    except (OSError, ValueError, RecursionError) as error:
-        faults.add("unreadable table", table, "", f"{path.name} cannot be read as JSON: {error}")
+    try:
+        content = read_json(path, TABLE, any_text=True)
+    except InputError as error:
+        faults.add("unreadable table", table, "", f"{path.name} cannot be read: {error}")
         return None
     if content is None:
         check_table(table, content, faults)

@@ -208,7 +208,7 @@ PLANTED: list[tuple[str, Callable[[Path], None], str, str]] = [
         "half a table",
         replace_file(f"{VERSION}/sample.json", b'[{"token": "a", "ti'),
         "sample",
-        "cannot be read as JSON",
+        "is not valid JSON",
     ),
     ("an object", replace_file(f"{VERSION}/log.json", b"{}"), "log", "must be a list"),
     ("a number as row", lambda root: edit(root, "log", lambda rows: [*rows, 3]), "log", "row 2 is a int"),
