@@ -81,7 +81,7 @@ class Target:
         form: One of `mutations.FORMS`.
         numbers: What is compared where the command ends well.
         named: Variants that somebody thought of.
-        lists_faults: Whether exit code 1 with a list of faults is an answer, as of ``data check``.
+        lists_faults: Whether exit code 1 with a list of faults is an answer, as of ``data check`` and ``verify``.
         other_files: Whether another content of one file is no fault that could be seen: pictures, for example.
         keeps_work: Whether a file is read when its turn comes, and what was done before it stays.
     """
@@ -260,6 +260,21 @@ _FILES: Final = (
         (*_GENERATE, *_READ, "--renderer", "none", "--from", "{in}"),
         numbers=written("data/*/*/v*/sample_annotation.json"),
         named=(*_of_bytes(variants.JSONS), *SPARSE),
+    ),
+    *(
+        _file(
+            "golden sets",
+            f"verify {what}",
+            f"golden-{what}",
+            "archive",
+            ("verify", what, "--golden", "{in}"),
+            numbers=printed,
+            files=("*.npz",),
+            named=SPARSE,
+            lists_faults=True,
+            other_files=True,
+        )
+        for what in ("physics", "denoiser")
     ),
 )
 _RECORDS: Final = tuple(

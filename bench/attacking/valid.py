@@ -13,6 +13,7 @@ from bench.attacking.children import run_command
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from generation.render.schematic import SchematicRenderer
+from generation.verification.built_in import BUILT_IN
 from tests.benchmark.datasets.nuscenes_tables import VERSION
 from tests.benchmark.datasets.test_scenarionet import recording
 from tests.hand_made import Car, scene_on_straight_road
@@ -36,6 +37,8 @@ def make_valid(folder: Path) -> Path:
     shutil.rmtree(valid, ignore_errors=True)
     valid.mkdir(parents=True)
     write_recorded(valid / "root")
+    for what in ("physics", "denoiser"):
+        shutil.copytree(BUILT_IN / what, valid / f"golden-{what}")
     (valid / "recordings").mkdir()
     (valid / "recordings" / "sd_one.pkl").write_bytes(pickle.dumps(recording()))
     write_weights(valid)
