@@ -52,7 +52,7 @@ def test_checkpoints_must_exist_and_be_wanted(tmp_path: Path) -> None:
     (tmp_path / "some").write_bytes(b"x")
     with pytest.raises(InputError, match="takes no checkpoint"):
         planner("idm", checkpoint=tmp_path / "some")
-    with pytest.raises(InputError, match="does not hold the weights"):
+    with pytest.raises(InputError, match="cannot read the weights of ego-status"):
         planner("ego-status", checkpoint=tmp_path / "some")
 
 
