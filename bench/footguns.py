@@ -1,12 +1,12 @@
-"""The pictures and numbers of docs/footguns.md, from the baselines on the embedded data set.
+"""The pictures and numbers of docs/footguns.md, from the baselines on the embedded data set and a frozen split of it.
 
-`challenger-bench generate --split adv` must have run before with the same --out; the embedded data set is built where
-it is missing.
+The split is `mini-adv-1`, whose scenes were searched before the ground-truth checks of the protocols were asked for: it
+shows what a mask does. Both data sets are built where they are missing.
 """
 
 import argparse
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,10 +18,11 @@ from PIL import Image
 from adapters.registry import planner_factory
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.machine.storage import content_seed, write_bytes
-from benchmark.machine.workspace import EMBEDDED, Workspace, cache_root
+from benchmark.machine.workspace import EMBEDDED, cache_root
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols.exact import ego_boxes
 from benchmark.protocols.explain.clearest_cases import Case, case_of, clearest_cases, plan_in_lidar
@@ -41,10 +42,17 @@ from benchmark.protocols.explain.views import (
 )
 from benchmark.records.run import RunRecord
 from benchmark.truth import SampleTruth
+from generation.build.settings import BuildSettings
 from generation.sources.mini import TownSettings, build_town
+from generation.splits.building import build_frozen
+from generation.splits.packaged import frozen_split
 
 PLANNERS = ("constant-velocity", "ego-status", "idm", "log-replay")
 COLOURS = 48
+SPLIT = "mini-adv-1"
+
+OBJ_COL_LOOKS = np.array([-25.1, 25.1])
+"""Where VAD's obj_col looks, from a waypoint: to the right and ahead, metres."""
 
 FROM_CAUSES = {
     "raster-false-alarm": ("uniad", "false alarm: raster"),
@@ -91,8 +99,11 @@ def main() -> None:
     settings = TownSettings()
     root = build_town(cache_root() / settings.folder_name(EMBEDDED), settings, workers=2)
     source = open_data(root, name=EMBEDDED)
-    space = Workspace(options.out)
-    runs = {split: baselines(space.open_split(source, split), split, space.run_root()) for split in ("val", "adv")}
+    built = BuildSettings(out=options.out / SPLIT, renderer=None, frames="keyframes")
+    print(build_frozen(source, frozen_split(SPLIT), built).summary())
+    splits = {"val": source, "adv": open_data(built.out, name=EMBEDDED)}
+    run_root = options.out / "runs"
+    runs = {split: baselines(data, split, run_root) for split, data in splits.items()}
     print_numbers(runs)
     for name, picture in {**case_pictures(runs["adv"]), **other_pictures(runs)}.items():
         path = options.images / f"footguns-{name}.png"
@@ -148,7 +159,7 @@ def other_pictures(runs: dict[str, Runs]) -> dict[str, bytes]:
         "averaging": lambda figure: draw_averaging(figure, runs["adv"]),
         "dilution": lambda figure: draw_dilution(figure, runs["adv"]),
         "forgotten": lambda figure: draw_forgotten(figure, runs["adv"]),
-        "obj-col": lambda figure: draw_obj_col(figure, runs["adv"]),
+        "obj-col": lambda figure: draw_obj_col(figure, list(runs.values())),
         "command": lambda figure: draw_command(figure, runs["val"]),
     }
     pictures = {}
@@ -239,20 +250,42 @@ def draw_forgotten(figure: Figure, runs: Runs) -> None:
     )
 
 
-def draw_obj_col(figure: Figure, runs: Runs) -> None:
+def flagged_elsewhere(runs: Sequence[Runs]) -> tuple[SampleTruth, Floats, int]:
+    """A plan and a step at which VAD's obj_col reports a contact and no box touches; made up if no baseline has one."""
+    for one in runs:
+        for planner in PLANNERS:
+            truths, plans, outcomes = one.judged(planner)
+            row, step = _first_flagged(outcomes["vad"])
+            if row is not None:
+                return truths[row], plans[row], step
+    vad = PROTOCOLS["vad"]
+    for one in runs:
+        for truth in one.truths.values():
+            if truth.complete and len(truth.boxes):
+                plans = np.linspace(0.0, truth.boxes[:, -1, :2] - OBJ_COL_LOOKS, PLAN_STEPS + 1)[1:].swapaxes(0, 1)
+                row, step = _first_flagged(vad.evaluate([truth] * len(plans), plans))
+                if row is not None:
+                    return truth, plans[row], step
+    raise InputError("no plan shows what VAD's obj_col looks at; take another split")
+
+
+def _first_flagged(outcomes: Outcomes) -> tuple[int | None, int]:
+    flagged = outcomes.step("obj_col").astype(np.bool_) & ~outcomes.step("before_mask").astype(np.bool_)
+    rows, steps = np.nonzero(flagged & outcomes.counted[:, None])
+    return (int(rows[0]), int(steps[0])) if len(rows) else (None, 0)
+
+
+def draw_obj_col(figure: Figure, runs: Sequence[Runs]) -> None:
     """Where VAD's obj_col looks."""
-    truths, plans, outcomes = runs.judged("constant-velocity")
-    flagged = outcomes["vad"].step("obj_col").astype(np.bool_) & ~outcomes["vad"].step("before_mask").astype(np.bool_)
-    flagged &= outcomes["vad"].counted[:, None]
-    row, step = (int(index[0]) for index in np.nonzero(flagged))
-    truth, waypoint = truths[row], plans[row, step]
-    looked_at = waypoint + [-25.1, 25.1]
+    truth, plan, step = flagged_elsewhere(runs)
+    waypoint = plan[step]
+    looked_at = waypoint + OBJ_COL_LOOKS
     axes = figure.subplots()
     frame_view(axes, 0.5 * (waypoint + looked_at), 19.0)
     for box in truth.boxes[truth.annotated[:, step + 1], step + 1]:
         fill(axes, box_corners(box), OBJECT)
-    draw_path(axes, plans[row])
-    fill(axes, box_corners(ego_boxes(plans[row])[5 * step + 4]), EGO)
+    draw_path(axes, plan)
+    fill(axes, box_corners(ego_boxes(plan)[5 * step + 4]), EGO)
     axes.annotate("", looked_at, waypoint, arrowprops={"arrowstyle": "->", "color": HIT, "linewidth": 1.6})
     axes.plot(*looked_at, "s", color=HIT, markersize=6)
     axes.annotate("obj_col looks here", looked_at, xytext=(16, 4), textcoords="offset points", color=HIT, fontsize=9)
