@@ -1,4 +1,4 @@
-"""Why a plan collides: did the planner expect something else of the other, or did it drive into what it expected?
+"""Why a plan collides: was the other not seen, expected elsewhere, or driven into where it was expected?
 
 The rule, for a sample that collides under ``exact``, about the object that is touched first:
 
@@ -8,10 +8,10 @@ The rule, for a sample that collides under ``exact``, about the object that is t
    later keyframe with where the forecasts left over expect to be at that time. A forecast is near if its centre lies
    within `MATCH_WITHIN_M` of the object's centre (of a long object: of its axis, `MATCH_WITHIN_M` away from its
    ends) and the areas of the two boxes differ by no more than a factor of `LARGEST_AREA_RATIO`.
-   *no forecast near*: **misplanning**. The planner did not know of the object.
+   *no forecast near*: **unseen**. The planner did not know of the object.
 3. *plan hits forecast*: at any time up to the end of the plan, in the most likely mode. The planner drove into what it
-   expected: **misplanning**.
-4. *plan clear of forecast*: **misforecasting**. Where another mode with a probability of at least `LIKELY` would have
+   expected: **misplanned**.
+4. *plan clear of forecast*: **misforecast**. Where another mode with a probability of at least `LIKELY` would have
    been hit, the reason says so.
 
 Contact is that of ``exact``: the same ego rectangle, the same instants. The forecast is a box of its own size; its
@@ -30,6 +30,7 @@ from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.exact import ego_boxes, object_boxes
+from benchmark.records import run_schema
 from benchmark.records.run_schema import Cause, DiagnosisRow
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings, points_in_lidar
@@ -50,7 +51,7 @@ class Reason(StrEnum):
     CLEAR = "plan clear of forecast"
     CLEAR_OF_LIKELIEST = "plan clear of forecast, hits another likely mode"
     HITS = "plan hits forecast"
-    NOT_NEAR = "no forecast near"
+    NOT_NEAR = run_schema.NOT_NEAR
     NONE = "no forecasts"
 
     @property
@@ -60,10 +61,10 @@ class Reason(StrEnum):
 
 
 _CAUSE_OF: Final[dict[Reason, Cause]] = {
-    Reason.CLEAR: "misforecasting",
-    Reason.CLEAR_OF_LIKELIEST: "misforecasting",
-    Reason.HITS: "misplanning",
-    Reason.NOT_NEAR: "misplanning",
+    Reason.CLEAR: "misforecast",
+    Reason.CLEAR_OF_LIKELIEST: "misforecast",
+    Reason.HITS: "misplanned",
+    Reason.NOT_NEAR: "unseen",
     Reason.NONE: "not attributable",
 }
 

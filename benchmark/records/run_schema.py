@@ -2,7 +2,7 @@
 
 from typing import Any, Final, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 SCHEMA = 2
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
@@ -125,9 +125,11 @@ class OutcomeRow(Stored):
     facts: dict[str, Any]
 
 
-Cause = Literal["misforecasting", "misplanning", "not attributable"]
+Cause = Literal["unseen", "misforecast", "misplanned", "not attributable"]
 CAUSES: Final[tuple[Cause, ...]] = get_args(Cause)
 """Verdicts of a diagnosis."""
+NOT_NEAR: Final = "no forecast near"
+"""The case of the rule that is verdict ``unseen``; the first versions counted it as misplanning."""
 
 
 class DiagnosisRow(Stored):
@@ -144,6 +146,16 @@ class DiagnosisRow(Stored):
     reason: str
     hit: str
     first_contact_s: float
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_two_causes(cls, stored: Any) -> Any:
+        """Records of the first versions: their two words, and what no forecast was near is a cause of its own."""
+        if not isinstance(stored, dict) or stored.get("cause") not in ("misforecasting", "misplanning"):
+            return stored
+        if stored["cause"] == "misforecasting":
+            return {**stored, "cause": "misforecast"}
+        return {**stored, "cause": "unseen" if stored.get("reason") == NOT_NEAR else "misplanned"}
 
 
 class SampleRow(Stored):

@@ -17,8 +17,9 @@ from benchmark.report.table import Table, table_of
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
 _RULE: Final = (
-    "Misforecasting: the plan is clear of the planner's own forecast of what it hits. Misplanning: it hits that "
-    "forecast too, or none is near. Not attributable: the planner gives no forecasts. The rule is in docs/diagnosis.md."
+    "Unseen: no forecast of the planner is near what it hits. Misforecast: the plan is clear of the planner's own "
+    "forecast of it. Misplanned: it hits that forecast too. Not attributable: the planner gives no forecasts. The rule "
+    "is in docs/diagnosis.md."
 )
 _CAUSE_GROUP: Final = (f"% of the colliding samples, {EXACT}", 2 * len(CAUSES))
 

@@ -197,7 +197,7 @@
       return { run, counts, sum: [...counts.values()].reduce((sum, count) => sum + count, 0) };
     }).filter(({ sum }) => sum > 0);
     if (!lines.length) return element("p", { class: "quiet" }, "No diagnosed collision under protocol exact.");
-    const causes = ["misforecasting", "misplanning", "not attributable"];
+    const causes = ["unseen", "misforecast", "misplanned", "not attributable"];
     return element("dl", { class: "bars" }, lines.map(({ run, counts, sum }) => [
       element("dt", {}, `${run.data}, ${run.split}: of ${counted(sum, "colliding sample")} under exact, `,
         causes.filter((cause) => counts.get(cause)).map((cause) => `${counts.get(cause)} ${cause}`).join(", ")),

@@ -1,4 +1,4 @@
-"""Misforecasting or misplanning: every branch of the rule on cases made by hand, and against a slow oracle."""
+"""Unseen, misforecast or misplanned: every branch of the rule on cases made by hand, and against a slow oracle."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -90,13 +90,13 @@ KEEPING_ITS_LANE = moving(3.5, 8.0, vy=6.0)
 def test_a_car_that_cuts_in_against_expectation_is_misforecast() -> None:
     found = diagnosis(truth(CUTTING_IN), expecting(KEEPING_ITS_LANE))
     assert found is not None
-    assert (found.cause, found.reason, found.hit) == ("misforecasting", "plan clear of forecast", "object-0")
+    assert (found.cause, found.reason, found.hit) == ("misforecast", "plan clear of forecast", "object-0")
     assert 0.0 < found.first_contact_s <= 3.0
 
 
-def test_driving_into_what_was_expected_is_misplanning() -> None:
+def test_driving_into_what_was_expected_is_misplanned() -> None:
     assert diagnosis(truth(PARKED), expecting(PARKED)) == DiagnosisRow(
-        cause="misplanning", reason="plan hits forecast", hit="object-0", first_contact_s=1.2
+        cause="misplanned", reason="plan hits forecast", hit="object-0", first_contact_s=1.2
     )
 
 
@@ -112,7 +112,7 @@ def test_without_forecasts_nothing_is_attributed() -> None:
 
 
 @pytest.mark.parametrize("frame", PlanFrame)
-def test_a_planner_that_expected_nothing_there_misplans(frame: PlanFrame) -> None:
+def test_what_nothing_was_expected_of_is_unseen(frame: PlanFrame) -> None:
     waypoints = STRAIGHT if frame is PlanFrame.LIDAR else STRAIGHT[:, ::-1]
     nothing = Forecasts(np.zeros((0, 5)), np.zeros((0, 1, 6, 2)), np.zeros((0, 1)))
     assert reason(truth(PARKED), nothing, waypoints, frame) == Reason.NOT_NEAR

@@ -14,7 +14,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import find_records, load_record, protocol_of, scene_failures, summarise
-from benchmark.records.run_schema import SampleRow
+from benchmark.records.run_schema import CAUSES, DiagnosisRow, SampleRow
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
 
@@ -76,13 +76,26 @@ def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> Non
     assert record.run.scene_facts["scene-8006-342b7d08"].manoeuvre == "cut-in-right"
     assert record.native_protocol == "exact" and record.run.rescored is None
     causes = [row.diagnosis.cause for row in record.rows if row.diagnosis is not None]
-    assert (causes.count("misforecasting"), causes.count("misplanning")) == (7, 2)
+    assert [causes.count(cause) for cause in CAUSES] == [0, 7, 2, 0]
     assert all(row.plan is not None and row.plan.forecasts is not None for row in record.rows)
     assert [set(row.disagreements) for row in record.rows if row.disagreements] == [{"uniad"}]
     partial = load_record(GOLDEN / "schema-2-partial")
     assert partial.run.status == "partial" and partial.summary.failed == 1 and partial.run.rescored is not None
     assert partial.native_protocol == "vad" and scene_failures(partial.rows, "uniad") == {"scene-8006-342b7d08": True}
     assert {row.diagnosis.cause for row in partial.rows if row.diagnosis is not None} == {"not attributable"}
+
+
+@pytest.mark.parametrize(
+    ("word", "reason", "cause"),
+    [
+        ("misforecasting", "plan clear of forecast", "misforecast"),
+        ("misplanning", "plan hits forecast", "misplanned"),
+        ("misplanning", "no forecast near", "unseen"),
+    ],
+)
+def test_the_two_causes_of_old_records_are_read_as_three(word: str, reason: str, cause: str) -> None:
+    stored = {"cause": word, "reason": reason, "hit": "a", "first_contact_s": 1.0}
+    assert DiagnosisRow.model_validate(stored).cause == cause
 
 
 @pytest.fixture

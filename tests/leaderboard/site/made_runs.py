@@ -29,7 +29,7 @@ from tests.leaderboard.site.made_scenes import MadeScene
 NEAR_M = 30.0
 """Others farther from the ego than this are left out of the truth."""
 VERSIONS = {name: definition.version for name, definition in PROTOCOLS.items()}
-CAUSES_OF_FORECASTERS = (("misforecasting", "plan clear of forecast"), ("misplanning", "plan hits forecast"))
+CAUSES_OF_FORECASTERS = (("misforecast", "plan clear of forecast"), ("misplanned", "plan hits forecast"))
 _EXTRA_STEPS = {"uniad": 3, "vad": 3, "vad-23": 3, "sparsedrive": 2, "diffusiondrive": 2}
 
 

@@ -160,12 +160,12 @@ def test_verdicts_contacts_and_causes() -> None:
     row = row_of(
         plan,
         outcomes={"exact": outcome("...xx."), "uniad": outcome("....x.", counted=False), "vad": outcome("......")},
-        diagnosis=DiagnosisRow(cause="misplanning", reason="no forecast near", hit="b", first_contact_s=1.8),
+        diagnosis=DiagnosisRow(cause="unseen", reason="no forecast near", hit="b", first_contact_s=1.8),
     )
     entry = sample_entry(row, POSE, ["exact", "uniad", "vad", "sparsedrive"], {"a": 0, "b": 1})
     assert entry["verdicts"] == [COUNTED + 0b011000, 0b010000, COUNTED, None]
     assert entry["contact"] == [1.8, 2.5, None, None]
-    assert (entry["cause"], entry["reason"], entry["hit"]) == ("misplanning", "no forecast near", 1)
+    assert (entry["cause"], entry["reason"], entry["hit"]) == ("unseen", "no forecast near", 1)
     assert entry["l2"] == [0.12] * 5 + [None]
     gone = sample_entry(row, POSE, ["exact"], {})
     assert "hit" not in gone
