@@ -35,8 +35,8 @@ DRAWN_NOTE = (
 
 
 REDRAWN_NOTE = (
-    "val → val-r is what drawing the same scenes again does; val-r → adv is free of it, since one renderer draws both. How "
-    "the embedded data are drawn again: docs/rendering.md."
+    "val → val-r is what drawing the same scenes again does; val-r → adv is free of it, since one renderer draws both. "
+    "How the embedded data are drawn again: docs/rendering.md."
 )
 
 
