@@ -212,10 +212,18 @@ def known_scenes(data: str | Path, split: str, out: Path = OUT) -> "tuple[str, .
 
 
 def schematic_renderer(size: tuple[int, int] = DEFAULT_IMAGE_SIZE) -> "Renderer":
-    """The renderer that needs no network; ``size`` is width and height in pixels."""
-    from generation.render.schematic import SchematicRenderer
+    """The renderer of generated splits that needs no network: schematic pictures in the second style.
 
-    return SchematicRenderer(*size)
+    Args:
+        size: Width and height in pixels.
+
+    Returns:
+        It. The embedded data set and imported recordings are drawn in the first style
+        (`generation.render.schematic.styles`), so that ``val`` and ``val-r`` differ as two renderers do.
+    """
+    from generation.render.schematic import SECOND, SchematicRenderer
+
+    return SchematicRenderer(*size, style=SECOND)
 
 
 def load_planner(

@@ -34,6 +34,12 @@ DRAWN_NOTE = (
 )
 
 
+REDRAWN_NOTE = (
+    "val → val-r is what drawing the same scenes again does; val-r → adv is free of it, since one renderer draws both. "
+    "How the embedded data are drawn again: docs/rendering.md."
+)
+
+
 class Verdicts:
     """Reads each record's verdicts under each protocol once."""
 
@@ -123,6 +129,7 @@ def split_table(
             "where few scenes of the first split collide. Paired difference: over the recorded scenes that both have, "
             "in points of per cent.",
             DRAWN_NOTE,
+            *([REDRAWN_NOTE] if any((one.baseline_split, one.split) == SPLIT_PAIRS[-1] for one in found) else []),
             *_unpaired(found),
             *_common_notes(records, min((len(comparison.sources) for comparison in found), default=FEW_SCENES)),
             *refused,

@@ -116,17 +116,17 @@ _FACADES: Final[tuple[Rgb, ...]] = (
 )  # fmt: skip
 
 
-def car_paint(instance: str) -> Rgb:
+def car_paint(instance: str, salt: tuple[str, ...] = ()) -> Rgb:
     """Paint of a vehicle, from its identifier alone: nothing else may tell an adversary from other cars."""
     wheel = [paint for paint, share in _CAR_PAINTS for _ in range(share)]
-    return wheel[content_seed("paint", instance) % len(wheel)]
+    return wheel[content_seed("paint", *salt, instance) % len(wheel)]
 
 
-def clothes(instance: str) -> Rgb:
+def clothes(instance: str, salt: tuple[str, ...] = ()) -> Rgb:
     """Colour of a person's clothes, from the identifier alone."""
-    return _CLOTHES[content_seed("clothes", instance) % len(_CLOTHES)]
+    return _CLOTHES[content_seed("clothes", *salt, instance) % len(_CLOTHES)]
 
 
-def facade(seed: int) -> Rgb:
+def facade(seed: int, salt: tuple[str, ...] = ()) -> Rgb:
     """Colour of a building."""
-    return _FACADES[seed % len(_FACADES)]
+    return _FACADES[(content_seed("facade", *salt, seed) if salt else seed) % len(_FACADES)]

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Floats
-from benchmark.machine.storage import content_seed
 from benchmark.road_map import RoadMap
 from generation.render.schematic.atmosphere import (
     ASPHALT,
@@ -23,6 +22,7 @@ from generation.render.schematic.atmosphere import (
     Rgb,
 )
 from generation.render.schematic.painting import Coat, PaintedPolygons, paint, painted_polygons
+from generation.render.schematic.styles import FIRST, STYLES, Style, grain_tile
 
 _STEP_M = 20.0
 """Plan views are centred on a grid of this width, so that what a frame shows does not depend on the frames before."""
@@ -63,16 +63,18 @@ class Ground:
         polygons: What is painted.
         colours: RGB of each coat.
         base: RGB of what nothing covers.
+        style: How rough it is.
     """
 
     polygons: tuple[PaintedPolygons, ...]
     colours: dict[Coat, Rgb]
     base: Rgb
+    style: Style = FIRST
     _centre: tuple[float, float] | None = field(default=None, init=False)
     _plans: tuple[PlanView, PlanView, PlanView] | None = field(default=None, init=False)
 
     @classmethod
-    def of(cls, road_map: RoadMap, air: Atmosphere) -> "Ground":
+    def of(cls, road_map: RoadMap, air: Atmosphere, style: Style = FIRST) -> "Ground":
         """The ground of a map; a map without roads is one plain of asphalt."""
         wet = air.wetness
         road = tuple((1 - wet) * dry + wet * damp for dry, damp in zip(ASPHALT, WET_ASPHALT))
@@ -85,8 +87,9 @@ class Ground:
             Coat.WHITE: WHITE_PAINT,
             Coat.YELLOW: YELLOW_PAINT,
         }
-        base = asphalt if road_map.drivable_area.is_empty else GRASS
-        return cls(painted_polygons(road_map), colours, base)
+        colours = {coat: style.surface(coat, colour) for coat, colour in colours.items()}
+        base = colours[Coat.ROAD] if road_map.drivable_area.is_empty else GRASS
+        return cls(painted_polygons(road_map), colours, base, style)
 
     def centre_of(self, position: Floats) -> tuple[float, float]:
         """Grid point that the plan views around a place are centred on."""
@@ -122,24 +125,18 @@ class Ground:
         pixels[:] = np.round(self.base).astype(np.uint8)
         plan = PlanView(pixels, centre + np.array([-reach_m, reach_m]), resolution_m)
         paint(pixels, self.polygons, plan.world_to_pixel, self.colours)
-        return PlanView(_with_grain(pixels, resolution_m), plan.origin, resolution_m)
+        return PlanView(_with_grain(pixels, resolution_m, self.style), plan.origin, resolution_m)
 
 
-def _with_grain(pixels: NDArray[np.uint8], resolution_m: float) -> NDArray[np.uint8]:
+def _with_grain(pixels: NDArray[np.uint8], resolution_m: float, style: Style) -> NDArray[np.uint8]:
     """Add the roughness of real surfaces; its pattern repeats with the grid of centres."""
-    grain = _grain(resolution_m)
+    grain = _grain(resolution_m, style.name)
     repeats = -(-pixels.shape[0] // grain.shape[0])
     tiled = np.tile(grain, (repeats, repeats, 1))[: pixels.shape[0], : pixels.shape[1]]
     return np.asarray(cv2.addWeighted(pixels, 1.0, tiled, 1.0, -128.0), dtype=np.uint8)
 
 
-@functools.lru_cache(maxsize=4)
-def _grain(resolution_m: float) -> NDArray[np.uint8]:
-    """(n, n, 3) tile of grey noise around 128: fine grain and soft patches, seamless at its edges."""
-    count = round(_STEP_M / resolution_m)
-    random = np.random.default_rng(content_seed("grain", count))
-    fine = random.normal(0.0, 4.0, (count, count))
-    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(count, resolution_m), np.fft.fftfreq(count, resolution_m)))
-    patches = np.fft.ifft2(np.fft.fft2(random.normal(size=(count, count))) * np.exp(-((frequency / 0.4) ** 2))).real
-    field_ = 128.0 + fine + 5.0 * patches / max(float(patches.std()), 1e-9)
-    return np.repeat(np.clip(np.rint(field_), 0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+@functools.lru_cache(maxsize=8)
+def _grain(resolution_m: float, name: str) -> NDArray[np.uint8]:
+    """(n, n, 3) tile of a style."""
+    return grain_tile(round(_STEP_M / resolution_m), resolution_m, STYLES[name])

@@ -20,6 +20,7 @@ from generation.render.schematic.backdrop import Backdrop, Skyline
 from generation.render.schematic.facets import Facets, joined, seen_colours
 from generation.render.schematic.ground import Ground
 from generation.render.schematic.standing import draw_shadows, draw_standing
+from generation.render.schematic.styles import FIRST, Style, developed
 from generation.render.schematic.traffic import Traffic
 from generation.render.schematic.view import View
 from generation.sources.rig import default_cameras
@@ -34,18 +35,19 @@ class SchematicRenderer:
     Args:
         width: Image width, pixels.
         height: Image height, pixels.
+        style: Which of the two ways to draw a scene (`generation.render.schematic.styles`).
 
     Raises:
         InputError: If a size is not positive.
     """
 
-    name = "schematic"
     version = "1"
 
-    def __init__(self, width: int = 448, height: int = 256) -> None:
+    def __init__(self, width: int = 448, height: int = 256, style: Style = FIRST) -> None:
         if width < 1 or height < 1:
             raise InputError(f"images need a positive size, got {width} x {height}; choose for example 448 x 256")
-        self.width, self.height = width, height
+        self.width, self.height, self.style = width, height, style
+        self.name = f"schematic-{style.name}" if style.name else "schematic"
 
     def cameras(self, scene: Scene) -> tuple[Camera, ...]:
         """The scene's cameras, or the default rig where it has none, at the size that is rendered."""
@@ -68,7 +70,7 @@ class SchematicRenderer:
         if not len(frames):
             return
         cv2.setNumThreads(1)
-        stage = _Stage.of(scene, self.cameras(scene))
+        stage = _Stage.of(scene, self.cameras(scene), self.style)
         for frame in frames:
             yield stage.pictures(int(frame))
 
@@ -85,23 +87,25 @@ class _Stage:
     standing: Facets
     traffic: Traffic
     casts_shadow: Bools
+    style: Style
     beside: tuple[tuple[float, float], Facets] | None = None
     backdrops: dict[str, tuple[bytes, Backdrop]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: Scene, cameras: tuple[Camera, ...]) -> "_Stage":
-        air = ATMOSPHERES[scene.look]
+    def of(cls, scene: Scene, cameras: tuple[Camera, ...], style: Style) -> "_Stage":
+        air = style.lit(ATMOSPHERES[scene.look])
         return cls(
             scene=scene,
             cameras=cameras,
             air=air,
-            ground=Ground.of(_along_the_way(scene), air),
+            ground=Ground.of(_along_the_way(scene), air, style),
             skyline=Skyline.of(scene.road_map.location, air),
-            standing=surroundings.surroundings(scene, lamps=air.lamps),
-            traffic=Traffic.of(scene),
+            standing=surroundings.surroundings(scene, lamps=air.lamps, salt=style.salt),
+            traffic=Traffic.of(scene, style.salt),
             casts_shadow=np.array(
                 [kind in VEHICLE_CATEGORIES or kind.startswith("human") for kind in scene.agents.categories], np.bool_
             ),
+            style=style,
         )
 
     def pictures(self, frame: int) -> Images:
@@ -119,6 +123,8 @@ class _Stage:
             draw_standing(image, view, facets, colours)
             if self.air.rain:
                 _draw_rain(image, content_seed("rain", number, frame))
+            if self.style.pipeline is not None:
+                image = developed(image, self.style.pipeline, content_seed("sensor", number, frame))
             images[camera.name] = image
         return images
 

@@ -43,12 +43,13 @@ class Plot:
         return Plot(self.boxes[kept], [seed for seed, keep in zip(self.seeds, kept) if keep])
 
 
-def surroundings(scene: Scene, *, lamps: bool) -> Facets:
+def surroundings(scene: Scene, *, lamps: bool, salt: tuple[str, ...] = ()) -> Facets:
     """Everything that stands beside the road along the way of the ego.
 
     Args:
         scene: Gives the map, the way, and the objects that nothing may stand on.
         lamps: Whether windows are lit.
+        salt: Of a style; goes into the colours of facades.
 
     Returns:
         One solid per building or tree; none where the map has no road.
@@ -72,7 +73,7 @@ def surroundings(scene: Scene, *, lamps: bool) -> Facets:
     buildings = buildings.where(~_stands_on(buildings.boxes, occupied, 1.0))
     trees = _tree_plots(nearby, region, paved, buildings.boxes)
     trees = trees.where(~_stands_on(trees.boxes, occupied, 0.8))
-    parts = [_building(box, seed, lamps=lamps) for box, seed in zip(buildings.boxes, buildings.seeds)]
+    parts = [_building(box, seed, lamps=lamps, salt=salt) for box, seed in zip(buildings.boxes, buildings.seeds)]
     return joined(parts + [_tree(box, seed) for box, seed in zip(trees.boxes, trees.seeds)])
 
 
@@ -151,7 +152,7 @@ def _tree_plots(road_map: RoadMap, region: shapely.Geometry, paved: shapely.Geom
     return plot.where(~boxes_overlap(crowns[:, None], buildings[None]).any(axis=1))
 
 
-def _building(box: Floats, seed: int, *, lamps: bool) -> Facets:
+def _building(box: Floats, seed: int, *, lamps: bool, salt: tuple[str, ...]) -> Facets:
     """A block with rows of windows."""
     random = np.random.default_rng(seed)
     draw = random.random(8)
@@ -167,7 +168,7 @@ def _building(box: Floats, seed: int, *, lamps: bool) -> Facets:
     roof = np.column_stack([corners, np.full(4, height)])[None]
     panes = sum(map(len, windows))
     lit = random.random(panes) < 0.3 if lamps else np.zeros(panes, dtype=np.bool_)
-    wall_colour = np.array(facade(seed), dtype=np.float64) * (0.9 + 0.2 * draw[5])
+    wall_colour = np.array(facade(seed, salt), dtype=np.float64) * (0.9 + 0.2 * draw[5])
     glass = np.where(lit[:, None], np.array(_LIT_GLASS), np.array(_GLASS))
     return _standing(
         np.concatenate([*walls, roof, *windows]),

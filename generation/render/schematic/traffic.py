@@ -35,13 +35,13 @@ _BRAKE_LAMP: Rgb = (255, 48, 40)
 
 
 @functools.lru_cache(maxsize=4096)
-def _colours(instance: str, category: str) -> Floats:
+def _colours(instance: str, category: str, salt: tuple[str, ...]) -> Floats:
     """(roles, 3) colours of one agent, lamps off."""
     table = np.zeros((len(Role), 3))
     for role, colour in _MATERIALS.items():
         table[role] = colour
-    table[Role.PAINT] = (236, 236, 236) if category.startswith("vehicle.emergency") else car_paint(instance)
-    table[Role.CLOTH] = (232, 140, 40) if category.endswith("construction_worker") else clothes(instance)
+    table[Role.PAINT] = (236, 236, 236) if category.startswith("vehicle.emergency") else car_paint(instance, salt)
+    table[Role.CLOTH] = (232, 140, 40) if category.endswith("construction_worker") else clothes(instance, salt)
     return table
 
 
@@ -62,13 +62,13 @@ class Traffic:
     braking: Bools
 
     @classmethod
-    def of(cls, scene: Scene) -> "Traffic":
-        """Prepare the agents of a scene."""
+    def of(cls, scene: Scene, salt: tuple[str, ...] = ()) -> "Traffic":
+        """Prepare the agents of a scene; the salt of a style goes into their colours."""
         agents = scene.agents
         shapes = [shape_named(shape_name(kind, size)) for kind, size in zip(agents.categories, agents.size)]
         bodies = joined(
             [
-                _body(shape, size, _colours(instance, kind))
+                _body(shape, size, _colours(instance, kind, salt))
                 for shape, size, instance, kind in zip(shapes, agents.size, agents.ids, agents.categories)
             ]
         )

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,16 +18,20 @@ from benchmark.errors import InputError
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
 from generation.render.contract import Images, Renderer
-from generation.render.schematic import SchematicRenderer
+from generation.render.schematic import FIRST, SECOND, SchematicRenderer
 from generation.render.schematic.shapes import shape_name, shape_named
+from generation.render.schematic.styles import Style, developed
 from generation.render.schematic.surroundings import surroundings
 from tests.hand_made import Car, scene_on_straight_road
 
 SMALL = (112, 64)
 
 
-def render(scene: Scene, frames: list[int], size: tuple[int, int] = SMALL) -> list[Images]:
-    return list(SchematicRenderer(*size).render(scene, frames))
+STYLES = pytest.mark.parametrize("style", [FIRST, SECOND], ids=["first", "second"])
+
+
+def render(scene: Scene, frames: list[int], size: tuple[int, int] = SMALL, style: Style = FIRST) -> list[Images]:
+    return list(SchematicRenderer(*size, style=style).render(scene, frames))
 
 
 def same(first: Images, second: Images) -> bool:
@@ -35,8 +40,8 @@ def same(first: Images, second: Images) -> bool:
 
 def digest() -> str:
     everything = hashlib.sha256()
-    for look in ("day", "rain"):
-        for images in render(scene_on_straight_road(description=look, seconds=2.0), [3, 20]):
+    for look, style in (("day", FIRST), ("rain", SECOND)):
+        for images in render(scene_on_straight_road(description=look, seconds=2.0), [3, 20], style=style):
             for name, image in images.items():
                 everything.update(name.encode() + image.tobytes())
     return everything.hexdigest()
@@ -62,17 +67,74 @@ def test_bytes_are_the_same_in_another_instance_and_another_process() -> None:
     assert done.stdout.decode().strip() == here
 
 
-def test_a_frame_does_not_depend_on_the_frames_rendered_with_it() -> None:
+@STYLES
+def test_a_frame_does_not_depend_on_the_frames_rendered_with_it(style: Style) -> None:
     scene = scene_on_straight_road(ego_speed=15.0)
-    together = render(scene, [0, 30, 60, 95])
-    assert same(render(scene, [60])[0], together[2])
-    assert same(render(scene, [95, 60])[1], together[2])
+    together = render(scene, [0, 30, 60, 95], style=style)
+    assert same(render(scene, [60], style=style)[0], together[2])
+    assert same(render(scene, [95, 60], style=style)[1], together[2])
 
 
-def test_being_an_adversary_changes_no_pixel() -> None:
+@STYLES
+def test_being_an_adversary_changes_no_pixel(style: Style) -> None:
     scene = scene_on_straight_road()
-    marked = dataclasses.replace(scene, adversaries=(scene.agents.ids[0],))
-    assert all(same(*pair) for pair in zip(render(scene, [0, 50]), render(marked, [0, 50])))
+    marked = dataclasses.replace(scene, name="other-name", adversaries=(scene.agents.ids[0],))
+    drawn = render(scene, [0, 50], style=style), render(marked, [0, 50], style=style)
+    assert all(same(*pair) for pair in zip(*drawn))
+
+
+def grey_levels(scene: Scene, style: Style) -> float:
+    """Mean difference of a picture from the one in the first style."""
+    first, other = (render(scene, [10], (224, 128), drawn)[0]["CAM_FRONT"].astype(float) for drawn in (FIRST, style))
+    return float(np.abs(first - other).mean())
+
+
+@pytest.mark.parametrize("look", ["day", "dusk", "night", "rain"])
+def test_the_second_style_changes_pictures_far_more_than_storing_them(look: str) -> None:
+    scene = scene_on_straight_road(description=f"Road, {look}", seconds=2.0)
+    assert grey_levels(scene, FIRST) == 0.0
+    assert grey_levels(scene, SECOND) > 4.0
+    names = [SchematicRenderer(style=style).name for style in (FIRST, SECOND)]
+    assert names == ["schematic", "schematic-restyled"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"salt": SECOND.salt},
+        {"sun_turn_rad": SECOND.sun_turn_rad, "sun_height": SECOND.sun_height},
+        {"sky": SECOND.sky, "haze": SECOND.haze},
+        {"surfaces": SECOND.surfaces},
+        {"pipeline": SECOND.pipeline},
+    ],
+    ids=["colours", "light", "air", "ground", "camera"],
+)
+def test_each_part_of_the_second_style_shows(change: dict[str, Any]) -> None:
+    assert grey_levels(scene_on_straight_road(seconds=2.0), dataclasses.replace(FIRST, **change)) > 0.2
+
+
+def test_styles_move_nothing() -> None:
+    # Where a car stands is where its picture differs from the one without it: the same place in both styles.
+    here, away = (scene_on_straight_road(cars, seconds=0.5) for cars in ((Car(64.0, 198.25),), ()))
+    quiet = dataclasses.replace(SECOND, pipeline=None)
+    places = []
+    for style in (FIRST, quiet):
+        pair = [render(scene, [0], (448, 256), style)[0]["CAM_FRONT"].astype(int) for scene in (here, away)]
+        places.append(np.abs(pair[0] - pair[1]).max(axis=-1) > 24)
+    both, either = (places[0] & places[1]).sum(), (places[0] | places[1]).sum()
+    assert both > 0.6 * either > 100
+
+
+def test_a_pipeline_keeps_the_mean_within_its_gains_and_adds_seeded_noise() -> None:
+    pipeline = SECOND.pipeline
+    assert pipeline is not None
+    grey = np.full((90, 160, 3), 120, dtype=np.uint8)
+    one, again, other = (developed(grey, pipeline, seed) for seed in (1, 1, 2))
+    assert np.array_equal(one, again) and not np.array_equal(one, other)
+    middle = one[30:60, 60:100].astype(float)
+    assert 1.0 < middle.std() < 12.0
+    assert middle[..., 0].mean() > middle[..., 2].mean() > 90.0
+    assert one[:8, :8].mean() < 0.85 * middle.mean()
 
 
 def test_an_agent_that_is_not_there_is_not_drawn() -> None:

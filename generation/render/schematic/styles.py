@@ -1,0 +1,225 @@
+"""Two ways to draw the same scene: what re-rendering alone does to a planner is the difference between them.
+
+The embedded town and imported recordings are drawn in the first style. What is generated from them, `val-r` and `adv`,
+is drawn in the second, as the paper's re-rendered and adversarial scenes come from another pipeline than the camera
+that recorded them. Geometry, occlusion, what is where and when are the same in both; everything below is not:
+
+- textures: cars, clothes and facades have other colours, the ground a rougher grain, its surfaces other tones;
+- light: the sun stands a third of a turn on and lower and gives more of the light, shadows are deeper, air hazier;
+- lens and sensor: a little out of focus, dark in the corners, a warm white balance, a harder tone curve, sensor noise;
+- a camera's own JPEG at 4:2:0 before the one that every picture in a data set is stored as.
+
+All of it is fixed; what is drawn by chance hangs on the instance, the camera and the frame alone.
+"""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_seed
+from generation.render.schematic.atmosphere import Atmosphere, Rgb
+from generation.render.schematic.painting import Coat
+
+_LEVELS: Final = 256
+_NOISE_TILE: Final = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Pipeline:
+    """What a camera does to the light that reaches it; see `developed`.
+
+    Attributes:
+        blur: Standard deviation of the lens's blur, as a share of the image's width.
+        vignette: Part of the light that is lost in the corners.
+        white_balance: Gain of each channel.
+        gamma: Exponent of the tone curve; above 1 is harder.
+        read_noise: Standard deviation of the noise in the dark, grey levels of 0..255.
+        shot_noise: What noise gains with the root of the grey level.
+        jpeg_quality: Of the camera's own compression, 0..100.
+    """
+
+    blur: float
+    vignette: float
+    white_balance: Rgb
+    gamma: float
+    read_noise: float
+    shot_noise: float
+    jpeg_quality: int
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """How a scene is drawn beyond what is in it.
+
+    Attributes:
+        name: Part of the renderer's name; empty for the first style.
+        salt: Goes into every random choice of a colour or texture.
+        sun_turn_rad: How far the sun has moved on.
+        sun_height: Factor on its height.
+        sun_share: Factor on its part of the light.
+        shadow: Factor on the darkness of shadows.
+        haze: Factor on the distance at which things fade.
+        sky: Factor on each channel of sky and haze.
+        surfaces: Factor on each channel of the ground's surfaces; those that are not named stay.
+        fine_grain: Standard deviation of the ground's fine grain, grey levels.
+        patches: Standard deviation of its soft patches.
+        pipeline: The camera; ``None`` is a perfect one.
+    """
+
+    name: str = ""
+    salt: tuple[str, ...] = ()
+    sun_turn_rad: float = 0.0
+    sun_height: float = 1.0
+    sun_share: float = 1.0
+    shadow: float = 1.0
+    haze: float = 1.0
+    sky: Rgb = (1.0, 1.0, 1.0)
+    surfaces: Mapping[Coat, Rgb] = field(default_factory=dict)
+    fine_grain: float = 4.0
+    patches: float = 5.0
+    pipeline: Pipeline | None = None
+
+    def lit(self, air: Atmosphere) -> Atmosphere:
+        """Light and weather in this style.
+
+        Args:
+            air: Of the first style.
+
+        Returns:
+            The same look, lit otherwise.
+        """
+        cos, sin = np.cos(self.sun_turn_rad), np.sin(self.sun_turn_rad)
+        x, y, z = air.sun
+        return replace(
+            air,
+            sun=(float(cos * x - sin * y), float(sin * x + cos * y), self.sun_height * z),
+            sun_share=self.sun_share * air.sun_share,
+            shadow=self.shadow * air.shadow,
+            haze_m=self.haze * air.haze_m,
+            sky=tinted(air.sky, self.sky),
+            haze=tinted(air.haze, self.sky),
+        )
+
+    def surface(self, coat: Coat, colour: Rgb) -> Rgb:
+        """Colour of a surface in this style."""
+        return tinted(colour, self.surfaces[coat]) if coat in self.surfaces else colour
+
+
+FIRST: Final = Style()
+SECOND: Final = Style(
+    name="restyled",
+    salt=("restyled",),
+    sun_turn_rad=2.1,
+    sun_height=0.7,
+    sun_share=1.25,
+    shadow=1.2,
+    haze=0.8,
+    sky=(1.04, 0.97, 0.90),
+    surfaces={
+        Coat.CAR_PARK: (0.92, 0.90, 0.88),
+        Coat.PAVEMENT: (0.90, 0.92, 0.95),
+        Coat.KERB: (0.93, 0.93, 0.93),
+        Coat.ROAD: (1.12, 1.09, 1.05),
+        Coat.WHITE: (0.93, 0.92, 0.88),
+        Coat.YELLOW: (0.95, 0.98, 1.05),
+    },
+    fine_grain=7.0,
+    patches=8.0,
+    pipeline=Pipeline(
+        blur=0.0012,
+        vignette=0.30,
+        white_balance=(1.05, 1.0, 0.93),
+        gamma=1.12,
+        read_noise=1.2,
+        shot_noise=0.22,
+        jpeg_quality=75,
+    ),
+)
+STYLES: Final = {style.name: style for style in (FIRST, SECOND)}
+"""By name."""
+
+
+def tinted(colour: Rgb, factor: Rgb) -> Rgb:
+    """A colour times a factor for each channel, at most white."""
+    red, green, blue = (min(value * by, 255.0) for value, by in zip(colour, factor))
+    return red, green, blue
+
+
+def developed(image: NDArray[np.uint8], pipeline: Pipeline, seed: int) -> NDArray[np.uint8]:
+    """The picture that a camera delivers.
+
+    Args:
+        image: (H, W, 3) RGB, sharp and without noise.
+        pipeline: The camera.
+        seed: Of its noise.
+
+    Returns:
+        (H, W, 3) RGB.
+    """
+    height, width = image.shape[:2]
+    curve, deviation = _tables(pipeline)
+    light = np.asarray(cv2.LUT(cv2.GaussianBlur(image, (0, 0), pipeline.blur * width), curve), np.float32)
+    light *= _falloff(height, width, pipeline.vignette)
+    # The noise of a sensor follows what falls on it: a table by the grey level.
+    spread = cv2.LUT(np.clip(light, 0.0, 255.0).astype(np.uint8), deviation)
+    light += spread * _noise(height, width, seed)
+    exposed = np.clip(np.rint(light), 0.0, 255.0).astype(np.uint8)
+    options = [cv2.IMWRITE_JPEG_QUALITY, pipeline.jpeg_quality]
+    _, stored = cv2.imencode(".jpg", np.ascontiguousarray(exposed[..., ::-1]), options)
+    return np.ascontiguousarray(cv2.imdecode(stored, cv2.IMREAD_COLOR)[..., ::-1]).astype(np.uint8, copy=False)
+
+
+@functools.lru_cache(maxsize=4)
+def _tables(pipeline: Pipeline) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(256, 1, 3) tone curve with white balance, and (256,) deviation of the noise, by grey level."""
+    level = np.arange(_LEVELS, dtype=np.float64)
+    tone = 255.0 * (level / 255.0) ** pipeline.gamma
+    curve = tone[:, None, None] * np.array(pipeline.white_balance)
+    return curve.astype(np.float32), (pipeline.read_noise + pipeline.shot_noise * np.sqrt(level)).astype(np.float32)
+
+
+@functools.lru_cache(maxsize=8)
+def _falloff(height: int, width: int, lost: float) -> NDArray[np.float32]:
+    """(H, W, 1) share of the light that arrives."""
+    y, x = np.mgrid[:height, :width]
+    radius = np.hypot((2 * x + 1 - width) / width, (2 * y + 1 - height) / height) / np.sqrt(2.0)
+    return np.asarray((1.0 - lost * radius**3)[..., None], np.float32)
+
+
+def _noise(height: int, width: int, seed: int) -> NDArray[np.float32]:
+    """(H, W, 3) normal noise: a fixed tile, laid from another corner each time."""
+    tile = _noise_tile()
+    down, right = np.random.default_rng(seed).integers(0, _NOISE_TILE, 2)
+    rows, columns = (np.arange(height) + down) % _NOISE_TILE, (np.arange(width) + right) % _NOISE_TILE
+    return np.asarray(tile[rows[:, None], columns])
+
+
+@functools.lru_cache(maxsize=1)
+def _noise_tile() -> NDArray[np.float32]:
+    random = np.random.default_rng(content_seed("sensor noise"))
+    return random.standard_normal((_NOISE_TILE, _NOISE_TILE, 3), dtype=np.float32)
+
+
+def grain_tile(count: int, resolution_m: float, style: Style) -> NDArray[np.uint8]:
+    """The roughness of real surfaces as grey noise around 128: fine grain and soft patches, seamless at its edges.
+
+    Args:
+        count: Pixels of a side.
+        resolution_m: Size of a pixel.
+        style: How rough.
+
+    Returns:
+        (count, count, 3).
+    """
+    random = np.random.default_rng(content_seed("grain", *style.salt, count))
+    fine = random.normal(0.0, style.fine_grain, (count, count))
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(count, resolution_m), np.fft.fftfreq(count, resolution_m)))
+    patches = np.fft.ifft2(np.fft.fft2(random.normal(size=(count, count))) * np.exp(-((frequency / 0.4) ** 2))).real
+    around: Floats = 128.0 + fine + style.patches * patches / max(float(patches.std()), 1e-9)
+    return np.repeat(np.clip(np.rint(around), 0, 255).astype(np.uint8)[..., None], 3, axis=-1)
