@@ -1,13 +1,14 @@
 """What a build did: numbers for machines, a short table for people."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from benchmark.report.words import counted
 from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
-from generation.search.chains import SearchResult
+from generation.search.chains import Chain, SearchResult
 from generation.search.eligibility import not_tried_together
 
 
@@ -25,6 +26,8 @@ class BuildReport:
         written: Names of the scenes written, best first for ``adv``.
         dropped: Number of attempts that passed verification but are not written, by reason.
         not_tried: Number of objects that are not tried in the recorded scenes, by reason.
+        masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
+            because the recorded ego touches an ``adversary``, or only something else (``others``).
         adversaries: In each scene written.
         surrogate: What the surrogate made of the survivors, if there was one.
         estimate: How much work there is (dry run only).
@@ -41,6 +44,7 @@ class BuildReport:
     written: tuple[str, ...] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     not_tried: dict[str, int] = field(default_factory=dict)
+    masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     adversaries: int = 1
     surrogate: dict[str, Any] | None = None
     estimate: Estimate | None = None
@@ -52,7 +56,7 @@ class BuildReport:
         cls,
         scenes: int,
         found: SearchResult,
-        written: tuple[str, ...],
+        written: Sequence[Chain],
         surrogate: dict[str, Any] | None,
         adversaries: int,
     ) -> "BuildReport":
@@ -66,9 +70,10 @@ class BuildReport:
             tried=len(found.tried),
             survived=len(found.chains),
             discarded=dict(discarded),
-            written=written,
+            written=tuple(chain.name for chain in written),
             dropped=dict(Counter(reason.value for reason in found.dropped.values())),
             not_tried=not_tried_together(first_looks),
+            masked_steps=_masked_together(written),
             adversaries=adversaries,
             surrogate=surrogate,
         )
@@ -113,6 +118,9 @@ class BuildReport:
             f"{counted(len(self.written), 'scene')} written"
         ]
         lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
+        if self.masked_steps:
+            told = (f"{name} {of['adversary']} / {of['others']}" for name, of in self.masked_steps.items())
+            lines.append(f"  steps masked whatever is planned, for adversaries / for others: {', '.join(told)}")
         if self.surrogate is not None:
             lines.append(
                 f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "
@@ -120,3 +128,12 @@ class BuildReport:
                 f"{counted(self.surrogate['samples'], 'sample')}"
             )
         return "\n".join(lines)
+
+
+def _masked_together(chains: Sequence[Chain]) -> dict[str, dict[str, int]]:
+    """Sums by protocol; the last adversary of a chain was looked at with all the others in the scene."""
+    sums: dict[str, Counter[str]] = {}
+    for chain in chains:
+        for name, steps in chain.links[-1].attempt.masked_steps.items():
+            sums.setdefault(name, Counter()).update({"adversary": steps.adversary, "others": steps.others})
+    return {name: dict(found) for name, found in sums.items()}
