@@ -10,6 +10,7 @@ from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
 from generation.search.chains import Chain, SearchResult
 from generation.search.eligibility import not_tried_together
+from generation.search.ground_truth_checks import masked_line, masked_together
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,8 @@ class BuildReport:
             written=tuple(chain.name for chain in written),
             dropped=dict(Counter(reason.value for reason in found.dropped.values())),
             not_tried=not_tried_together(first_looks),
-            masked_steps=_masked_together(written),
+            # The last adversary of a chain was looked at with all the others in the scene.
+            masked_steps=masked_together(chain.links[-1].attempt.masked_steps for chain in written),
             adversaries=adversaries,
             surrogate=surrogate,
         )
@@ -119,8 +121,7 @@ class BuildReport:
         ]
         lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
         if self.masked_steps:
-            told = (f"{name} {of['adversary']} / {of['others']}" for name, of in self.masked_steps.items())
-            lines.append(f"  steps masked whatever is planned, for adversaries / for others: {', '.join(told)}")
+            lines.append(f"  {masked_line(self.masked_steps)}")
         if self.surrogate is not None:
             lines.append(
                 f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "
@@ -128,12 +129,3 @@ class BuildReport:
                 f"{counted(self.surrogate['samples'], 'sample')}"
             )
         return "\n".join(lines)
-
-
-def _masked_together(chains: Sequence[Chain]) -> dict[str, dict[str, int]]:
-    """Sums by protocol; the last adversary of a chain was looked at with all the others in the scene."""
-    sums: dict[str, Counter[str]] = {}
-    for chain in chains:
-        for name, steps in chain.links[-1].attempt.masked_steps.items():
-            sums.setdefault(name, Counter()).update({"adversary": steps.adversary, "others": steps.others})
-    return {name: dict(found) for name, found in sums.items()}

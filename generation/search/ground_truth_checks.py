@@ -5,7 +5,8 @@ rule. The rasters of UniAD and VAD see a vehicle 0.6 m to the left of the ego as
 adversary may be clear of the recorded ego and still be taken out of the evaluation just where it matters.
 """
 
-from collections.abc import Collection, Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,28 @@ def masked_steps(scene: Scene) -> dict[str, MaskedSteps]:
         name: MaskedSteps(adversary=int(own.sum()), others=int((others & ~own).sum()))
         for name, (own, others) in recorded_contacts(scene, scene.adversaries, masking_protocols()).items()
     }
+
+
+def masked_together(scenes: Iterable[Mapping[str, MaskedSteps]]) -> dict[str, dict[str, int]]:
+    """Masked steps of several scenes.
+
+    Args:
+        scenes: What `masked_steps` says of each.
+
+    Returns:
+        By protocol the steps ``adversary`` and ``others``, as JSON values.
+    """
+    sums: dict[str, Counter[str]] = {}
+    for by_protocol in scenes:
+        for name, steps in by_protocol.items():
+            sums.setdefault(name, Counter()).update(adversary=steps.adversary, others=steps.others)
+    return {name: dict(found) for name, found in sums.items()}
+
+
+def masked_line(sums: Mapping[str, Mapping[str, int]]) -> str:
+    """`masked_together` for people."""
+    told = ", ".join(f"{name} {of['adversary']} / {of['others']}" for name, of in sums.items())
+    return f"steps masked whatever is planned, for adversaries / for others: {told}"
 
 
 def raster_footprints(scene: Scene, frames: NDArray[np.int64]) -> Floats:

@@ -22,7 +22,7 @@ ALL, NONE = [True] * 6, [False] * 6
 def beside(
     left_m: float = 0.0, ahead_m: float = 0.0, *, category: str = "vehicle.car", turn_rad: float = 0.0, steps: int = 6
 ) -> SampleTruth:
-    """One adversary that keeps its place beside the recorded ego, which drives 4 m a step and has turned by ``turn_rad``.
+    """One adversary that keeps its place beside the recorded ego, which drives 4 m a step, turned by ``turn_rad``.
 
     ``left_m`` and ``ahead_m`` are air between bodies (one of them; negative on the other side).
     """

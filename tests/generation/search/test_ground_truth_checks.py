@@ -92,7 +92,7 @@ def test_what_the_track_becomes_in_a_frozen_split_is_looked_at_too() -> None:
         scene = with_track(x=52.0, y=198.25 + LEFT_M + gap_m + 0.0004)
         frames = slice(START, len(scene.timestamps_us))
         track = np.column_stack([scene.agents.position[0, frames, :2], scene.agents.yaw[0, frames]])
-        rounded = scene.with_adversary(0, frames, np.round(track, METRE_DIGITS))
+        rounded = scene.with_adversary(0, frames, np.asarray(np.round(track, METRE_DIGITS), np.float64))
         as_is, frozen = (
             bool(recorded_contacts(seen, seen.adversaries, ["uniad"])["uniad"][0].any()) for seen in (scene, rounded)
         )
@@ -131,7 +131,7 @@ def turning(scene: Scene, radius_m: float = 12.0) -> Scene:
 
 
 def test_footprints_are_what_the_rasters_of_the_steps_before_show() -> None:
-    """An adversary that reaches well into a footprint is seen, one well out of all of them is not, in a bend as well."""
+    """Something small well inside of a footprint is seen, something well outside of it is not, in a bend as well."""
     scene = turning(with_track(x=52.0, y=194.75, seconds=9.0))
     rng, frames = np.random.default_rng(0), scene.keyframes
     footprints = raster_footprints(scene, frames)
@@ -141,9 +141,8 @@ def test_footprints_are_what_the_rasters_of_the_steps_before_show() -> None:
         poses = np.column_stack([scene.ego.boxes[:, :2] + place, np.full(len(scene.timestamps_us), 0.3)])
         small = replace(scene, agents=replace(scene.agents, size=np.array([[0.6, 0.6, 1.0]])))
         placed = small.with_adversary(0, slice(0, len(poses)), poses)
-        either = np.any(
-            [pair[0] for pair in recorded_contacts(placed, placed.adversaries, ("uniad", "vad")).values()], 0
-        )
+        found = recorded_contacts(placed, placed.adversaries, ("uniad", "vad"))
+        either = found["uniad"][0] | found["vad"][0]
         for sample in range(6, len(frames) - 6):
             for step in range(6):
                 box = footprints[sample + step + 1, step]
