@@ -32,6 +32,7 @@ class SampleTruth:
         annotated: (M, 7) whether the object is annotated at the step.
         has_points: (M, 7) whether its lidar and radar counts there add up to more than zero.
         has_lidar_points: (M, 7) whether its lidar count there is more than zero.
+        adversaries: Instances that were made to be adversaries, as far as the data set says.
     """
 
     scene: str
@@ -49,6 +50,7 @@ class SampleTruth:
     annotated: Bools
     has_points: NDArray[np.bool_]
     has_lidar_points: NDArray[np.bool_]
+    adversaries: frozenset[str] = frozenset()
 
     @property
     def complete(self) -> bool:

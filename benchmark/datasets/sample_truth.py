@@ -112,4 +112,5 @@ def _truth(scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw:
         annotated=annotated,
         has_points=annotated & (lidar_points + radar_points > 0),
         has_lidar_points=annotated & (lidar_points > 0),
+        adversaries=frozenset(scene.adversaries),
     )

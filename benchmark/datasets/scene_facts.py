@@ -20,13 +20,17 @@ def scene_facts_of(name: str, made: Mapping[str, Any]) -> SceneFacts:
 
     Returns:
         Source: as the file says, else the ``scene-0001`` of ``scene-0001-suffix``, else the scene itself. Manoeuvre:
-        the primary one of the first adversary that has labels.
+        the primary one of the first adversary that has labels. Adversaries: as many as the file lists; none in a
+        recording; unknown in a scene that was made from another one and is not in the file.
     """
     published = _PUBLISHED.fullmatch(name)
+    source = made.get("source_scene") or (published[1] if published else name)
     manoeuvres = (found.get("manoeuvre") for found in stored_labels(made.get("report")) if isinstance(found, dict))
+    listed = made.get("adversaries")
     return SceneFacts(
-        source=made.get("source_scene") or (published[1] if published else name),
+        source=source,
         manoeuvre=next((manoeuvre for manoeuvre in manoeuvres if isinstance(manoeuvre, str)), None),
+        adversaries=len(listed) if isinstance(listed, list) else 0 if source == name else None,
     )
 
 

@@ -1,17 +1,30 @@
 """Protocols by name: every definition of collision and L2 that a run is judged by."""
 
+from typing import Final
+
 from benchmark.errors import InputError, did_you_mean
-from benchmark.protocols.contract import CollisionProtocol, Outcomes
+from benchmark.protocols.contract import CollisionProtocol, GroundTruthMask, Outcomes
 from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
 from benchmark.protocols.sparsedrive import SparseDrive
 from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
 
-__all__ = ["PROTOCOLS", "CollisionProtocol", "Outcomes", "protocol", "register"]
+__all__ = [
+    "NATIVE_PROTOCOLS",
+    "PROTOCOLS",
+    "CollisionProtocol",
+    "GroundTruthMask",
+    "Outcomes",
+    "masking_protocols",
+    "protocol",
+    "register",
+]
 
 PROTOCOLS: dict[str, CollisionProtocol] = {}
 """Every known protocol, in the order of their columns."""
+NATIVE_PROTOCOLS: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
+"""Those of the repositories of the four planners that the paper tests."""
 
 
 def register(definition: CollisionProtocol) -> None:
@@ -43,6 +56,11 @@ def protocol(name: str) -> CollisionProtocol:
     if name not in PROTOCOLS:
         raise InputError(f"unknown protocol {name!r}; {did_you_mean(name, PROTOCOLS)}known are {', '.join(PROTOCOLS)}")
     return PROTOCOLS[name]
+
+
+def masking_protocols() -> dict[str, GroundTruthMask]:
+    """Protocols that take back collisions at steps at which the recorded ego collides, in the order of `PROTOCOLS`."""
+    return {name: definition for name, definition in PROTOCOLS.items() if isinstance(definition, GroundTruthMask)}
 
 
 for definition in (

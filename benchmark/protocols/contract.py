@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,4 +153,24 @@ class CollisionProtocol(Protocol):
 
         Returns:
             Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always.
+        """
+
+
+@runtime_checkable
+class GroundTruthMask(CollisionProtocol, Protocol):
+    """A protocol that takes back collisions at steps at which the recorded ego collides by the same rule.
+
+    Its verdicts have the columns ``before_mask``, ``recorded`` (what the mask goes by) and ``recorded_adversary`` (the
+    same for adversaries alone).
+    """
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """At which steps that were recorded the recorded ego collides with some objects.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about.
+
+        Returns:
+            (S, 6) verdicts.
         """

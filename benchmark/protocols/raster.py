@@ -170,6 +170,21 @@ class RasterProtocol(ABC):
         """
         return np.full(plans_lidar.shape[:-1], np.pi / 2)
 
+    @property
+    def mean_ends_m(self) -> Floats:
+        """How far the ego's block reaches, on average over where the waypoint lies in its cell.
+
+        A cell stands for a quarter of a metre around its node, and rounding down moves the block by half a cell.
+
+        Returns:
+            (4,) rear, front, right and left end, metres ahead of the waypoint and to the left of it. Corners of objects
+            are rounded to the nearest node: contact begins up to 0.25 m farther away, or as much nearer.
+        """
+        rounded_to = np.array([0.5 if self.first_row_ahead else -0.5, -0.5])
+        nodes = np.stack([EGO_BLOCK.min(axis=0) - 0.5, EGO_BLOCK.max(axis=0) + 0.5]) + rounded_to
+        (rear, left), (front, right) = nodes * CELL_M - EXTENT_M
+        return np.array([rear, front, -right, -left])
+
     def ego_block(self, waypoints_lidar: Floats) -> Cells:
         """The cells that the ego covers at each waypoint.
 
@@ -192,25 +207,48 @@ class RasterProtocol(ABC):
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
+            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         plan, recorded = self.ego_block(plans), self.ego_block(stacked.ego_future[..., :2])
         point = self.point_cells(plans)
         inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
-        objects, steps = np.nonzero(self.counted_objects(stacked))
-        place_of = stacked.sample_of[objects] * PLAN_STEPS + steps
-        boxes = self.drawn_boxes(stacked, objects, steps)
-        groups = [cells.reshape(-1, cells.shape[-2], 2) for cells in (plan, recorded, truncated(point)[..., None, :])]
-        rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
-        near = _may_reach(boxes, place_of, groups, rows)
-        found = occupied(self.drawn_polygons(boxes[near]), place_of[near], groups)
-        on_plan, on_recorded, at_point = (hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found)
+        groups = (plan, recorded, truncated(point)[..., None, :])
+        on_plan, on_recorded, at_point = self._covered(stacked, self.counted_objects(stacked), groups)
         return Outcomes(
             collision=on_plan & ~on_recorded,
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) | self.counts_incomplete,
-            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
+            steps={
+                "before_mask": on_plan,
+                "recorded": on_recorded,
+                "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
+                "obj_col": at_point & inside & ~on_recorded,
+            },
         )
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: whether the recorded ego's block covers a cell of some objects.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones are drawn.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        block = self.ego_block(truths.ego_future[..., :2])
+        return self._covered(truths, self.counted_objects(truths) & among[:, None], (block,))[0]
+
+    def _covered(self, truths: StackedTruths, drawn: Bools, groups: Sequence[Cells]) -> list[Bools]:
+        """For each group of (S, 6, C, 2) cells whether (S, 6) any is covered by those of M objects that are drawn."""
+        objects, steps = np.nonzero(drawn)
+        place_of = truths.sample_of[objects] * PLAN_STEPS + steps
+        boxes = self.drawn_boxes(truths, objects, steps)
+        flat = [cells.reshape(-1, cells.shape[-2], 2) for cells in groups]
+        rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
+        near = _may_reach(boxes, place_of, flat, rows)
+        found = occupied(self.drawn_polygons(boxes[near]), place_of[near], flat)
+        return [hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found]

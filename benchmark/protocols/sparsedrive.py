@@ -81,22 +81,39 @@ class SparseDrive:
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the columns ``before_mask`` and ``recorded``.
+            Verdicts with the columns ``before_mask``, ``recorded`` and ``recorded_adversary``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
-        objects = self.counted_objects(stacked)
-        on_plan, on_recorded = (
-            waypoint_contacts(stacked, objects, waypoints, self.headings(waypoints)) & stacked.ego_future_valid
-            for waypoints in (plans, stacked.ego_future[..., :2])
-        )
+        on_plan = self._touched(stacked, self.counted_objects(stacked), plans)
+        on_recorded = self.recorded_contacts(stacked, np.ones_like(stacked.adversarial))
         return Outcomes(
             collision=on_plan & ~on_recorded,
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1),
-            steps={"before_mask": on_plan, "recorded": on_recorded},
+            steps={
+                "before_mask": on_plan,
+                "recorded": on_recorded,
+                "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
+            },
         )
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: whether the rectangle touches some objects on the recorded way.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones can be touched.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        return self._touched(truths, self.counted_objects(truths) & among[:, None], truths.ego_future[..., :2])
+
+    def _touched(self, truths: StackedTruths, objects: Bools, waypoints: Floats) -> Bools:
+        """Where (S, 6, 2) waypoints put the ego on (M, 6) objects, at steps that were recorded."""
+        return waypoint_contacts(truths, objects, waypoints, self.headings(waypoints)) & truths.ego_future_valid
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.

@@ -19,6 +19,7 @@ class StackedTruths:
 
     Attributes:
         sample_of: (M,) which sample an object belongs to.
+        instances: M instance identifiers; an object has one entry for each sample.
         categories: M category names.
         boxes: (M, 7, 5) boxes now and at the six steps.
         annotated: (M, 7) whether the object is annotated there.
@@ -26,9 +27,11 @@ class StackedTruths:
         has_lidar_points: (M, 7) whether lidar points were.
         ego_future: (S, 6, 3) recorded lidar origin, x, y, yaw.
         ego_future_valid: (S, 6) whether it exists.
+        adversarial: (M,) whether the object was made to be an adversary, as far as the data set says.
     """
 
     sample_of: NDArray[np.int64]
+    instances: tuple[str, ...]
     categories: tuple[str, ...]
     boxes: Floats
     annotated: Bools
@@ -36,6 +39,7 @@ class StackedTruths:
     has_lidar_points: Bools
     ego_future: Floats
     ego_future_valid: Bools
+    adversarial: Bools
 
     def of_categories(self, names: Collection[str]) -> Bools:
         """Which objects are of certain categories.
@@ -62,6 +66,7 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
     empty = np.zeros((0, _KEYFRAMES), dtype=np.bool_)
     return StackedTruths(
         sample_of=np.repeat(np.arange(len(truths)), counts),
+        instances=tuple(name for truth in truths for name in truth.instances),
         categories=tuple(name for truth in truths for name in truth.categories),
         boxes=np.concatenate([np.zeros((0, _KEYFRAMES, 5)), *(truth.boxes for truth in truths)]),
         annotated=np.concatenate([empty, *(truth.annotated for truth in truths)]),
@@ -69,6 +74,7 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
         has_lidar_points=np.concatenate([empty, *(truth.has_lidar_points for truth in truths)]),
         ego_future=np.array([truth.ego_future for truth in truths], np.float64).reshape(-1, PLAN_STEPS, 3),
         ego_future_valid=np.array([truth.ego_future_valid for truth in truths], np.bool_).reshape(-1, PLAN_STEPS),
+        adversarial=np.array([name in truth.adversaries for truth in truths for name in truth.instances], np.bool_),
     )
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.machine.storage import read_json_lines
 from benchmark.records.store import validated
@@ -114,6 +114,18 @@ class PlanningFrame(_Stored):
     collision_free: tuple[int, ...]
 
 
+class MaskedSteps(_Stored):
+    """Steps that the ground-truth check of a protocol takes from every planner, whatever it plans.
+
+    Attributes:
+        adversary: The recorded ego touches an adversary there, as the protocol sees both.
+        others: It touches something else and no adversary.
+    """
+
+    adversary: int
+    others: int
+
+
 class Attempt(_Stored):
     """One vehicle of one recorded scene that was tried as an adversary.
 
@@ -130,6 +142,7 @@ class Attempt(_Stored):
         closest_approach: Closest approach, where the track is complete.
         least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
         labels: What the adversary does, if kept.
+        masked_steps: By protocol, if kept: steps of all samples that are masked whatever is planned.
         plans: Trace.
         earlier: Adversaries that the scene had already.
         dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
@@ -148,6 +161,7 @@ class Attempt(_Stored):
     closest_approach: Approach | None
     least_time_to_collision_s: float | None
     labels: Labels | None = None
+    masked_steps: dict[str, MaskedSteps] = Field(default_factory=dict)
     plans: tuple[PlanningFrame, ...] = ()
     earlier: tuple[str, ...] = ()
     dropped: str | None = None

@@ -145,8 +145,9 @@ def summarise(
         The summary.
     """
     planned = [row for row in rows if row.status == "ok"]
-    sources = {name: facts.source for name, facts in (scene_facts or {}).items()}
-    scenes = [sources.get(row.scene, row.scene) for row in planned]
+    known = scene_facts or {}
+    scenes = [known[row.scene].source if row.scene in known else row.scene for row in planned]
+    told = all(row.scene in known and known[row.scene].adversaries is not None for row in planned)
     protocols = {}
     for name, version in versions.items():
         outcomes = outcomes_of(rows, name)
@@ -163,6 +164,7 @@ def summarise(
             scenes_failed=sum(decided),
             scenes_decided=len(decided),
             mask_removed_steps=_removed_by_mask(outcomes),
+            mask_removed_for_adversary=_removed_by_mask(outcomes, "recorded_adversary") if told else None,
         )
     return Summary(
         schema=SCHEMA,
@@ -173,11 +175,14 @@ def summarise(
     )
 
 
-def _removed_by_mask(outcomes: Outcomes) -> int | None:
-    """Steps that collide before the exclusion and not after it, among those that enter the rates."""
-    if not {"before_mask", "recorded"} <= set(outcomes.steps):
+def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | None:
+    """Steps that collide before the exclusion and not after it, among those that enter the rates.
+
+    ``touching`` is the column of what the recorded ego touches there.
+    """
+    if not {"before_mask", touching} <= set(outcomes.steps):
         return None
-    removed = outcomes.steps["before_mask"] & outcomes.steps["recorded"]
+    removed = outcomes.steps["before_mask"] & outcomes.steps[touching]
     return int((removed & outcomes.valid & outcomes.counted[:, None]).sum())
 
 

@@ -48,10 +48,13 @@ class SceneFacts(Stored):
     Attributes:
         source: Name of the recorded scene that it was made from; its own name if it is a recording.
         manoeuvre: What its first adversary does, if it has one and labels.
+        adversaries: How many vehicles were made to be adversaries; null where the data set does not say, and in older
+            records.
     """
 
     source: str
     manoeuvre: str | None = None
+    adversaries: int | None = None
 
 
 class DataFacts(Stored):
@@ -219,6 +222,8 @@ class ProtocolSummary(Stored):
         scenes_decided: Scenes of which that can be said (see `scene_failures`).
         mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same
             protocol; null for protocols without such a mask, where no sample was planned, and in records of schema 1.
+        mask_removed_for_adversary: Those of them at which the recorded ego touches an adversary; at the others it
+            touches something else alone. Null where a scene's adversaries are not known, too, and in older records.
     """
 
     version: int
@@ -228,6 +233,7 @@ class ProtocolSummary(Stored):
     scenes_failed: int
     scenes_decided: int
     mask_removed_steps: int | None = None
+    mask_removed_for_adversary: int | None = None
 
 
 class Summary(Stored):

@@ -16,7 +16,7 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record, summarise
-from benchmark.records.run_schema import ProtocolSummary, SampleRow
+from benchmark.records.run_schema import OutcomeRow, ProtocolSummary, SampleRow
 from benchmark.report.words import counted
 from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import judged_anew, record_directories, require_same_data
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 SAME_M = 0.05
 """Plans that are nowhere farther than this from the recorded future were not made without seeing it. Where a plan is of
 the rear axle, turning it into one of the lidar costs some of it."""
+_LATER_STEPS = frozenset({"recorded_adversary"})
+"""Columns of verdicts that records of the same protocol version need not have yet."""
 MOVES_M = 1.0
 """A recording that never goes farther than this says nothing about it: whoever stands still is right."""
 
@@ -169,7 +171,7 @@ def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, 
         claimed = record.summary.protocols.get(name)
         if claimed is None:
             yield Level.ERROR, f"has no rates under {name}; run challenger-bench rescore"
-        elif claimed != summary.protocols[name]:
+        elif claimed != _as_of(claimed, summary.protocols[name]):
             yield Level.ERROR, _other_rate(name, claimed, summary.protocols[name])
     if not run.planner.privileged and _follows_the_recording(record.rows):
         yield (
@@ -182,9 +184,24 @@ def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]
     judged = {"outcomes", "disagreements"}
     return (
         row.model_dump(exclude=judged) == computed.model_dump(exclude=judged)
-        and all(row.outcomes.get(name) == computed.outcomes.get(name) for name in protocols)
+        and all(_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
         and all(row.disagreements.get(name) == computed.disagreements.get(name) for name in protocols)
     )
+
+
+def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
+    """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
+    if said is None or computed is None:
+        return said is computed
+    known = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER_STEPS}
+    return said == computed.model_copy(update={"steps": known})
+
+
+def _as_of(claimed: ProtocolSummary, found: ProtocolSummary) -> ProtocolSummary:
+    """What a record that has no count of adversaries' masked steps could say."""
+    if claimed.mask_removed_for_adversary is not None:
+        return found
+    return found.model_copy(update={"mask_removed_for_adversary": None})
 
 
 def _other_rate(name: str, claimed: ProtocolSummary, found: ProtocolSummary) -> str:

@@ -1,14 +1,16 @@
 """What a build did: numbers for machines, a short table for people."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from benchmark.report.words import counted
 from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
-from generation.search.chains import SearchResult
+from generation.search.chains import Chain, SearchResult
 from generation.search.eligibility import not_tried_together
+from generation.search.ground_truth_checks import masked_line, masked_together
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,8 @@ class BuildReport:
         written: Names of the scenes written, best first for ``adv``.
         dropped: Number of attempts that passed verification but are not written, by reason.
         not_tried: Number of objects that are not tried in the recorded scenes, by reason.
+        masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
+            because the recorded ego touches an ``adversary``, or only something else (``others``).
         adversaries: In each scene written.
         surrogate: What the surrogate made of the survivors, if there was one.
         estimate: How much work there is (dry run only).
@@ -41,6 +45,7 @@ class BuildReport:
     written: tuple[str, ...] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     not_tried: dict[str, int] = field(default_factory=dict)
+    masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     adversaries: int = 1
     surrogate: dict[str, Any] | None = None
     estimate: Estimate | None = None
@@ -52,7 +57,7 @@ class BuildReport:
         cls,
         scenes: int,
         found: SearchResult,
-        written: tuple[str, ...],
+        written: Sequence[Chain],
         surrogate: dict[str, Any] | None,
         adversaries: int,
     ) -> "BuildReport":
@@ -66,9 +71,11 @@ class BuildReport:
             tried=len(found.tried),
             survived=len(found.chains),
             discarded=dict(discarded),
-            written=written,
+            written=tuple(chain.name for chain in written),
             dropped=dict(Counter(reason.value for reason in found.dropped.values())),
             not_tried=not_tried_together(first_looks),
+            # The last adversary of a chain was looked at with all the others in the scene.
+            masked_steps=masked_together(chain.links[-1].attempt.masked_steps for chain in written),
             adversaries=adversaries,
             surrogate=surrogate,
         )
@@ -113,6 +120,8 @@ class BuildReport:
             f"{counted(len(self.written), 'scene')} written"
         ]
         lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
+        if self.masked_steps:
+            lines.append(f"  {masked_line(self.masked_steps)}")
         if self.surrogate is not None:
             lines.append(
                 f"  {self.surrogate['planner']} fails {self.surrogate['scenes_failed']} of "

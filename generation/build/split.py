@@ -168,7 +168,7 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
     chosen = select(source, plan, found, settings)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     written = tuple(job.name for job in chosen.jobs)
-    report = BuildReport.of(len(names), found, written, said, settings.adversaries)
+    report = BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries)
     files = _report_files(report, found, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     publish_reports(settings.out, files)

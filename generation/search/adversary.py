@@ -20,6 +20,7 @@ from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
 from generation.search.candidates import launch_frame
+from generation.search.ground_truth_checks import masked_steps
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
@@ -27,7 +28,7 @@ from generation.search.ranking import challenge_score
 from generation.search.recorded_ego import log_replay_contacts
 from generation.search.verify import Discard, Finding, verify
 
-ALGORITHM_VERSION = "3"
+ALGORITHM_VERSION = "4"
 """Part of every content key; changes when the same inputs would give other tracks."""
 
 
@@ -179,7 +180,11 @@ def _judged(tried: Searched, planning: Planning) -> Searched:
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
     if finding is None:
-        told |= {"challenge": challenge_score(changed, agent, start), "labels": describe(changed, agent, start)}
+        told |= {
+            "challenge": challenge_score(changed, agent, start),
+            "labels": describe(changed, agent, start),
+            "masked_steps": masked_steps(changed),
+        }
     result = replace(tried, attempt=tried.attempt.model_copy(update=told), scene=changed)
     return result if finding is None else result.discarded(finding)
 

@@ -92,6 +92,9 @@ class HyperParameters:
             2 Hz annotations that a metric sees cut corners by a few centimetres. 0 is the paper.
         headway_s: Time gap to what is ahead or behind, at the candidate's own speed, kept while planning. Even a
             pushy driver keeps some; without it cars sit 25 cm from a bumper at 50 km/h. 0 is the paper.
+        raster_ego: While planning, the ego is also where the rasters of UniAD and VAD show it: 4.5 m x 2 m, half a
+            metre to its left, and looking as it did half a second to three seconds before. An adversary in there would
+            touch the recorded ego in their eyes, and `verify` discards it. False is the paper.
         close_gap_m: "Gets close" means body to body at most this far, at some frame at which the ego drives.
         moving_ego_m_s: Speed from which on the ego drives; nothing beside a standing car challenges it.
         most_off_road_share: Share of driven frames with the centre off the drivable area that is tolerated.
@@ -135,6 +138,7 @@ class HyperParameters:
     lookahead_challenge_weight: float = 0.3
     clearance_m: float = 0.25
     headway_s: float = 0.15
+    raster_ego: bool = True
     close_gap_m: float = 4.0
     moving_ego_m_s: float = 1.0
     most_off_road_share: float = 0.02
@@ -155,6 +159,7 @@ class HyperParameters:
             lookahead_challenge_weight=0.0,
             clearance_m=0.0,
             headway_s=0.0,
+            raster_ego=False,
         )
 
     def changed(self, assignments: Sequence[str]) -> Self:

@@ -104,7 +104,8 @@ class Planning:
     def _plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
         offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))
         raster = _raster(self.scene, frame, self.hyper.half_extent_m)
-        around = surroundings(self.scene, self.agent, tuple(frame + offset for offset in offsets), raster)
+        frames = tuple(frame + offset for offset in offsets)
+        around = surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
         size = self.scene.agents.size[self.agent, :2]
         previous = self._previous(frame, state, track)
 

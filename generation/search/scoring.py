@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, Floats, axes_overlap, box_corners
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
+from generation.search.ground_truth_checks import raster_footprints
 from generation.search.hyperparameters import CollisionReading, HyperParameters
 
 ROUNDING_M2, UNDERSTATED = 1e-6, 1.0 - 1e-12
@@ -22,7 +23,8 @@ class Surroundings:
     """What a candidate can hit, leave and approach; S scored frames, M objects.
 
     Attributes:
-        boxes: (S, M, 5) boxes of everything but the candidate; the ego's body is among them.
+        boxes: (S, M, 5) boxes of everything but the candidate; the ego's body is among them, with raster footprints
+            of it if they were asked for.
         present: (S, M) whether the object is there.
         ego_center: (S, 2) centre of the ego's body.
         raster: Drivable area around the ego at the planning frame.
@@ -59,7 +61,9 @@ class Terms:
     finite: Bools
 
 
-def surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+def surroundings(
+    scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster, *, raster_ego: bool = False
+) -> Surroundings:
     """Everything but one agent at some frames; the ego comes last.
 
     Args:
@@ -67,6 +71,7 @@ def surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: Driv
         agent: Index of the agent that is being planned.
         frames: S frame indices.
         raster: Drivable area around the ego at the planning frame.
+        raster_ego: Whether the ego is there as the rasters of protocols show it, too (`HyperParameters.raster_ego`).
 
     Returns:
         The surroundings, without objects that are absent throughout.
@@ -76,8 +81,10 @@ def surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: Driv
     others[agent] = False
     rows = np.flatnonzero(others)
     ego = scene.ego.boxes[at]
-    boxes = np.concatenate([_boxes_at(scene, rows, at), ego[:, None]], axis=1)
-    present = np.concatenate([scene.agents.valid[np.ix_(rows, at)].T, np.ones((len(at), 1), dtype=np.bool_)], axis=1)
+    egos = [*([raster_footprints(scene, at)] if raster_ego else []), ego[:, None]]
+    boxes = np.concatenate([_boxes_at(scene, rows, at), *egos], axis=1)
+    present = np.ones(boxes.shape[:2], dtype=np.bool_)
+    present[:, : len(rows)] = scene.agents.valid[np.ix_(rows, at)].T
     return Surroundings(boxes, present, ego[:, :2], raster)
 
 

@@ -15,11 +15,14 @@ from benchmark.constants import FRAME_HZ
 from benchmark.datasets.annotated import tracks_between
 from benchmark.dynamics.bicycle import DriverLimits, rear_axle
 from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local, wrap_angle
+from benchmark.protocols import NATIVE_PROTOCOLS
 from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
 from generation.search.candidates import in_canvas
+from generation.search.ground_truth_checks import recorded_contacts
 from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_ego import log_replay_contacts
+from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
 
 class Discard(StrEnum):
@@ -36,6 +39,15 @@ class Discard(StrEnum):
     LEAVES_ROAD = "leaves-the-drivable-area"
     NEVER_CLOSE = "never-gets-close"
     UNDRIVEABLE = "motion-no-driver-could-drive"
+    TOUCHES_UNIAD = "touches-under-uniad"
+    TOUCHES_VAD = "touches-under-vad"
+    TOUCHES_SPARSEDRIVE = "touches-under-sparsedrive"
+    TOUCHES_DIFFUSIONDRIVE = "touches-under-diffusiondrive"
+
+    @classmethod
+    def touches(cls, protocol: str) -> "Discard":
+        """The reason for a contact that the ground-truth check of a native protocol finds."""
+        return cls(f"touches-under-{protocol}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +111,7 @@ def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits:
         or _out_of_area(scene, agent, start, hyper)
         or _off_road(scene, start, boxes, hyper)
         or _never_close(scene, agent, start, hyper)
+        or _masked(scene, agent, start)
     )
 
 
@@ -129,6 +142,25 @@ def _never_close(scene: Scene, agent: int, start: int, hyper: HyperParameters) -
     if gap <= hyper.close_gap_m:
         return None
     return Finding(Discard.NEVER_CLOSE, quantity="smallest gap, m", value=gap, limit=hyper.close_gap_m)
+
+
+def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
+    """A step that a native protocol counts for no planner, because the recorded ego touches the adversary in its eyes.
+
+    Frozen splits hold the track to the millimetre, which is enough for a corner to be drawn in another cell.
+    """
+    name, frames = scene.agents.ids[agent], slice(start, scene.agents.yaw.shape[1])
+    track = np.column_stack([scene.agents.position[agent, frames, :2], scene.agents.yaw[agent, frames]])
+    frozen = np.column_stack([np.round(track[:, :2], METRE_DIGITS), np.round(track[:, 2], YAW_DIGITS)])
+    for seen in (scene, scene.with_adversary(agent, frames, frozen)):
+        for protocol, (own, _) in recorded_contacts(seen, {name}, NATIVE_PROTOCOLS).items():
+            if own.any():
+                sample, step = np.nonzero(own)
+                first = int(scene.keyframes[(sample + step).min() + 1])
+                return Finding(
+                    Discard.touches(protocol), first, EGO, f"steps masked under {protocol}", float(own.sum()), 0.0
+                )
+    return None
 
 
 def _as_read(scene: Scene) -> Scene:

@@ -1,7 +1,7 @@
 """Building a frozen split from the recordings: no search, no diffusion model, the same split on every machine."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +17,8 @@ from generation.build.writing import WritingJob, publish_reports, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import read_state
+from generation.search.adversary import ALGORITHM_VERSION
+from generation.search.ground_truth_checks import masked_line, masked_steps, masked_together
 from generation.splits.digests import facts_of_row, tables_digest, written_digest
 from generation.splits.format import FrozenScene, ImageFacts
 from generation.splits.packaged import NamedSplit
@@ -38,6 +40,8 @@ class FrozenReport:
         other_tables: Scenes whose tables differ from those that were frozen.
         images: What the frozen hashes of images are of, if the images here could be compared.
         other_images: Scenes whose images differ.
+        verified_by: Version of the search that verified the scenes; they are not verified anew.
+        masked_steps: By protocol, steps that are masked whatever is planned (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
     """
 
@@ -48,6 +52,8 @@ class FrozenReport:
     other_tables: tuple[str, ...] = ()
     images: ImageFacts | None = None
     other_images: tuple[str, ...] = ()
+    verified_by: str = ALGORITHM_VERSION
+    masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     estimate: Estimate | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -57,6 +63,8 @@ class FrozenReport:
             **self.kept(),
             "other_tables": list(self.other_tables),
             "other_images": list(self.other_images) if compared else None,
+            "verified_by": self.verified_by,
+            "masked_steps": self.masked_steps,
             "dry_run": self.estimate is not None,
         }
 
@@ -85,7 +93,17 @@ class FrozenReport:
         )
         return (
             f"{counted(count, 'scene')} built from frozen split {self.name}, {counted(self.scenes, 'recorded scene')}\n"
-            f"  tables: {tables}\n  images: {self._images(count)}"
+            f"  tables: {tables}\n  images: {self._images(count)}\n  {masked_line(self.masked_steps)}"
+            + self._verification()
+        )
+
+    def _verification(self) -> str:
+        """What is said where a search would verify by other rules today."""
+        if self.verified_by == ALGORITHM_VERSION:
+            return ""
+        return (
+            f"\n  verified by version {self.verified_by} of the search, as it was frozen; a search verifies by version "
+            f"{ALGORITHM_VERSION} today (docs/frozen-splits.md)"
         )
 
     def _images(self, count: int) -> str:
@@ -123,9 +141,9 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) ->
         each = rendering_estimate(plan.renderer, source.scene(recorded[0]), plan.frames, settings.timing / "rendering")
         workers = workers_of(settings.where_rendered)
         about = Estimate(0, 0.0, len(chosen), each, workers, workers)
-        return FrozenReport(report.name, content, report.scenes, report.written, estimate=about)
+        return replace(report, estimate=about)
     # Everything is looked at before anything is written.
-    jobs, tables = _jobs(source, plan, chosen, split.frozen.search.seed)
+    jobs, tables, masked = _jobs(source, plan, chosen, split.frozen.search.seed)
     with only_writer(settings.out):
         write_json(plan.state / _MARK, {"name": split.name, "content": content})
         said = (canonical_json(report.kept(), indent=1) + "\n").encode()
@@ -136,7 +154,14 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) ->
         finish_data_set(plan, keys)
         images, other_images = _other_images(plan, split.frozen.images, chosen, keys)
     other = tuple(frozen.name for (frozen, _), digest in zip(chosen, tables, strict=True) if digest != frozen.tables)
-    return FrozenReport(report.name, content, report.scenes, report.written, other, images, other_images)
+    return replace(
+        report,
+        other_tables=other,
+        images=images,
+        other_images=other_images,
+        verified_by=split.frozen.search.algorithm,
+        masked_steps=masked,
+    )
 
 
 def require_not_frozen(root: Path) -> None:
@@ -195,9 +220,10 @@ def _plan(source: DataSet, name: str, content: str, settings: BuildSettings) -> 
 
 def _jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], seed: int
-) -> tuple[list[WritingJob], list[str]]:
-    """How each scene is written, and the hash of its tables."""
+) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
+    """How each scene is written, the hash of its tables, and the masked steps of all scenes."""
     made: dict[int, tuple[WritingJob, str]] = {}
+    masked = []
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):
         frozen, variant = chosen[index]
         scene: Scene = adversarial(frozen, source.scene(frozen.source))
@@ -211,7 +237,9 @@ def _jobs(
             identity=frozen.identity,
         )
         made[index] = job, tables_digest(plan, scene, frozen)
-    return [made[index][0] for index in range(len(chosen))], [made[index][1] for index in range(len(chosen))]
+        masked.append(masked_steps(scene))
+    order = range(len(chosen))
+    return [made[index][0] for index in order], [made[index][1] for index in order], masked_together(masked)
 
 
 def _other_images(

@@ -6,6 +6,7 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.run_schema import ProtocolSummary
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.published import is_variant, published_cells, published_rate
@@ -19,6 +20,7 @@ RATES_NOTE = f"{BRIEF_NOTE.removesuffix('.')}; beside it the same over val-r."
 _BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "scenes failed")
 """What a terminal shows behind planner, split and protocol."""
 BEFORE_MASK = "collision_before_mask"
+MASK_COLUMNS = ("avg before mask", "steps masked", "masked for adversaries", "masked for others")
 
 
 def collision_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table:
@@ -135,7 +137,7 @@ def _table(
     columns = (
         *("planner", "split", *(("protocol",) if names_protocol else ())),
         *(*(f"col. {horizon}" for horizon in HORIZONS), "95 % of avg"),
-        *(("avg before mask", "steps masked") if has_mask else ()),
+        *(MASK_COLUMNS if has_mask else ()),
         *("increase", "over val-r"),
         *(f"L2 {horizon}" for horizon in HORIZONS),
         *("samples", "scenes", "scenes failed", "coverage"),
@@ -153,14 +155,14 @@ def _table(
         brief=Brief(
             title.replace(" and L2 (m)", ""),
             (*range(texts), *(columns.index(head) for head in _BRIEF_COLUMNS)),
-            (*notes, BRIEF_NOTE, *said),
+            (*notes, BRIEF_NOTE, *_mask_notes(records, judge_of), *said),
             texts,
         ),
         text_columns=texts,
         groups=(
             ("", 3 if names_protocol else 2),
             (f"collision rate in %, {who}", 5),
-            (f"mask, {who}", 2 if has_mask else 0),
+            (f"mask, {who}", len(MASK_COLUMNS) if has_mask else 0),
             (f"increase of the average, {who}", 2),
             (f"L2 in m, {who}", 4),
             (f"counted, {who}", 4),
@@ -197,9 +199,34 @@ def _numbers(record: RunRecord, judge: str, *, has_mask: bool) -> tuple[Shown, .
     if not has_mask:
         return shown
     if BEFORE_MASK not in summary.columns:
-        return (*shown, Shown(UNDEFINED), Shown(UNDEFINED))
+        return (*shown, *(Shown(UNDEFINED) for _ in MASK_COLUMNS))
     before = origin.percent(summary.columns[BEFORE_MASK]["avg"])
-    return (*shown, before.shown(2), origin.count(summary.mask_removed_steps, "steps").shown())
+    masked = summary.mask_removed_steps
+    counts = (masked, summary.mask_removed_for_adversary, _masked_for_others(summary))
+    return (*shown, before.shown(2), *(origin.count(count, "steps", masked).shown() for count in counts))
+
+
+def _masked_for_others(summary: ProtocolSummary) -> int | None:
+    masked, for_adversary = summary.mask_removed_steps, summary.mask_removed_for_adversary
+    return None if masked is None or for_adversary is None else masked - for_adversary
+
+
+def _mask_notes(records: Sequence[RunRecord], judge_of: Callable[[RunRecord], str]) -> list[str]:
+    """What a terminal, which does not show the columns, says of masked steps."""
+    found = [(record, record.summary.protocols.get(judge_of(record))) for record in records]
+    counted = [(run, summary) for run, summary in found if summary is not None and summary.mask_removed_steps]
+    if not counted:
+        return []
+    told = (
+        f"{run.planner} on {run.run.split} {summary.mask_removed_for_adversary} / {_masked_for_others(summary)}"
+        if summary.mask_removed_for_adversary is not None
+        else f"{run.planner} on {run.run.split} {summary.mask_removed_steps} in all"
+        for run, summary in counted
+    )
+    return [
+        "Colliding steps masked because the recorded ego touches an adversary / something else under the same "
+        f"protocol: {', '.join(told)}."
+    ]
 
 
 def _distances_and_counts(record: RunRecord, judge: str) -> tuple[Shown, ...]:
@@ -221,7 +248,8 @@ def _column_notes(
     if has_mask:
         notes.append(
             "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
-            "average without that exclusion; masked: how many colliding steps it removed."
+            "average without that exclusion; masked: how many colliding steps it removed, at which the recorded ego "
+            "touches an adversary, and at which it touches something else alone."
         )
     return notes
 

@@ -39,12 +39,13 @@ def labelled(manoeuvre: str) -> dict[str, Any]:
     ],
 )
 def test_a_name_of_the_published_form_names_its_source(name: str, source: str) -> None:
-    assert scene_facts_of(name, {}) == SceneFacts(source=source, manoeuvre=None)
+    adversaries = 0 if source == name else None
+    assert scene_facts_of(name, {}) == SceneFacts(source=source, manoeuvre=None, adversaries=adversaries)
 
 
 def test_what_the_data_set_says_goes_before_its_names() -> None:
     made = {"source_scene": "scene-0103", "adversaries": ["a"], "report": labelled("blocking")}
-    assert scene_facts_of("scene-0061-a", made) == SceneFacts(source="scene-0103", manoeuvre="blocking")
+    assert scene_facts_of("scene-0061-a", made) == SceneFacts(source="scene-0103", manoeuvre="blocking", adversaries=1)
 
 
 def test_the_first_of_several_adversaries_counts() -> None:
@@ -67,8 +68,8 @@ def test_a_generated_root_says_where_its_scenes_come_from(tmp_path: Path) -> Non
     }
     data = open_data(root_of(tmp_path, "scene-9901-x", "scene-9902", made=made))
     assert data.scene_facts(data.scene_names()) == {
-        "scene-9901-x": SceneFacts(source="scene-9901", manoeuvre="oncoming"),
-        "scene-9902": SceneFacts(source="scene-9907", manoeuvre=None),
+        "scene-9901-x": SceneFacts(source="scene-9901", manoeuvre="oncoming", adversaries=0),
+        "scene-9902": SceneFacts(source="scene-9907", manoeuvre=None, adversaries=0),
     }
     assert data.scene_facts(()) == {}
     with pytest.raises(InputError, match="has no scene 'scene-0001'"):
@@ -89,8 +90,8 @@ def test_variants_of_one_scene_share_their_source(tmp_path: Path) -> None:
         root_of(tmp_path / folder, "scene-9901", made=made)
     data = open_data(tmp_path)
     assert data.scene_facts(data.scene_names()) == {
-        "v0/scene-9901": SceneFacts(source="scene-9901", manoeuvre="oncoming"),
-        "v1/scene-9901": SceneFacts(source="scene-9901", manoeuvre="blocking"),
+        "v0/scene-9901": SceneFacts(source="scene-9901", manoeuvre="oncoming", adversaries=0),
+        "v1/scene-9901": SceneFacts(source="scene-9901", manoeuvre="blocking", adversaries=0),
     }
     with pytest.raises(InputError, match="v2/scene-9901"):
         data.scene_facts(["v2/scene-9901"])

@@ -14,7 +14,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import find_records, load_record, protocol_of, scene_failures, summarise
-from benchmark.records.run_schema import CAUSES, DiagnosisRow, SampleRow
+from benchmark.records.run_schema import CAUSES, DiagnosisRow, SampleRow, SceneFacts
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
 
@@ -159,6 +159,30 @@ def test_steps_that_the_mask_removes_are_those_that_would_count() -> None:
     ]
     assert summarise(rows, {"uniad": 1}, seed=0).protocols["uniad"].mask_removed_steps == 3 + 2
     assert summarise([row("a", 0)], {"exact": 1}, seed=0).protocols["exact"].mask_removed_steps is None
+
+
+def test_masked_steps_of_adversaries_are_those_at_which_the_recorded_ego_touches_one() -> None:
+    hits = [True] * 6
+    mask = {
+        "before_mask": hits,
+        "recorded": [True, True, False, False, False, True],
+        "recorded_adversary": [False, True, False, False, False, True],
+        "obj_col": [False] * 6,
+    }
+    rows = [judged_by(row(scene, 0), "uniad", steps=mask) for scene in ("a", "b")]
+
+    def removed(facts: dict[str, SceneFacts] | None) -> tuple[int | None, int | None]:
+        found = summarise(rows, {"uniad": 1}, seed=0, scene_facts=facts).protocols["uniad"]
+        return found.mask_removed_steps, found.mask_removed_for_adversary
+
+    known = {name: SceneFacts(source="s", adversaries=1) for name in "ab"}
+    assert removed(known) == (6, 4)
+    # Who is an adversary is not known of one scene, of all, or was not looked at when the record was written.
+    assert removed({**known, "b": SceneFacts(source="s")}) == (6, None)
+    assert removed(None) == (6, None)
+    for each in rows:
+        each.outcomes["uniad"].steps.pop("recorded_adversary", None)
+    assert removed(known) == (6, None)
 
 
 def judged_by(judged: SampleRow, name: str, **changes: Any) -> SampleRow:

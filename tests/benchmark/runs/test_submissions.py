@@ -55,6 +55,28 @@ def test_what_eval_writes_is_fit(folder: Path) -> None:
     assert checked(folder) == (1, [])
 
 
+def test_a_record_from_before_adversaries_were_counted_apart_is_fit_and_a_wrong_count_is_found(folder: Path) -> None:
+    def older(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        for row in rows:
+            for outcome in row["outcomes"].values():
+                outcome["steps"].pop("recorded_adversary", None)
+        for found in summary["protocols"].values():
+            del found["mask_removed_for_adversary"]
+
+    edited(folder, older)
+    assert checked(folder) == (1, [])
+
+    def claim(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["protocols"]["uniad"]["mask_removed_for_adversary"] = 3
+        rows[0]["outcomes"]["vad"]["steps"]["recorded_adversary"] = [True] * 6
+
+    edited(folder, claim)
+    assert {error.sentence.split(" under")[0].split(" on ")[0] for error in checked(folder)[1]} == {
+        "says other verdicts than its plans have",
+        "claims other counts or intervals",
+    }
+
+
 def test_a_flattering_rate_is_found(folder: Path) -> None:
     def lower(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
         summary["protocols"]["exact"]["columns"]["collision"]["3s"]["value"] = 0.0

@@ -12,9 +12,11 @@ from benchmark.errors import InputError
 from benchmark.geometry import box_corners
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
+from benchmark.protocols import NATIVE_PROTOCOLS
 from generation.build.settings import BuildSettings
 from generation.build.split import build_split
 from generation.labels.labelling import agent_boxes
+from generation.search.adversary import ALGORITHM_VERSION
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit
 from tests.generation.labels.recorded_roads import CHEAP, contents, recorded, write_source
@@ -41,7 +43,24 @@ def built(source: DataSet, split: NamedSplit, folder: Path) -> Path:
     report = build_frozen(source, split, replace(BUILT, out=folder / "built"))
     assert (report.other_tables, report.other_images) == ((), ()) and report.images is not None
     assert "tables: equal" in report.summary() and "images: equal" in report.summary()
+    assert report.verified_by == ALGORITHM_VERSION and "verified by version" not in report.summary()
+    assert {name: report.masked_steps[name]["adversary"] for name in NATIVE_PROTOCOLS} == dict.fromkeys(
+        NATIVE_PROTOCOLS, 0
+    )
     return folder / "built"
+
+
+def test_a_split_of_an_earlier_search_is_built_as_it_is_and_says_who_verified_it(
+    source: DataSet, split: NamedSplit, tmp_path: Path
+) -> None:
+    search = split.frozen.search.model_copy(update={"algorithm": "3"})
+    older = replace(split, frozen=split.frozen.model_copy(update={"search": search}))
+    report = build_frozen(source, older, replace(BUILT, out=tmp_path / "older", renderer=None))
+    assert len(report.written) == len(split.frozen.scenes) and report.as_json()["verified_by"] == "3"
+    assert (
+        f"verified by version 3 of the search, as it was frozen; a search verifies by version {ALGORITHM_VERSION}"
+        in (report.summary())
+    )
 
 
 def test_the_tracks_are_those_of_the_file_and_within_a_millimetre_of_those_that_were_found(

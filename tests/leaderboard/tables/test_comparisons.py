@@ -63,6 +63,36 @@ def test_every_planner_under_its_own_protocol_and_the_others_apart() -> None:
     )
 
 
+def masked(record: RunRecord, steps: int | None, for_adversary: int | None) -> RunRecord:
+    counted = {"mask_removed_steps": steps, "mask_removed_for_adversary": for_adversary}
+    protocols = {
+        name: found if name == "exact" else found.model_copy(update=counted)
+        for name, found in record.summary.protocols.items()
+    }
+    return replace(record, summary=record.summary.model_copy(update={"protocols": protocols}))
+
+
+def test_masked_steps_are_those_of_adversaries_and_others_in_every_form() -> None:
+    new, old = masked(hand_made("new", ADV, protocols=ALL), 9, 7), masked(hand_made("old", ADV, protocols=ALL), 9, None)
+    table = collision_table("d", "uniad", [new, old, masked(hand_made("clean", ADV, protocols=ALL), 0, 0)])
+    heads = ("steps masked", "masked for adversaries", "masked for others")
+    assert [cells(table, planner="new")[head] for head in heads] == ["9", "7", "2"]
+    assert [cells(table, planner="old")[head] for head in heads] == ["9", UNDEFINED, UNDEFINED]
+    assert [cells(table, planner="clean")[head] for head in heads] == ["0", "0", "0"]
+    for text in (table.markdown(), table.latex(), table.csv()):
+        assert all(head in text for head in heads)
+    facts = table.as_json()["cells"][[row[0] for row in table.rows].index("new")]
+    assert [facts[table.columns.index(head)]["value"] for head in heads] == [9.0, 7.0, 2.0]
+    assert table.brief is not None
+    assert any(
+        note.startswith("Colliding steps masked because") and "new on adv 7 / 2, old on adv 9 in all." in note
+        for note in table.brief.notes
+    )
+    exact = collision_table("d", "exact", [new, old])
+    assert not set(heads) & set(exact.columns) and exact.brief is not None
+    assert not any("masked" in note for note in exact.brief.notes)
+
+
 def test_numbers_of_an_earlier_version_are_marked() -> None:
     old = hand_made("p", VAL, split="val", versions={"exact": 0})
     table = collision_table("d", "exact", [old, hand_made("p", ADV)])
