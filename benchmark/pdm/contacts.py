@@ -128,7 +128,7 @@ def near_misses(states: Floats, samples: Integers, traffic: Traffic, where: Wher
     ahead_m = speed[..., None] * (np.array(AHEAD_STATES) * 0.1)
     boxes[..., 0] += ahead_m * np.cos(asked[..., None, HEADING])
     boxes[..., 1] += ahead_m * np.sin(asked[..., None, HEADING])
-    boxes = boxes.reshape(len(states), -1, 5)
+    boxes = boxes.reshape(len(states), TTC_STATES * len(AHEAD_STATES), 5)
     # An instant is a state and a projection of it, in the order in which the official loops visit them.
     state_of, ahead_of = np.divmod(np.arange(boxes.shape[1]), len(AHEAD_STATES))
     seen_at = state_of + np.array(AHEAD_STATES)[ahead_of]

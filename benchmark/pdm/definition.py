@@ -8,6 +8,8 @@ from typing import Final
 
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WIDTH_M
 
+PDM: Final = "pdm"
+"""What ``--protocol`` asks for it by."""
 DEFINITION: Final = "nuscenes-pdm"
 VERSION: Final = 1
 NOTE: Final = (

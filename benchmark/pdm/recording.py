@@ -56,7 +56,7 @@ class RecordedScene:
             now=now,
             history=history_rows(self.motion[np.maximum(before, 0)]),
             has_history=before[:, 0] >= 0,
-            traffic=log_replay(at_states(self._key_frames(samples)), now),
+            traffic=log_replay(at_states(self.key_frames(samples)), now),
             road=self.road,
             route=self.route,
         )
@@ -75,7 +75,15 @@ class RecordedScene:
         heading = wrap_angle(future[..., 2] - now[..., 2])
         return np.concatenate([to_local(future[..., :2], now), heading[..., None]], axis=-1)
 
-    def _key_frames(self, samples: NDArray[np.int64]) -> KeyFrames:
+    def key_frames(self, samples: NDArray[np.int64]) -> KeyFrames:
+        """Objects that are annotated at any key frame from now to 3 s later.
+
+        Args:
+            samples: (S,) numbers of key frames, all with 3 s of recording after them.
+
+        Returns:
+            The objects of each sample.
+        """
         known = self._annotations
         steps = np.arange(PLAN_STEPS + 1)
         window = known.valid[:, samples[:, None] + steps].transpose(1, 0, 2)
