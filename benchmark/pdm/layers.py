@@ -141,6 +141,8 @@ def _surface(lane: Lane) -> Polygon:
 
 def _crossing(lanes: Sequence[Lane]) -> set[int]:
     """Lanes whose centre lines cross another's at an angle."""
+    if not lanes:
+        return set()
     lines = [LineString(lane.centerline) for lane in lanes]
     first, second = shapely.STRtree(lines).query(lines, predicate="crosses")
     pairs = zip(first.tolist(), second.tolist(), strict=True)

@@ -37,8 +37,10 @@ _STEERING_LAG_SHARE: Final = 2.0 / 3.0
 def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
     """A plan as poses of the rear axle.
 
-    The heading at a waypoint is the direction of the chord between its neighbours in the plan as it was given, held
-    where that is shorter than 0.3 m (`benchmark.waypoints.chord_headings`).
+    The heading at a waypoint is the direction of the chord between its neighbours, held where that is shorter than
+    0.3 m (`benchmark.waypoints.chord_headings`). A plan for the lidar is first moved back to the rear axle by the chords
+    of its own waypoints; in a turn those are not the car's headings, so that the chords of the moved ones are taken
+    then.
 
     Args:
         plan: Waypoints without headings.
@@ -48,11 +50,11 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
         (6, 3) x forward, y left of the rear axle now, metres; heading, radians.
     """
     waypoints = np.asarray(plan.waypoints, np.float64)[:PLAN_STEPS]
-    if plan.frame is PlanFrame.EGO:
-        return np.column_stack([waypoints, chord_headings(waypoints, start_heading_rad=0.0)])
-    heading = chord_headings(waypoints, start_heading_rad=np.pi / 2) - np.pi / 2
-    behind = lidar_ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
-    return np.column_stack([points_in_ego(waypoints, lidar_ahead_m) - behind, wrap_angle(heading)])
+    if plan.frame is PlanFrame.LIDAR:
+        along = chord_headings(waypoints, start_heading_rad=np.pi / 2) - np.pi / 2
+        behind = lidar_ahead_m * np.column_stack([np.cos(along), np.sin(along)])
+        waypoints = points_in_ego(waypoints, lidar_ahead_m) - behind
+    return np.column_stack([waypoints, chord_headings(waypoints, start_heading_rad=0.0)])
 
 
 def interpolated(plans: Floats) -> Floats:

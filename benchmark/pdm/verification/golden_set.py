@@ -24,6 +24,7 @@ from benchmark.verification.golden import GoldenArrays, golden_directory
 
 VEHICLE: Final = (LENGTH_M, WIDTH_M, CENTER_AHEAD_M, WHEELBASE_M, WHEELBASE_M, COMFORT_CENTER_AHEAD_M)
 """Length, width, centre ahead, wheelbase of tracker and bicycle, centre ahead inside the comfort terms."""
+RECORDED: Final = "recorded"
 AGENT_TYPES: Final = 3
 """Types of objects below this move by themselves."""
 
@@ -63,8 +64,13 @@ class GoldenScene:
             raise InputError(f"{path} is about a vehicle of {vehicle.tolist()}, this program's is {list(VEHICLE)}")
         self.now = stored.floats("ego_initial_state", self.samples, STATE_COLUMNS)
         self.history = stored.floats("history_keyframes", self.samples, 4, 8)
-        self.recorded = stored.labels("plan_names", self.count).index("recorded")
+        names = stored.labels("plan_names", self.count)
+        if RECORDED not in names:
+            raise InputError(f"{path} names no plan {RECORDED}, the reference of EP; make the file again with it")
+        self.recorded = names.index(RECORDED)
         self.pair = stored.integers("pair", self.samples)
+        if (np.unique(self.pair, return_counts=True)[1] != 2).any():
+            raise InputError(f"{path}: samples must come in pairs of consecutive ones; make the file again")
         self.route = stored.floats("centerline", None, 2)
         self.key_frames = self._key_frames()
         self.with_area = stored.verdicts("uses_drivable_area", self.samples)

@@ -22,9 +22,13 @@ class Case:
     now: Floats
     past: Floats
     key_frames: KeyFrames
-    road: Road
+    surfaces: list[tuple[Layer, Polygon, bool]]
     route: Floats
     plans: Floats
+
+    @property
+    def road(self) -> Road:
+        return Road.of(self.surfaces)
 
     @property
     def surroundings(self) -> Surroundings:
@@ -72,7 +76,7 @@ def crossing(seed: int, *, samples: int = 4, objects: int = 14) -> Case:
             past[sample, step, 0] -= speed * back
             past[sample, step, 2] += rng.normal(0, 0.01)
     plans = np.stack([_plans(rng, state) for state in now])
-    return Case(now, past, _objects(rng, now, objects), _road(), _route(turning=seed % 2 == 1), plans)
+    return Case(now, past, _objects(rng, now, objects), _surfaces(), _route(turning=seed % 2 == 1), plans)
 
 
 def _plans(rng: np.random.Generator, now: Floats) -> Floats:
@@ -121,7 +125,7 @@ def _objects(rng: np.random.Generator, now: Floats, count: int) -> KeyFrames:
     return KeyFrames(offsets, box, size, annotated, velocity, agents)
 
 
-def _road() -> Road:
+def _surfaces() -> list[tuple[Layer, Polygon, bool]]:
     """Lanes along x and y, a crossing in the middle with connectors, a car park beside; slits where they meet."""
     surfaces: list[tuple[Layer, Polygon, bool]] = []
     for low, high in ((-100.0, -10.0), (10.0, 100.0)):
@@ -137,7 +141,10 @@ def _road() -> Road:
     )
     surfaces.append((Layer.INTERSECTION, _box(-10.0, -LANE_M - 1, 10.0, LANE_M + 1), False))
     surfaces.append((Layer.CAR_PARK, _box(-60.0, LANE_M, -40.0, 15.0), False))
-    return Road.of(surfaces)
+    # With an island in it.
+    walled = Polygon(_box(20.0, -9.0, 60.0, -LANE_M).exterior.coords, [_box(30.0, -8.0, 34.0, -5.0).exterior.coords])
+    surfaces.append((Layer.DRIVABLE_AREA, walled, False))
+    return surfaces
 
 
 def _box(low_x: float, low_y: float, high_x: float, high_y: float) -> Polygon:

@@ -44,7 +44,11 @@ class SlowSample:
 
 @dataclass(frozen=True)
 class SlowVerdict:
-    """Sub-scores of one plan alone; steps are -1 for none."""
+    """Sub-scores of one plan alone, and what they come from; steps are -1 for none.
+
+    ``nc_events``: state, object, kind (0 stopped ego, 1 stopped track, 2 front, 3 rear, 4 lateral), at fault.
+    ``ttc_events``: state, projection, object, ahead, behind (-1: not asked), counts.
+    """
 
     states: Floats
     nc: float
@@ -54,16 +58,28 @@ class SlowVerdict:
     lk: float
     hc: float
     progress_m: float
-    collision_step: int
-    ttc_step: int
+    wrong_way_m: float
+    offset_m: list[float]
+    extremes: list[tuple[float, float]]
+    places: list[dict[str, bool]]
+    nc_events: list[tuple[int, ...]]
+    ttc_events: list[tuple[int, ...]]
+
+    @property
+    def collision_step(self) -> int:
+        return min((state for state, *_, at_fault in self.nc_events if at_fault), default=-1)
+
+    @property
+    def ttc_step(self) -> int:
+        return min((state for state, *_, counts in self.ttc_events if counts), default=-1)
 
     @property
     def multiplier(self) -> float:
         return self.nc * self.dac * self.ddc
 
 
-Thing = tuple[list[tuple[float, float, float] | None], list[Polygon | None], float, bool]
-"""Poses and shapes at the 31 states, speed where it is first seen, whether it moves by itself."""
+Thing = tuple[int, list[tuple[float, float, float] | None], list[Polygon | None], float, bool]
+"""Number, poses and shapes at the 31 states, speed where it is first seen, whether it moves by itself."""
 
 
 def wrap(angle: float) -> float:
@@ -180,6 +196,22 @@ def slow_command(state: list[float], pose: Floats, speed: Floats, curvature: Flo
     return acceleration, u
 
 
+def slow_direct(plan: Floats, now: Floats) -> Floats:
+    """A plan as states without a tracker: central differences of its poses, one-sided at the ends."""
+    poses = slow_poses(plan, now)
+    x_y, heading = poses[:, :2], np.unwrap(poses[:, 2])
+    velocity = np.gradient(x_y, 0.1, axis=0)
+    acceleration = np.gradient(velocity, 0.1, axis=0)
+    turn = np.gradient(heading, 0.1)
+    states = np.zeros((31, 11))
+    states[:, :3] = poses
+    for first, values in ((3, velocity), (5, acceleration)):
+        states[:, first] = values[:, 0] * np.cos(heading) + values[:, 1] * np.sin(heading)
+        states[:, first + 1] = -values[:, 0] * np.sin(heading) + values[:, 1] * np.cos(heading)
+    states[:, 9], states[:, 10] = turn, np.gradient(turn, 0.1)
+    return states
+
+
 # --- objects -------------------------------------------------------------------------------------------------------
 
 
@@ -199,19 +231,18 @@ def ego_rectangle(state: Floats, forward: float = 0.0) -> Polygon:
     return rectangle(state[0] + reach * math.cos(heading), state[1] + reach * math.sin(heading), heading, LENGTH, WIDTH)
 
 
-def slow_track(thing: SlowObject) -> tuple[list[tuple[float, float, float] | None], float]:
-    """Poses at the 31 states and the speed in the first state in which the object is there."""
+def slow_track(thing: SlowObject) -> tuple[list[tuple[float, float, float] | None], list[tuple[float, float]]]:
+    """Poses and velocities at the 31 states; things have none."""
     seen = [key for key in range(7) if thing.poses[key] is not None]
-    if len(seen) == 1:
-        velocity = thing.velocities[seen[0]] if thing.is_agent else (0.0, 0.0)
-        return [thing.poses[seen[0]]] * 31, math.hypot(*velocity)
     poses: list[tuple[float, float, float] | None] = []
+    velocities: list[tuple[float, float]] = []
     for state in range(31):
         time = state / 5.0
-        before = [key for key in seen if key <= time]
-        after = [key for key in seen if key >= time]
+        before = seen if len(seen) == 1 else [key for key in seen if key <= time]
+        after = seen if len(seen) == 1 else [key for key in seen if key >= time]
         if not before or not after:
             poses.append(None)
+            velocities.append((0.0, 0.0))
             continue
         a, b = before[-1], after[0]
         share = 0.0 if a == b else (time - a) / (b - a)
@@ -224,9 +255,10 @@ def slow_track(thing: SlowObject) -> tuple[list[tuple[float, float, float] | Non
                 first[2] + share * wrap(last[2] - first[2]),
             )
         )
-    # The first state of a track is one of its key frames.
-    velocity = thing.velocities[seen[0]] if thing.is_agent else (0.0, 0.0)
-    return poses, math.hypot(*velocity)
+        slow, fast = thing.velocities[a], thing.velocities[b]
+        mixed = (slow[0] + share * (fast[0] - slow[0]), slow[1] + share * (fast[1] - slow[1]))
+        velocities.append(mixed if thing.is_agent else (0.0, 0.0))
+    return poses, velocities
 
 
 # --- sub-scores ----------------------------------------------------------------------------------------------------
@@ -241,28 +273,36 @@ def slow_states_verdict(states: Floats, sample: SlowSample) -> SlowVerdict:
     """The same of a given motion."""
     start = ego_rectangle(states[0])
     things: list[Thing] = []
-    for thing in sample.objects:
-        poses, speed = slow_track(thing)
+    for number, thing in enumerate(sample.objects):
+        poses, velocities = slow_track(thing)
         shapes = [None if pose is None else rectangle(*pose, thing.length, thing.width) for pose in poses]
         if shapes[0] is None or not shapes[0].intersects(start):
-            things.append((poses, shapes, speed, thing.is_agent))
+            first = next(velocity for pose, velocity in zip(poses, velocities) if pose is not None)
+            things.append((number, poses, shapes, math.hypot(*first), thing.is_agent))
     places = [slow_place(state, sample.road) for state in states]
-    nc, collision_step = slow_collisions(states, things, places)
-    ttc, ttc_step = slow_time_to_collision(states, things, places)
+    nc, nc_events = slow_collisions(states, things, places)
+    ttc_events = slow_time_to_collision(states, things, places)
     line = LineString(sample.route)
     centers = [slow_center(state) for state in states]
     progress = max(0.0, line.project(centers[30]) - line.project(centers[0]))
+    wrong_way = slow_wrong_way(centers, places)
+    offsets = [line.distance(center) for center in centers]
+    extremes = [] if sample.past is None else slow_extremes(states, sample.past)
     return SlowVerdict(
         states=states,
         nc=nc,
         dac=0.0 if any(place["non-drivable"] for place in places) else 1.0,
-        ddc=slow_direction(centers, places),
-        ttc=ttc,
-        lk=slow_lane_keeping(centers, line, places),
-        hc=1.0 if sample.past is None else slow_comfort(states, sample.past),
+        ddc=1.0 if wrong_way < 2.0 else 0.5 if wrong_way < 6.0 else 0.0,
+        ttc=0.0 if any(counts for *_, counts in ttc_events) else 1.0,
+        lk=slow_lane_keeping(offsets, places),
+        hc=float(all(low < least and most < high for (low, high), (least, most) in zip(BOUNDS, extremes))),
         progress_m=progress,
-        collision_step=collision_step,
-        ttc_step=ttc_step,
+        wrong_way_m=wrong_way,
+        offset_m=offsets,
+        extremes=extremes,
+        places=places,
+        nc_events=nc_events,
+        ttc_events=ttc_events,
     )
 
 
@@ -291,68 +331,74 @@ def angle_to(state: Floats, pose: tuple[float, float, float] | None) -> float:
     return math.acos(min(max(cosine, -1.0), 1.0))
 
 
-def slow_collisions(states: Floats, things: list[Thing], places: list[dict[str, bool]]) -> tuple[float, int]:
-    score, step, ignored = 1.0, -1, set()
+def slow_collisions(
+    states: Floats, things: list[Thing], places: list[dict[str, bool]]
+) -> tuple[float, list[tuple[int, ...]]]:
+    score, ignored = 1.0, set[int]()
+    events: list[tuple[int, ...]] = []
     for t, state in enumerate(states):
         body = ego_rectangle(state)
         corners = list(body.exterior.coords)
         front = LineString([corners[0], corners[3]])
-        for number, (poses, shapes, speed, is_agent) in enumerate(things):
-            if number in ignored or shapes[t] is None or not body.intersects(shapes[t]):
+        for number, poses, shapes, speed, is_agent in things:
+            shape = shapes[t]
+            if number in ignored or shape is None or not body.intersects(shape):
                 continue
             if math.hypot(state[3], state[4]) <= 0.05:
-                at_fault = False
+                kind, at_fault = 0, False
             elif not is_agent or speed <= 0.05:
-                at_fault = True
+                kind, at_fault = 1, True
             elif angle_to(state, poses[t]) > math.radians(150):
-                at_fault = False
-            elif front.intersects(shapes[t]):
-                at_fault = True
+                kind, at_fault = 3, False
+            elif front.intersects(shape):
+                kind, at_fault = 2, True
             else:
-                at_fault = places[t]["multiple lanes"] or places[t]["non-drivable"]
+                kind, at_fault = 4, places[t]["multiple lanes"] or places[t]["non-drivable"]
+            events.append((t, number, kind, int(at_fault)))
             if at_fault:
-                score, step = min(score, 0.0 if is_agent else 0.5), t if step < 0 else step
+                score = min(score, 0.0 if is_agent else 0.5)
             else:
                 ignored.add(number)
-    return score, step
+    return score, events
 
 
-def slow_time_to_collision(states: Floats, things: list[Thing], places: list[dict[str, bool]]) -> tuple[float, int]:
-    step, ignored = -1, set()
+def slow_time_to_collision(states: Floats, things: list[Thing], places: list[dict[str, bool]]) -> list[tuple[int, ...]]:
+    events: list[tuple[int, ...]] = []
+    ignored = set[int]()
     for t in range(22):
         state = states[t]
         speed = math.hypot(state[3], state[4])
-        for later in (0, 3, 6, 9):
+        for step, later in enumerate((0, 3, 6, 9)):
             body = ego_rectangle(state, speed * later * 0.1)
-            for number, (poses, shapes, _, _) in enumerate(things):
+            for number, poses, shapes, _, _ in things:
                 shape = shapes[t + later]
                 if number in ignored or shape is None or speed < 0.005 or not body.intersects(shape):
                     continue
-                angle = angle_to(state, poses[t + later])
-                place = places[t]
-                unsure = place["multiple lanes"] or place["non-drivable"] or place["axle in intersection"]
-                if angle < math.radians(30) or (unsure and not angle > math.radians(150)):
-                    step = t if step < 0 else step
-                else:
+                angle, place, behind = angle_to(state, poses[t + later]), places[t], -1
+                ahead = angle < math.radians(30)
+                if not ahead and (place["multiple lanes"] or place["non-drivable"] or place["axle in intersection"]):
+                    behind = int(angle > math.radians(150))
+                counts = ahead or behind == 0
+                events.append((t, step, number, int(ahead), behind, int(counts)))
+                if not counts:
                     ignored.add(number)
-    return (1.0 if step < 0 else 0.0), step
+    return events
 
 
-def slow_direction(centers: list[Point], places: list[dict[str, bool]]) -> float:
+def slow_wrong_way(centers: list[Point], places: list[dict[str, bool]]) -> float:
     moved = [0.0]
     for t in range(1, 31):
         wrong = places[t]["oncoming"] and not places[t]["in intersection"]
         moved.append(centers[t].distance(centers[t - 1]) if wrong else 0.0)
-    longest = max(sum(moved[max(t - 10, 0) : t + 1]) for t in range(31))
-    return 1.0 if longest < 2.0 else 0.5 if longest < 6.0 else 0.0
+    return max(sum(moved[max(t - 10, 0) : t + 1]) for t in range(31))
 
 
-def slow_lane_keeping(centers: list[Point], line: LineString, places: list[dict[str, bool]]) -> float:
+def slow_lane_keeping(offsets: list[float], places: list[dict[str, bool]]) -> float:
     beside, longest = 0, 0
-    for center, place in zip(centers, places):
+    for offset, place in zip(offsets, places):
         if place["in intersection"]:
             continue
-        beside = beside + 1 if line.distance(center) > 0.5 else 0
+        beside = beside + 1 if offset > 0.5 else 0
         longest = max(longest, beside)
     return 0.0 if longest >= 20 else 1.0
 
@@ -369,7 +415,8 @@ def unwrapped(heading: Floats) -> Floats:
     return np.array(result)
 
 
-def slow_comfort(states: Floats, past: Floats) -> float:
+def slow_history(past: Floats) -> Floats:
+    """The 14 rows before a motion."""
     rows = []
     headings = unwrapped(past[:, 2])
     for row in range(14):
@@ -378,7 +425,12 @@ def slow_comfort(states: Floats, past: Floats) -> float:
         mixed = past[first] + share * (past[first + 1] - past[first])
         mixed[2] = headings[first] + share * (headings[first + 1] - headings[first])
         rows.append([*mixed, 0.0, 0.0, 0.0])
-    every = np.concatenate([np.array(rows), states])
+    return np.array(rows)
+
+
+def slow_extremes(states: Floats, past: Floats) -> list[tuple[float, float]]:
+    """Lowest and highest value of the six series of comfort."""
+    every = np.concatenate([slow_history(past), states])
     along = smooth(every[:, 5] + COMFORT_AHEAD * (every[:, 9] ** 2 + every[:, 10]), 8, 2, 0)
     magnitude = smooth(np.hypot(every[:, 5], every[:, 6]), 8, 2, 0)
     heading = unwrapped(every[:, 2])
@@ -390,17 +442,21 @@ def slow_comfort(states: Floats, past: Floats) -> float:
         smooth(heading, 5, 3, 2),
         smooth(heading, 5, 2, 1),
     )
-    return float(all(low < value < high for (low, high), values in zip(BOUNDS, series) for value in values))
+    return [(float(values.min()), float(values.max())) for values in series]
 
 
-def slow_agreement(earlier: Floats, later: Floats, apart: int) -> float:
-    """EC of two motions whose starts are some states apart."""
+def slow_differences(earlier: Floats, later: Floats, apart: int) -> list[float]:
+    """Root mean square differences of two motions whose starts are some states apart."""
     squares = []
     for states in (later[: 31 - apart], earlier[apart:]):
         magnitude = smooth(np.hypot(states[:, 5], states[:, 6]), 8, 2, 0)
         heading = unwrapped(states[:, 2])
         squares.append((magnitude, smooth(magnitude, 15, 2, 1), smooth(heading, 5, 2, 1), smooth(heading, 5, 2, 2)))
-    differences = [math.sqrt(float(np.mean((a - b) ** 2))) for a, b in zip(*squares)]
+    return [math.sqrt(float(np.mean((a - b) ** 2))) for a, b in zip(*squares)]
+
+
+def slow_agreement(differences: list[float]) -> float:
+    """EC."""
     return float(all(value <= most for value, most in zip(differences, (0.7, 0.5, 0.1, 0.1))))
 
 

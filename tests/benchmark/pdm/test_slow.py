@@ -17,6 +17,7 @@ from tests.benchmark.pdm.slow_pdm import (
     SlowSample,
     SlowVerdict,
     slow_agreement,
+    slow_differences,
     slow_motion,
     slow_progress,
     slow_score,
@@ -92,7 +93,7 @@ def test_progress_agreement_and_totals_are_those_of_the_slow_version(
     # One sample's plans for the plans of the next: any two motions will do.
     earlier, later = fast.states[:plans], fast.states[plans : 2 * plans]
     ec = extended_comfort(disagreement(earlier, later, 5))
-    assert ec.tolist() == [slow_agreement(a, b, 5) for a, b in zip(earlier, later)]
+    assert ec.tolist() == [slow_agreement(slow_differences(a, b, 5)) for a, b in zip(earlier, later)]
     expected = [slow_score(slow[plans + row], progress[plans + row], ec[row]) for row in range(plans)]
     assert scores.score(np.tile(ec, len(case.now)))[plans : 2 * plans] == pytest.approx(expected, abs=1e-6)
     without = [slow_score(each, ep, None) for each, ep in zip(slow, progress)]
