@@ -38,9 +38,8 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
     """A plan as poses of the rear axle.
 
     The heading at a waypoint is the direction of the chord between its neighbours, held where that is shorter than
-    0.3 m (`benchmark.waypoints.chord_headings`). A plan for the lidar is first moved back to the rear axle by the chords
-    of its own waypoints; in a turn those are not the car's headings, so that the chords of the moved ones are taken
-    then.
+    0.3 m (`benchmark.waypoints.chord_headings`). A plan for the lidar is first moved back to the rear axle by the
+    chords of its own waypoints; in a turn those are not the car's headings, so that those of the moved ones are taken.
 
     Args:
         plan: Waypoints without headings.

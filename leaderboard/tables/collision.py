@@ -83,7 +83,8 @@ def run_tables(
     Args:
         data_name: Name of the data set, for the titles.
         records: Runs on this data set.
-        protocols: Protocols, ``native`` or ``pdm``; by default ``exact``, and ``native`` where a planner has one of its own.
+        protocols: Protocols, ``native`` or ``pdm``; by default ``exact``, and ``native`` where a planner has one of its
+            own.
         allow_partial: Whether runs count in which the planner failed on samples; their rates leave those out.
 
     Returns:
