@@ -10,6 +10,7 @@ from urllib.parse import quote
 from benchmark.drawing.plots import DARK, page_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes, writing_to
+from benchmark.pdm.definition import PDM
 from benchmark.records.ablation import AblationReport
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
@@ -38,6 +39,7 @@ _RATES: Final = "collision rates"
 _GROUPS: Final = {
     "planners and transfer": ("planners", "transfer", "agreement"),
     "causes and protocols": ("diagnosis", "disagreement"),
+    "driving scores": (PDM,),
 }
 """What the site shows together, by the first word of a table's name; all others are `_RATES`."""
 OURS = (".tex", ".csv", ".json", ".md", ".png", ".svg")

@@ -67,7 +67,7 @@ def eval_command(
         list[str] | None,
         typer.Option(
             metavar="<str>",
-            help="Tables to print: a protocol, native or all; may be repeated. Records always hold all.",
+            help="Tables to print: a protocol, native, pdm or all; may be repeated. Records always hold all.",
         ),
     ] = None,
     explain_protocols: Annotated[
@@ -274,13 +274,15 @@ def quality_command(
 
 def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:
     """What ``--protocol`` asks for; ``None`` is the default: exact, and the planners' own where they have one."""
+    from benchmark.pdm.definition import PDM
     from benchmark.protocols import PROTOCOLS, protocol
+    from benchmark.records.run import NATIVE
 
     if names is None:
         return None
     if "all" in names:
-        return tuple(PROTOCOLS)
-    return tuple(dict.fromkeys(name if name == "native" else protocol(name).name for name in names))
+        return (*PROTOCOLS, PDM)
+    return tuple(dict.fromkeys(name if name in (NATIVE, PDM) else protocol(name).name for name in names))
 
 
 def _explain(

@@ -82,6 +82,7 @@ class Verifiable(StrEnum):
     SCORING = "scoring"
     DENOISER = "denoiser"
     PROTOCOLS = "protocols"
+    PDM = "pdm"
     MODEL = "model"
 
 

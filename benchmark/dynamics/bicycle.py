@@ -164,7 +164,8 @@ def simulate(
     # A candidate that overflows is marked below; the others never see it.
     with np.errstate(all="ignore"):
         path = reference_path(safe, dt=model.dt, frames_per_waypoint=model.frames_per_waypoint, smooth=model.smooth)
-        drive = _drive(path, state, length_m, steps, model)
+        motion = np.array([state.speed, state.acceleration, state.steering])[:, None]
+        drive = drive_along(path, motion, wheelbase_m=WHEELBASE * length_m, steps=steps, model=model)
         finite &= np.isfinite(drive.states).all(axis=(0, 1))
         states, center = _global(drive, state.pose, REAR_AXLE_BEHIND_CENTER * length_m)
     states[..., ~finite] = np.nan
@@ -175,7 +176,7 @@ def simulate(
 
 
 @dataclass(frozen=True, slots=True)
-class _Drive:
+class Drive:
     """Motion in the local frame, candidates last: every row that a step works on is contiguous.
 
     Attributes:
@@ -189,30 +190,42 @@ class _Drive:
     commands: Floats
 
 
-def _drive(path: ReferencePath, state: VehicleState, length_m: float, steps: int, model: MotionModel) -> _Drive:
-    """Speeds first, because they do not depend on steering; then the steering law at all frames; then the path."""
+def drive_along(path: ReferencePath, motion: Floats, *, wheelbase_m: float, steps: int, model: MotionModel) -> Drive:
+    """Track a path in its own frame, from its origin.
+
+    Speeds first, because they do not depend on steering; then the steering law at all frames; then the path.
+
+    Args:
+        path: What to follow; B candidates.
+        motion: (3, 1 or B) speed, acceleration and steering angle now.
+        wheelbase_m: Of the bicycle; that of the tracker too unless the model says otherwise.
+        steps: Frames to simulate.
+        model: Units and limits.
+
+    Returns:
+        The motion.
+    """
     count = path.speed.shape[1]
-    wheelbase = WHEELBASE * length_m
-    drive = _Drive(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
-    drive.states[0, 3:] = np.array([state.speed, state.acceleration, state.steering])[:, None]
+    drive = Drive(np.zeros((steps + 1, 6, count)), np.zeros((steps + 1, 2, count)), np.zeros((steps, 2, count)))
+    drive.states[0, 3:] = motion
     drive.direction[:, 0] = 1.0
     wanted = speeds_ahead(path, steps)
     if model.limits is not None:
-        np.clip(wanted, 0.0, max(model.limits.speed_m_s, state.speed), out=wanted)
+        np.clip(wanted, 0.0, np.maximum(model.limits.speed_m_s, motion[0]), out=wanted)
     stopping = _change_speed(drive, wanted, model)
     law = steering_law(
         path,
         drive.states[:-1, 3],
         drive.commands[:, 0],
         stopping,
-        wheelbase_m=model.tracker_wheelbase_m or wheelbase,
+        wheelbase_m=model.tracker_wheelbase_m or wheelbase_m,
         dt=model.dt,
     )
-    _steer(drive, law, wheelbase, model)
+    _steer(drive, law, wheelbase_m, model)
     return drive
 
 
-def _change_speed(drive: _Drive, wanted: Floats, model: MotionModel) -> Bools:
+def _change_speed(drive: Drive, wanted: Floats, model: MotionModel) -> Bools:
     """Fill in speeds, accelerations and their commands; returns (S, B) where the controller for stopping works."""
     limits, count = model.limits, wanted.shape[1]
     bounds = [np.inf] * 3
@@ -250,7 +263,7 @@ def _change_speed(drive: _Drive, wanted: Floats, model: MotionModel) -> Bools:
     return stopping
 
 
-def _steer(drive: _Drive, law: SteeringLaw, wheelbase: float, model: MotionModel) -> None:
+def _steer(drive: Drive, law: SteeringLaw, wheelbase: float, model: MotionModel) -> None:
     """Fill in poses, steering angles and their commands."""
     states, direction = drive.states, drive.direction
     travel = states[:-1, 3] * model.dt
@@ -288,7 +301,7 @@ def _steering_limits(speed: Floats, wheelbase: float, model: MotionModel) -> tup
     return most_rate * model.dt, np.minimum(limits.steering_rad, np.arctan(most_curvature * wheelbase))
 
 
-def _global(drive: _Drive, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]:
+def _global(drive: Drive, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]:
     """States (S + 1, 6, B) in the global frame, and poses (S + 1, 3, B) of a point ahead of theirs."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     turn = np.array([[cos, -sin], [sin, cos]])

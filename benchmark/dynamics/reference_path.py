@@ -70,12 +70,28 @@ def reference_path(waypoints: Floats, *, dt: float, frames_per_waypoint: int, sm
         _hold(chord, dt)
     heading = _ends_repeated(np.arctan2(chord[:, 1], chord[:, 0]))
     direction = _ends_repeated(_directions(chord))
+    return fitted_path(position, heading, direction, dt=dt, smooth=smooth)
+
+
+def fitted_path(position: Floats, heading: Floats, direction: Floats, *, dt: float, smooth: bool) -> ReferencePath:
+    """Fit speed and curvature to poses by regularised least squares.
+
+    Args:
+        position: (F + 1, 2, B) metres.
+        heading: (F + 1, B) radians, wrapped or not.
+        direction: (F + 1, 2, B) cosine and sine of the heading.
+        dt: Time of one frame.
+        smooth: As in `reference_path`: no reversing and a penalty on jerk.
+
+    Returns:
+        The path.
+    """
     step = np.diff(position, axis=0)
     step *= direction[:-1]
     along = step[:, 0] + step[:, 1]
     if smooth:
         np.maximum(along, 0.0, out=along)
-    speed = _speed_fit(frames, dt, smooth) @ along
+    speed = _speed_fit(len(step), dt, smooth) @ along
     curvature = _fit_curvature(speed * dt, wrapped(np.diff(heading, axis=0)), CURVATURE_RATE_PENALTY / dt**2)
     return ReferencePath(position, heading, direction, speed, curvature)
 
@@ -117,12 +133,13 @@ def _speed_fit(frames: int, dt: float, true_jerk: bool) -> Floats:
     """(F, F) matrix from displacements to speeds: least squares with a small penalty on jerk.
 
     The reference's difference matrix lost its super-diagonal, so that it penalises acceleration except in the last
-    row; ``true_jerk`` is what was meant.
+    row, and there a change per frame, whatever its time; ``true_jerk`` is what was meant.
     """
     acceleration = np.diff(np.eye(frames), axis=0) / dt
     penalised = np.diff(acceleration, axis=0) / dt
     if not true_jerk:
         penalised[:-1] = acceleration[: len(penalised) - 1]
+        penalised[-1] = acceleration[-1] - acceleration[-2]
     normal = dt**2 * np.eye(frames) + JERK_PENALTY * penalised.T @ penalised
     return np.asarray(np.linalg.inv(normal) * dt)
 

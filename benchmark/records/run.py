@@ -18,6 +18,7 @@ from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, Outcomes
 from benchmark.protocols import protocol as definition_of
+from benchmark.records.driving import summarise_driving
 from benchmark.records.run_schema import (
     SCHEMA,
     ProtocolSummary,
@@ -172,6 +173,7 @@ def summarise(
         failed=len(rows) - len(planned),
         coverage=len(planned) / len(rows) if rows else 0.0,
         protocols=protocols,
+        driving=summarise_driving(planned, scenes, seed=seed),
     )
 
 

@@ -4,7 +4,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 Waypoints = list[list[float]]
@@ -161,6 +161,24 @@ class DiagnosisRow(Stored):
         return {**stored, "cause": "unseen" if stored.get("reason") == NOT_NEAR else "misplanned"}
 
 
+class DrivingRow(Stored):
+    """What ``nuscenes-pdm`` says of one plan (`benchmark.pdm.judging.DrivenPlan`, which explains each)."""
+
+    nc: float
+    dac: float
+    ddc: float
+    ep: float
+    ttc: float
+    lk: float
+    hc: float | None
+    ec: float | None
+    forgiven: list[str]
+    progress_m: float
+    recorded_progress_m: float
+    collision_s: float | None
+    ttc_s: float | None
+
+
 class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
@@ -181,6 +199,8 @@ class SampleRow(Stored):
         diagnosis: Why the plan collides, or null where it does not under ``exact``.
         disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
             (`benchmark.metrics.disagreement`).
+        driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or the data set
+            has no map; null in records of schema 1 and 2.
     """
 
     scene: str
@@ -198,6 +218,7 @@ class SampleRow(Stored):
     outcomes: dict[str, OutcomeRow]
     diagnosis: DiagnosisRow | None = None
     disagreements: dict[str, str] = Field(default_factory=dict)
+    driving: DrivingRow | None = None
 
 
 class RateRow(Stored):
@@ -236,11 +257,38 @@ class ProtocolSummary(Stored):
     mask_removed_for_adversary: int | None = None
 
 
+class DrivingSummary(Stored):
+    """What ``nuscenes-pdm`` says about a run (`benchmark.records.driving`).
+
+    Attributes:
+        version: Version of the definition.
+        columns: Column name (``score``, ``nc``, ``filtered_score``, ...) to its ``mean`` and to the share of plans that
+            have ``ones`` there.
+        counted: Samples with sub-scores.
+        incomplete: Samples that were planned but have none.
+    """
+
+    version: int
+    columns: dict[str, dict[str, RateRow]]
+    counted: int
+    incomplete: int
+
+
 class Summary(Stored):
-    """``summary.json``: derived from the rows alone."""
+    """``summary.json``: derived from the rows alone.
+
+    Attributes:
+        schema_version: Version of the record's format.
+        samples: Samples of the scenes that ran.
+        failed: Those on which the planner raised.
+        coverage: Share of the others.
+        protocols: What each protocol says.
+        driving: Driving scores, or null where no sample has them.
+    """
 
     schema_version: int = Field(alias="schema")
     samples: int
     failed: int
     coverage: float
     protocols: dict[str, ProtocolSummary]
+    driving: DrivingSummary | None = None

@@ -215,5 +215,10 @@ def _from_schema_1(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]
     return {**run, "schema": 2}, rows, {**summary, "schema": 2}
 
 
-UPGRADES: dict[int, Upgrade] = {1: _from_schema_1}
+def _from_schema_2(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> RecordFiles:
+    """Schema 3 adds driving scores, which are absent until they are computed."""
+    return {**run, "schema": 3}, rows, {**summary, "schema": 3}
+
+
+UPGRADES: dict[int, Upgrade] = {1: _from_schema_1, 2: _from_schema_2}
 """From a schema to the next one: run, rows and summary in, the same out. Old records load for ever."""

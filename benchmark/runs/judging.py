@@ -4,7 +4,7 @@ The verdict on a sample depends on that sample alone, so a scene judged today gi
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,14 +13,23 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
+from benchmark.pdm.judging import judge_scene
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
 from benchmark.records.run_schema import SampleRow
+from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
 
 
 def judge(
-    rows: Sequence[Mapping[str, Any]], truths: Sequence[SampleTruth], protocols: Sequence[str]
+    rows: Sequence[Mapping[str, Any]],
+    truths: Sequence[SampleTruth],
+    protocols: Sequence[str],
+    *,
+    scene: Scene | None = None,
 ) -> list[SampleRow]:
     """Put what really happened and the verdicts beside the plans.
 
@@ -28,6 +37,7 @@ def judge(
         rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
         truths: One for each sample, in the same order.
         protocols: Who judges.
+        scene: The scene with its map, for driving scores; without it there are none.
 
     Returns:
         One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is
@@ -48,8 +58,10 @@ def judge(
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
+    driven = _driven(scene, dict(zip(planned, plans)), len(rows))
     for place, index in enumerate(planned):
         findings[index] = {
+            "driving": driven[index],
             "outcomes": {name: found[place] for name, found in verdicts.items()},
             "diagnosis": causes[place],
             "disagreements": differences[place],
@@ -57,6 +69,30 @@ def judge(
     return [
         SampleRow(**row, **_recorded(truth), **found) for row, truth, found in zip(rows, truths, findings, strict=True)
     ]
+
+
+def scene_with_map(data: "DataSet", name: str) -> Scene | None:
+    """A scene for driving scores.
+
+    Args:
+        data: The data set.
+        name: Scene name.
+
+    Returns:
+        The scene, or ``None`` where the data set has no map of its place.
+
+    Raises:
+        InputError: If the scene is unknown or broken.
+    """
+    return data.scene(name) if data.has_map(name) else None
+
+
+def _driven(scene: Scene | None, plans: Mapping[int, Plan], count: int) -> list[dict[str, Any] | None]:
+    """Driving scores of each sample, as rows hold them."""
+    if scene is None:
+        return [None] * count
+    verdicts = judge_scene(scene, [plans.get(index) for index in range(count)])
+    return [None if verdict is None else verdict.as_json() for verdict in verdicts]
 
 
 def plan_of(row: Mapping[str, Any]) -> Plan:

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmark.errors import InputError
+from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record, summarise
-from benchmark.records.run_schema import OutcomeRow, ProtocolSummary, SampleRow
+from benchmark.records.run_schema import DrivingSummary, OutcomeRow, ProtocolSummary, SampleRow
 from benchmark.report.words import counted
 from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import judged_anew, record_directories, require_same_data
@@ -131,6 +132,8 @@ def _claims(record: RunRecord, data_name: str) -> Iterator[tuple[Level, str]]:
         yield Level.ERROR, f"is judged by other versions of {', '.join(record.stale_protocols)}; run rescore"
     if record.missing_protocols:
         yield Level.ERROR, f"is not judged by {', '.join(record.missing_protocols)}; run rescore"
+    if record.summary.driving is not None and record.summary.driving.version != VERSION:
+        yield Level.ERROR, f"is judged by another version of {DEFINITION}; run rescore"
     if run.planner.weights_sha256 is None and run.planner.code_sha256 is None:
         yield Level.NOTE, "names neither weights nor code (plans from a file): nobody can tell which model planned"
     if run.planner.privileged:
@@ -173,6 +176,7 @@ def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, 
             yield Level.ERROR, f"has no rates under {name}; run challenger-bench rescore"
         elif claimed != _as_of(claimed, summary.protocols[name]):
             yield Level.ERROR, _other_rate(name, claimed, summary.protocols[name])
+    yield from _driving_anew(record, anew, summary.driving)
     if not run.planner.privileged and _follows_the_recording(record.rows):
         yield (
             Level.NOTE,
@@ -181,7 +185,7 @@ def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, 
 
 
 def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
-    judged = {"outcomes", "disagreements"}
+    judged = {"outcomes", "disagreements", "driving"}
     return (
         row.model_dump(exclude=judged) == computed.model_dump(exclude=judged)
         and all(_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
@@ -202,6 +206,20 @@ def _as_of(claimed: ProtocolSummary, found: ProtocolSummary) -> ProtocolSummary:
     if claimed.mask_removed_for_adversary is not None:
         return found
     return found.model_copy(update={"mask_removed_for_adversary": None})
+
+
+def _driving_anew(
+    record: RunRecord, anew: Sequence[SampleRow], found: DrivingSummary | None
+) -> Iterator[tuple[Level, str]]:
+    claimed = record.summary.driving
+    if claimed is None and found is not None:
+        yield Level.ERROR, "has no driving scores; run challenger-bench rescore"
+    if claimed is None or claimed.version != VERSION:
+        return
+    different = [row for row, computed in zip(record.rows, anew) if row.driving != computed.driving]
+    first = f", first on sample {different[0].sample_token} of {different[0].scene}" if different else ""
+    if different or claimed != found:
+        yield Level.ERROR, f"claims other driving scores than its plans give{first}; run challenger-bench rescore"
 
 
 def _other_rate(name: str, claimed: ProtocolSummary, found: ProtocolSummary) -> str:

@@ -1,11 +1,13 @@
-"""What the site's index says of planners: what ran, and its rates under every protocol."""
+"""What the site's index says of planners: what ran, its rates under every protocol, and its driving scores."""
 
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from benchmark.pdm.definition import VERSION
+from benchmark.records.driving import SUB_SCORES, TOTALS
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import ProtocolSummary, RateRow
+from benchmark.records.run_schema import DrivingSummary, ProtocolSummary, RateRow
 from leaderboard.tables.rows import in_table_order, recordings
 
 _SHOWN_COLUMNS: Final = ("collision", "l2")
@@ -68,6 +70,17 @@ def _run(record: RunRecord) -> dict[str, Any]:
             name: _protocol(of_protocol, stale=name in record.stale_protocols)
             for name, of_protocol in summary.protocols.items()
         },
+        "driving": None if summary.driving is None else _driving(summary.driving),
+    }
+
+
+def _driving(summary: DrivingSummary) -> dict[str, Any]:
+    """Driving scores: the mean of each sub-score and of the totals."""
+    return {
+        "version": summary.version,
+        "stale": summary.version != VERSION,
+        "counted": summary.counted,
+        "means": {name: _rate(summary.columns[name]["mean"]) for name in (*TOTALS, *SUB_SCORES)},
     }
 
 

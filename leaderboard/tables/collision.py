@@ -4,11 +4,13 @@ from collections.abc import Callable, Sequence
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
+from benchmark.pdm.definition import PDM
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import ProtocolSummary
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Brief, Table, table_of
+from leaderboard.tables.driving import driving_table
 from leaderboard.tables.published import is_variant, published_cells, published_rate
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
@@ -83,7 +85,8 @@ def run_tables(
     Args:
         data_name: Name of the data set, for the titles.
         records: Runs on this data set.
-        protocols: Protocols, or ``native``; by default ``exact``, and ``native`` where a planner has one of its own.
+        protocols: Protocols, ``native`` or ``pdm``; by default ``exact``, and ``native`` where a planner has one of its
+            own.
         allow_partial: Whether runs count in which the planner failed on samples; their rates leave those out.
 
     Returns:
@@ -92,8 +95,9 @@ def run_tables(
     shown = records if allow_partial else [record for record in records if record.complete]
     own = any(record.run.planner.native_protocol for record in shown)
     names = protocols or ((EXACT, NATIVE) if own else (EXACT,))
+    known = {NATIVE: native_table, PDM: driving_table}
     return [
-        native_table(data_name, shown) if name == NATIVE else collision_table(data_name, name, shown)
+        known[name](data_name, shown) if name in known else collision_table(data_name, name, shown)
         for name in names
         if shown
     ]

@@ -16,6 +16,7 @@ from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
+from leaderboard.tables.driving import driving_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
 from leaderboard.tables.runtime import runtime_tables
@@ -30,7 +31,7 @@ class DataSetTables:
 
     Attributes:
         data_name: Name of the data set.
-        front: Under ``exact`` and under the planners' own protocols, then diagnosis and disagreement.
+        front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
         others: Under each other protocol; the collision table comes first.
         matrices: Transfer matrices that get a picture, by the name of their table.
         records: What they are made from.
@@ -81,6 +82,8 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         front += diagnosis_tables(data_name, records)
         disagreements = (disagreement_table(data_name, split, records) for split in splits)
         front += [table for table in disagreements if table.rows]
+    if any(record.summary.driving is not None for record in records):
+        front.append(driving_table(data_name, records))
     others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
     return DataSetTables(data_name, tables, others, matrices, tuple(records), _missing(records))

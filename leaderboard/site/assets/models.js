@@ -7,6 +7,7 @@
   const { hideNote, remember, show, tableView, unique } = site;
 
   const HORIZONS = ["1s", "2s", "3s"];
+  const SUB_SCORES = ["nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec"];
   /** Colours that colour-blind readers tell apart (Okabe and Ito), always with a shape. */
   const SERIES = ["var(--blue)", "var(--purple)", "var(--gold)", "var(--text)", "var(--sky)", "var(--brown)"];
 
@@ -101,8 +102,9 @@
             : "It has no repository of its own, so that its own protocol is exact."),
         element("div", { class: "toolbar" }, choice({ label: "Protocol", value: protocol, choices: protocols,
           testid: "filter-protocol", change: (value) => { remember(here, { protocol: value }); show(); } })),
-        element("div", { class: "charts" }, names.map((name) => chart(model, name, protocol))),
+        element("div", { class: "charts" }, names.map((name) => [chart(model, name, protocol), profile(model, name)])),
         ratesView(model, here).node,
+        drivingView(model, here),
         element("h2", {}, "Why it collides"), causesView(model),
         element("h2", {}, `Its worst scenes, protocol ${protocol}`), worstScenes(model, protocol), element("p", {}, all),
         element("h2", {}, "What ran"), factsView(model),
@@ -144,29 +146,71 @@
     const rates = runs.map((run) => HORIZONS.map((horizon) => run.protocols[protocol].collision[horizon]));
     const top = Math.max(0.01, ...rates.flat().flatMap((rate) => [rate?.value ?? 0, rate?.high ?? 0]));
     const step = [0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5].find((each) => top / each <= 4) ?? 0.5;
-    const limit = step * Math.ceil(top / step - 1e-9);
+    return plot({
+      label: `${model.name} on ${data}, protocol ${protocol}: collision rate at 1, 2 and 3 s; the numbers are below`,
+      caption: `${data}, protocol ${protocol}: `, names: HORIZONS.map((horizon) => horizon.replace("s", " s")), rates,
+      splits: runs.map((run) => run.split), step, limit: step * Math.ceil(top / step - 1e-9), without: "not judged by it",
+    });
+  }
+
+  /** @param {*} model @param {string} data @returns {HTMLElement|null} Its profile of sub-scores by split. */
+  function profile(model, data) {
+    const runs = model.runs.filter((run) => run.data === data && run.driving);
+    if (!runs.length) return null;
+    return plot({
+      label: `${model.name} on ${data}, nuscenes-pdm: mean of each driving sub-score; the numbers are below`,
+      caption: `${data}, nuscenes-pdm: `, names: SUB_SCORES.map((name) => name.toUpperCase()),
+      rates: runs.map((run) => SUB_SCORES.map((name) => run.driving.means[name])), splits: runs.map((run) => run.split),
+      step: 0.25, limit: 1, without: "",
+    });
+  }
+
+  /** @param {*} model @param {*} here @returns {HTMLElement|null} Driving scores of all its runs. */
+  function drivingView(model, here) {
+    const runs = model.runs.filter((run) => run.driving);
+    if (!runs.length) return null;
+    const names = ["score", "score_without_ec", ...SUB_SCORES];
+    const heads = { score: "score", score_without_ec: "without EC" };
+    return tableView({
+      id: "driving", title: "Driving scores (%), nuscenes-pdm", textColumns: 2,
+      notes: ["Sub-scores of NAVSIM's PDM family on plans for nuScenes: 3 s, no traffic lights, the route is the recorded path. No number "
+        + "here compares with one that is published for NAVSIM.",
+      ...(runs.some((run) => run.driving.stale)
+        ? ["‡ judged by an earlier version of the definition; run challenger-bench rescore."] : [])],
+      columns: ["data set", "split", ...names.map((name) => heads[name] ?? name.toUpperCase()), "counted"],
+      rows: runs.map((run) => [run.data, run.driving.stale ? `${run.split} ‡` : run.split,
+        ...names.map((name) => scoreText(run.driving.means[name])), String(run.driving.counted)]),
+      cells: runs.map((run) => [null, null, ...names.map((name) => rateCell(run.driving.means[name], 100,
+        ["%", "samples", "nuscenes-pdm", recordName(model, run)])), null]),
+    }, { sort: here.params.get("sort"), sorted: (order) => remember(here, { sort: order }) }).node;
+  }
+
+  /** @param {*} rate @returns {string} */
+  const scoreText = (rate) => (rate && rate.value !== null ? percent(rate.value, 1) : UNDEFINED);
+
+  /** @param {*} given Names along the axis, a line of rates a split, and the axis of values. @returns {HTMLElement} */
+  function plot({ label, caption, names, rates, splits, step, limit, without }) {
     const [left, right, upper, lower] = [44, 330, 12, 150];
-    const x = (index, series) => left + 40 + index * 95 + (series - (runs.length - 1) / 2) * 9;
+    const apart = 285 / names.length;
+    const middle = (index) => left - 7.5 + (index + 0.5) * apart;
+    const x = (index, series) => middle(index) + (series - (splits.length - 1) / 2) * Math.min(9, apart / 4);
     const y = (value) => lower - (value / limit) * (lower - upper);
     const ticks = Array.from({ length: Math.round(limit / step) + 1 }, (_, index) => index * step);
     return element("figure", { class: "chart" },
-      drawn("svg", { viewBox: "0 0 340 178", role: "img", "aria-label":
-        `${model.name} on ${data}, protocol ${protocol}: collision rate at 1, 2 and 3 s; the numbers are below` },
-      ticks.map((tick) => [
-        drawn("line", { x1: left, x2: right, y1: y(tick), y2: y(tick), class: "grid" }),
-        drawn("text", { x: left - 6, y: y(tick) + 4, "text-anchor": "end" }, `${Number((100 * tick).toFixed(2))} %`)]),
-      HORIZONS.map((horizon, index) => drawn("text", { x: left + 40 + index * 95, y: 170, "text-anchor": "middle" },
-        horizon.replace("s", " s"))),
-      rates.map((line, series) => drawn("g", { class: "series", stroke: seriesColour(series), fill: seriesColour(series) },
-        drawn("polyline", { fill: "none", points: line.map((rate, index) => (rate?.value ?? null) === null ? ""
-          : `${x(index, series)},${y(rate.value)}`).join(" ") }),
-        line.map((rate, index) => (rate?.value ?? null) === null ? null : [
-          rate.low === null ? null : drawn("line", { x1: x(index, series), x2: x(index, series), y1: y(rate.low),
-            y2: y(Math.min(rate.high, limit)), class: "whisker" }),
-          drawn("path", { d: shape(series, x(index, series), y(rate.value)) })])))),
-      element("figcaption", {}, element("span", {}, `${data}, protocol ${protocol}: `),
-        runs.length ? runs.map((run, series) => element("span", { class: "key" }, sample(series), run.split))
-          : "not judged by it"));
+      drawn("svg", { viewBox: "0 0 340 178", role: "img", "aria-label": label },
+        ticks.map((tick) => [
+          drawn("line", { x1: left, x2: right, y1: y(tick), y2: y(tick), class: "grid" }),
+          drawn("text", { x: left - 6, y: y(tick) + 4, "text-anchor": "end" }, `${Number((100 * tick).toFixed(2))} %`)]),
+        names.map((name, index) => drawn("text", { x: middle(index), y: 170, "text-anchor": "middle" }, name)),
+        rates.map((line, series) => drawn("g", { class: "series", stroke: seriesColour(series), fill: seriesColour(series) },
+          drawn("polyline", { fill: "none", points: line.map((rate, index) => ((rate?.value ?? null) === null ? ""
+            : `${x(index, series)},${y(rate.value)}`)).join(" ") }),
+          line.map((rate, index) => ((rate?.value ?? null) === null ? null : [
+            rate.low === null ? null : drawn("line", { x1: x(index, series), x2: x(index, series), y1: y(rate.low),
+              y2: y(Math.min(rate.high, limit)), class: "whisker" }),
+            drawn("path", { d: shape(series, x(index, series), y(rate.value)) })]))))),
+      element("figcaption", {}, element("span", {}, caption),
+        splits.length ? splits.map((split, series) => element("span", { class: "key" }, sample(series), split)) : without));
   }
 
   const seriesColour = (series) => SERIES[series % SERIES.length];

@@ -10,7 +10,7 @@ from generation.verification.built_in import BUILT_IN
 from tests.benchmark.cli.cli_runs import challenger_bench
 
 
-@pytest.mark.parametrize("kind", ["physics", "scoring", "protocols"])
+@pytest.mark.parametrize("kind", ["physics", "scoring", "protocols", "pdm"])
 def test_built_in_set_agrees(kind: str) -> None:
     run = challenger_bench("verify", kind)
     assert run.code == 0, run
@@ -40,6 +40,7 @@ def test_what_is_no_golden_set_is_one_sentence_and_exit_code_2(tmp_path: Path) -
         ("scoring", "--golden", tmp_path),
         ("denoiser", "--golden", tmp_path),
         ("protocols", "--golden", tmp_path),
+        ("pdm", "--golden", tmp_path),
         ("chemistry",),
     ):
         run = challenger_bench("verify", *arguments)

@@ -124,7 +124,7 @@ def test_records_of_schema_1_are_rescored(tmp_path: Path) -> None:
     assert old.missing_protocols == ALL[1:] and old.stale_protocols == ()
     assert old.summary.protocols["exact"].mask_removed_steps is None and old.run.scene_facts == {}
     new = rescore(directory, DATA, protocols=ALL)
-    assert run_json(directory)["schema"] == 2 and set(new.run.scene_facts) == set(new.run.scenes)
+    assert run_json(directory)["schema"] == 3 and set(new.run.scene_facts) == set(new.run.scenes)
     assert new.summary.protocols["exact"] == old.summary.protocols["exact"]
     assert any(row.diagnosis for row in new.rows)
     assert rescore(directory, DATA, protocols=ALL) == new

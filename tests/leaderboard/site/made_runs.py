@@ -17,6 +17,7 @@ from benchmark.records.run import write_record
 from benchmark.records.run_schema import (
     DataFacts,
     DiagnosisRow,
+    DrivingRow,
     ForecastRow,
     OutcomeRow,
     PlanRow,
@@ -278,4 +279,27 @@ def _row(
         outcomes={} if plan is None else judged,
         diagnosis=diagnosis,
         disagreements={} if plan is None else differing,
+        driving=_driving(truth, planner) if plan is not None and truth.complete else None,
+    )
+
+
+def _driving(truth: SampleTruth, planner: MadePlanner) -> DrivingRow:
+    """Sub-scores by chance, better for the alert."""
+    rng = np.random.default_rng(content_seed("driving", truth.sample_token, planner.name))
+    passed = (rng.random(8) < 0.6 + 0.4 * planner.alertness).astype(float).tolist()
+    nc, dac, ddc, ttc, lk, hc, ec, _ = passed
+    return DrivingRow(
+        nc=nc,
+        dac=dac,
+        ddc=ddc,
+        ep=round(float(rng.uniform(0.5, 1.0)), 6),
+        ttc=ttc,
+        lk=lk,
+        hc=hc if truth.index >= 3 else None,
+        ec=ec if truth.index else None,
+        forgiven=[],
+        progress_m=20.0,
+        recorded_progress_m=22.0,
+        collision_s=None if nc else 1.5,
+        ttc_s=None if ttc else 0.5,
     )

@@ -9,7 +9,7 @@ from selenium.webdriver.remote.webelement import WebElement
 from tests.leaderboard.site.big_workspace import IMAGE_TAG
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
-from tests.leaderboard.site.reading import NUMBER, UNDEFINED, query_of
+from tests.leaderboard.site.reading import NUMBER, UNDEFINED, query_of, record_of
 
 
 def cells(browser: Browser, table: WebElement, column: int) -> list[str]:
@@ -123,6 +123,27 @@ def test_every_planner_has_a_page(browser: Browser, site: Site) -> None:
         assert name in browser.driver.find_element(By.TAG_NAME, "h1").text
         assert browser.driver.find_elements(By.CSS_SELECTOR, "main table tbody tr")
         assert name in browser.driver.title
+
+
+def test_a_planners_page_has_its_profile_of_driving_scores_val_beside_adv(browser: Browser, site: Site) -> None:
+    name = site.made.planners[0]
+    browser.open(f"#/model/{quote(name, safe='')}")
+    label = "nuscenes-pdm: mean of each driving sub-score"
+    (drawing,) = browser.driver.find_elements(By.CSS_SELECTOR, f'main svg[aria-label*="{label}"]')
+    texts = [each.get_attribute("textContent") for each in drawing.find_elements(By.CSS_SELECTOR, "text")]
+    assert texts[-8:] == ["NC", "DAC", "DDC", "EP", "TTC", "LK", "HC", "EC"] and "100 %" in texts
+    assert len(drawing.find_elements(By.CSS_SELECTOR, "g.series")) == 2
+    table = browser.one("table-driving")
+    assert cells(browser, table, 1) == ["val", "adv"]
+    for row, split in enumerate(("val", "adv")):
+        driving = record_of(site, name, split).summary.driving
+        assert driving is not None
+        for column, shown in ((2, "score"), (4, "nc"), (11, "ec")):
+            value = driving.columns[shown]["mean"].value
+            assert cells(browser, table, column)[row] == f"{100 * (value or 0.0):.1f}"
+    browser.open("#/tables?group=driving%20scores")
+    assert any("nuscenes-pdm" in table.text for table in browser.driver.find_elements(By.CSS_SELECTOR, "main"))
+    assert browser.all("error") == []
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,204 @@
+"""The road of a scene from its map: surfaces, intersections where the map has none, and what is on the route."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, Polygon
+
+from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.pdm.road import Layer, Road
+from benchmark.road_map import Lane, RoadMap, as_multipolygon
+
+ROUTE_STEP_M: Final = 0.5
+EXTENSION_M: Final = 100
+"""How far the route goes on straight ahead where the recording ends, in points of 1 m."""
+ROUTED_EXTENSION_M: Final = 30
+"""How much of that makes lanes lanes of the route."""
+CONNECTOR_WIDTH_M: Final = 3.5
+"""Of lanes that the map has no surface for."""
+ON_ROUTE_M: Final = 2.0
+ON_ROUTE_RAD: Final = np.deg2rad(45.0)
+BESIDE_M: Final = (2.0, 5.0)
+"""Centre lines of neighbouring lanes are this far apart."""
+BESIDE_ALONG_M: Final = 1.0
+LINE_STEP_M: Final = 1.0
+TOUCH_M: Final = 2.0
+"""Of a connector inside a part of the road, to belong to it."""
+SLIT_M: Final = 0.05
+"""Between surfaces that are meant to touch."""
+CROSSING_RAD: Final = np.deg2rad(30.0)
+"""Lanes that turn away from each other by more make an intersection."""
+
+
+def route_of(poses: Floats) -> Floats:
+    """The path of the recorded rear axle through a whole scene, and a straight extension.
+
+    Args:
+        poses: (T, 3) x, y, yaw of the rear axle, global.
+
+    Returns:
+        (M, 2) points 0.5 m apart, then 100 points 1 m apart straight ahead of the last pose.
+    """
+    path = _resampled(poses[:, :2], ROUTE_STEP_M)
+    ahead = np.arange(1, EXTENSION_M + 1)[:, None] * np.array([np.cos(poses[-1, 2]), np.sin(poses[-1, 2])])
+    return np.concatenate([path, poses[-1, :2] + ahead])
+
+
+def road_of(road_map: RoadMap, route: Floats) -> Road:
+    """The surfaces that plans are judged by.
+
+    Args:
+        road_map: The map around the scene.
+        route: As `route_of` makes it.
+
+    Returns:
+        Lanes and connectors (a strip of 3.5 m where the map has no surface), road blocks, intersections, car parks and
+        the drivable area. Maps without road segments (imported recordings) get intersections from their lanes.
+    """
+    lanes = [road_map.lanes[name] for name in sorted(road_map.lanes)]
+    shapes = [_surface(lane) for lane in lanes]
+    routed = on_route(lanes, route)
+    surfaces = [
+        (Layer.CONNECTOR if lane.is_connector else Layer.LANE, shape, bool(is_routed))
+        for lane, shape, is_routed in zip(lanes, shapes, routed, strict=True)
+        if not shape.is_empty
+    ]
+    crossings = (
+        [road_map.road_segments[name] for name in sorted(road_map.intersections)]
+        if road_map.road_segments
+        else derived_intersections(road_map, lanes, shapes)
+    )
+    layers: tuple[tuple[Layer, Sequence[Polygon]], ...] = (
+        (Layer.ROAD_BLOCK, [road_map.road_blocks[name] for name in sorted(road_map.road_blocks)]),
+        (Layer.INTERSECTION, crossings),
+        (Layer.CAR_PARK, [road_map.carparks[name] for name in sorted(road_map.carparks)]),
+        (Layer.DRIVABLE_AREA, list(road_map.drivable_area.geoms)),
+    )
+    return Road.of([*surfaces, *((layer, shape, False) for layer, found in layers for shape in found)])
+
+
+def on_route(lanes: Sequence[Lane], route: Floats) -> Bools:
+    """Which lanes a route follows.
+
+    Args:
+        lanes: N lanes and connectors.
+        route: As `route_of` makes it.
+
+    Returns:
+        (N,) True where the centre line passes within 2 m and 45 degrees of the path or the first 30 m of its
+        extension, and for lanes beside such lanes in the same direction.
+    """
+    lines = [_headed(lane.centerline) for lane in lanes]
+    path = _headed(route[: len(route) - EXTENSION_M + ROUTED_EXTENSION_M])
+    found = np.array([_passes(line, path) for line in lines], dtype=np.bool_)
+    plain = np.array([not lane.is_connector for lane in lanes], dtype=np.bool_)
+    waiting = list(np.flatnonzero(found & plain))
+    while waiting:
+        here = lines[waiting.pop()]
+        for other in np.flatnonzero(plain & ~found):
+            if _beside(here, lines[other]):
+                found[other] = True
+                waiting.append(other)
+    return found
+
+
+def derived_intersections(road_map: RoadMap, lanes: Sequence[Lane], shapes: Sequence[Polygon]) -> list[Polygon]:
+    """Intersections of a map that names none: what plain lanes leave of the drivable area around connectors that turn.
+
+    Args:
+        road_map: The map.
+        lanes: Its lanes and connectors.
+        shapes: Their surfaces.
+
+    Returns:
+        Each part with two or more connectors of different direction, as far as it lies in their hull. A map whose lanes
+        are all alike takes those that cross others for connectors.
+    """
+    inside = {number for number, lane in enumerate(lanes) if lane.is_connector} or _crossing(lanes)
+    plain = shapely.union_all([shape for number, shape in enumerate(shapes) if number not in inside])
+    rest = as_multipolygon(road_map.drivable_area.difference(plain.buffer(SLIT_M)))
+    lines = {number: LineString(lanes[number].centerline) for number in sorted(inside)}
+    found: list[Polygon] = []
+    for part in rest.geoms:
+        shapely.prepare(part)
+        near = [number for number, line in lines.items() if part.intersects(line)]
+        members = [number for number in near if lines[number].intersection(part).length >= TOUCH_M]
+        headings = [_mean_heading(lanes[member]) for member in members]
+        if members and max(_between(headings[0], heading) for heading in headings) > CROSSING_RAD:
+            hull = shapely.union_all([shapes[member] for member in members]).convex_hull
+            found += as_multipolygon(part.intersection(hull)).geoms
+    return found
+
+
+def _surface(lane: Lane) -> Polygon:
+    if lane.polygon is not None and not lane.polygon.is_empty:
+        return lane.polygon
+    strip = LineString(lane.centerline).buffer(CONNECTOR_WIDTH_M / 2, cap_style="flat")
+    return max(as_multipolygon(strip).geoms, key=lambda part: part.area, default=Polygon())
+
+
+def _crossing(lanes: Sequence[Lane]) -> set[int]:
+    """Lanes whose centre lines cross another's at an angle."""
+    if not lanes:
+        return set()
+    lines = [LineString(lane.centerline) for lane in lanes]
+    first, second = shapely.STRtree(lines).query(lines, predicate="crosses")
+    pairs = zip(first.tolist(), second.tolist(), strict=True)
+    turned = [(one, _between(_mean_heading(lanes[one]), _mean_heading(lanes[other]))) for one, other in pairs]
+    return {one for one, turn in turned if CROSSING_RAD < turn < np.pi - CROSSING_RAD}
+
+
+def _mean_heading(lane: Lane) -> float:
+    """Direction from the start to the end of a lane."""
+    return float(np.arctan2(*(lane.centerline[-1] - lane.centerline[0])[::-1]))
+
+
+def _between(first: float, second: float) -> float:
+    """Angle between two directions, 0 to pi."""
+    return abs(float(wrap_angle(np.array(first - second))))
+
+
+def _headed(points: Floats) -> Floats:
+    """(M, 3) points of a polyline at most a metre apart, each with the direction of its piece."""
+    line = _resampled(points, LINE_STEP_M)
+    step = np.diff(line, axis=0)
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    return np.column_stack([line, np.concatenate([heading, heading[-1:]])])
+
+
+def _resampled(points: Floats, step_m: float) -> Floats:
+    """(M, 2) points every ``step_m`` along a polyline, and its end."""
+    moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
+    points = points[moved]
+    if len(points) < 2:
+        return np.concatenate([points, points])
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    wanted = np.append(np.arange(0.0, station[-1] - 1e-9, step_m), station[-1])
+    return np.column_stack([np.interp(wanted, station, points[:, axis]) for axis in (0, 1)])
+
+
+def _passes(line: Floats, path: Floats) -> bool:
+    return bool(_near(line, path).any())
+
+
+def _near(line: Floats, path: Floats) -> Bools:
+    """(M, K) where points of two headed lines are near each other and point the same way."""
+    if (line[:, :2].min(axis=0) > path[:, :2].max(axis=0) + ON_ROUTE_M).any():
+        return np.zeros((1, 1), np.bool_)
+    if (line[:, :2].max(axis=0) < path[:, :2].min(axis=0) - ON_ROUTE_M).any():
+        return np.zeros((1, 1), np.bool_)
+    distance = np.hypot(line[:, None, 0] - path[:, 0], line[:, None, 1] - path[:, 1])
+    turn = np.abs(wrap_angle(line[:, None, 2] - path[:, 2]))
+    return np.asarray((distance <= ON_ROUTE_M) & (turn <= ON_ROUTE_RAD))
+
+
+def _beside(here: Floats, other: Floats) -> bool:
+    """Whether a line runs beside another, seen from the points of the first."""
+    dx, dy = other[:, None, 0] - here[:, 0], other[:, None, 1] - here[:, 1]
+    cos, sin = np.cos(here[:, 2]), np.sin(here[:, 2])
+    along, across = np.abs(dx * cos + dy * sin), np.abs(dy * cos - dx * sin)
+    turn = np.abs(wrap_angle(other[:, None, 2] - here[:, 2]))
+    apart = (across >= BESIDE_M[0]) & (across <= BESIDE_M[1]) & (along <= BESIDE_ALONG_M)
+    return bool((apart & (turn <= ON_ROUTE_RAD)).any())

@@ -1,0 +1,109 @@
+"""What is measured along the route: wrong way (DDC), progress (EP) and lane keeping (LK)."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import shapely
+
+from benchmark.geometry import Bools, Floats
+from benchmark.pdm.road import footprints
+
+WRONG_WAY_STATES: Final = 11
+"""Displacements that are added up: 1.1 s, as the official code slices them."""
+WRONG_WAY_M: Final = (2.0, 6.0)
+"""From here on DDC is 1/2, from there on 0."""
+OFF_LANE_M: Final = 0.5
+OFF_LANE_STATES: Final = 20
+SHORTEST_PROGRESS_M: Final = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What B motions do along a route.
+
+    Attributes:
+        wrong_way_m: (B,) longest distance against or off the route within 1.1 s.
+        progress_m: (B,) along the route from the first to the last state, not negative.
+        offset_m: (B, 31) distance of the car's centre from the route.
+    """
+
+    wrong_way_m: Floats
+    progress_m: Floats
+    offset_m: Floats
+
+
+def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bools) -> Course:
+    """Measure motions along a route.
+
+    Args:
+        states: (B, 31, 11) motions.
+        route: (M, 2) polyline.
+        oncoming: (B, 31) where the car's centre is on no lane of the route.
+        in_intersection: (B, 31) where its centre is in an intersection.
+
+    Returns:
+        The measures.
+    """
+    center = footprints(states)[..., :2]
+    moved = np.zeros(states.shape[:2])
+    moved[:, 1:] = np.hypot(*np.moveaxis(np.diff(center, axis=1), -1, 0))
+    moved[~oncoming | in_intersection] = 0.0
+    padded = np.concatenate([np.zeros((len(states), WRONG_WAY_STATES - 1)), moved], axis=1)
+    within = np.lib.stride_tricks.sliding_window_view(padded, WRONG_WAY_STATES, axis=1).sum(axis=-1)
+    line = shapely.linestrings(route)
+    points = shapely.points(center)
+    ends = shapely.line_locate_point(line, points[:, [0, -1]])
+    return Course(
+        wrong_way_m=within.max(axis=1),
+        progress_m=np.maximum(ends[:, 1] - ends[:, 0], 0.0),
+        offset_m=np.asarray(shapely.distance(line, points), np.float64),
+    )
+
+
+def direction_compliance(wrong_way_m: Floats) -> Floats:
+    """DDC.
+
+    Args:
+        wrong_way_m: (...) metres.
+
+    Returns:
+        (...) 0, 1/2 or 1.
+    """
+    return np.select([wrong_way_m < WRONG_WAY_M[0], wrong_way_m < WRONG_WAY_M[1]], [1.0, 0.5], 0.0)
+
+
+def lane_keeping(offset_m: Floats, in_intersection: Bools) -> Floats:
+    """LK: not more than 19 states in a row beside the route; states in an intersection are skipped, not forgiven.
+
+    Args:
+        offset_m: (B, 31) distance of the car's centre from the route.
+        in_intersection: (B, 31) where its centre is in an intersection.
+
+    Returns:
+        (B,) 0 or 1.
+    """
+    beside = np.zeros(len(offset_m), np.int64)
+    longest = beside.copy()
+    for state in range(offset_m.shape[1]):
+        counted = np.where(offset_m[:, state] > OFF_LANE_M, beside + 1, 0)
+        beside = np.where(in_intersection[:, state], beside, counted)
+        longest = np.maximum(longest, beside)
+    return (longest < OFF_LANE_STATES).astype(np.float64)
+
+
+def ego_progress(progress_m: Floats, reference_m: Floats, multiplier: Floats, reference_multiplier: Floats) -> Floats:
+    """EP: progress beside that of a reference; what fails a multiplier cannot be the measure of others.
+
+    Args:
+        progress_m: (...) of the plan.
+        reference_m: (...) of the reference.
+        multiplier: (...) NC DAC DDC of the plan.
+        reference_multiplier: (...) the same of the reference.
+
+    Returns:
+        (...) 0 to 1; 1 where the better of the two goes no farther than 5 m.
+    """
+    best = np.maximum(progress_m * multiplier, reference_m * reference_multiplier)
+    far = best > SHORTEST_PROGRESS_M
+    return np.where(far, np.clip(progress_m / np.where(far, best, 1.0), 0.0, 1.0), 1.0)

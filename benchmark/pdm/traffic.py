@@ -1,0 +1,142 @@
+"""Objects around samples: from key frames to the states of a motion, less what touches the car at the start."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap, wrap_angle
+from benchmark.pdm.definition import STATES, STATES_PER_WAYPOINT
+
+AGENT_CATEGORIES: Final = ("vehicle.", "human.")
+"""What moves by itself; a collision with anything else costs half."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFrames:
+    """Objects of S samples at the seven key frames 0, 0.5 .. 3 s, sample after sample.
+
+    Attributes:
+        offsets: (S + 1,) objects of sample s are ``offsets[s]:offsets[s + 1]``.
+        box: (N, 7, 3) x, y, heading of the centre, global.
+        size: (N, 2) length, width.
+        annotated: (N, 7) whether it is annotated there; at least once.
+        velocity: (N, 7, 2) m/s, global.
+        is_agent: (N,) vehicles and people, as opposed to things.
+    """
+
+    offsets: NDArray[np.int64]
+    box: Floats
+    size: Floats
+    annotated: Bools
+    velocity: Floats
+    is_agent: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """Objects of S samples at the 31 states of a motion.
+
+    Attributes:
+        offsets: (S + 1,) objects of sample s are ``offsets[s]:offsets[s + 1]``.
+        box: (N, 31, 5) boxes, global; zero where the object is not there.
+        present: (N, 31) whether it is there.
+        velocity: (N, 31, 2) m/s, global; zero for things and where the object is not there.
+        speed: (N,) in the first state in which it is there, which the rules go by later too, m/s.
+        is_agent: (N,) vehicles and people.
+    """
+
+    offsets: NDArray[np.int64]
+    box: Floats
+    present: Bools
+    velocity: Floats
+    speed: Floats
+    is_agent: Bools
+
+    def sample_of(self) -> NDArray[np.int64]:
+        """(N,) sample of each object."""
+        return np.repeat(np.arange(len(self.offsets) - 1), np.diff(self.offsets))
+
+
+def at_states(key_frames: KeyFrames) -> Traffic:
+    """Objects between their key frames: linear, headings by the shortest turn.
+
+    An object is there from its first to its last annotation, across key frames in between that lack it; one that is
+    annotated once is there all the time, at that pose (as officially).
+
+    Args:
+        key_frames: Objects of S samples.
+
+    Returns:
+        The objects at all states.
+    """
+    annotated = key_frames.annotated
+    count = len(annotated)
+    index = np.arange(PLAN_STEPS + 1)
+    before_key = np.maximum.accumulate(np.where(annotated, index, -1), axis=1)
+    after_key = np.minimum.accumulate(np.where(annotated, index, PLAN_STEPS + 1)[:, ::-1], axis=1)[:, ::-1]
+    time = np.arange(STATES) / STATES_PER_WAYPOINT
+    before = before_key[:, np.floor(time).astype(np.int64)]
+    after = after_key[:, np.ceil(time).astype(np.int64)]
+    once = annotated.sum(axis=1) == 1
+    only = annotated.argmax(axis=1)[:, None]
+    before, after = np.where(once[:, None], only, before), np.where(once[:, None], only, after)
+    present = (before >= 0) & (after <= PLAN_STEPS)
+    before, after = np.clip(before, 0, PLAN_STEPS), np.clip(after, 0, PLAN_STEPS)
+    span = after - before
+    fraction = np.where(span > 0, time - before, 0.0) / np.maximum(span, 1)
+    rows = np.arange(count)[:, None]
+    first, last = key_frames.box[rows, before], key_frames.box[rows, after]
+    step = last - first
+    step[..., 2] = wrap_angle(step[..., 2])
+    pose = first + fraction[..., None] * step
+    box = np.concatenate(
+        [pose[..., :2], np.broadcast_to(key_frames.size[:, None], (count, STATES, 2)), pose[..., 2:]], axis=-1
+    )
+    slow, fast = key_frames.velocity[rows, before], key_frames.velocity[rows, after]
+    velocity = slow + fraction[..., None] * (fast - slow)
+    velocity = np.where((present & key_frames.is_agent[:, None])[..., None], velocity, 0.0)
+    at_first = velocity[np.arange(count), present.argmax(axis=1)]
+    return Traffic(
+        offsets=key_frames.offsets,
+        box=np.where(present[..., None], box, 0.0),
+        present=present,
+        velocity=velocity,
+        speed=np.hypot(at_first[:, 0], at_first[:, 1]),
+        is_agent=key_frames.is_agent,
+    )
+
+
+def touching_at_start(traffic: Traffic, footprints: Floats) -> Bools:
+    """Objects that touch the car now: log replay takes them out of all states.
+
+    Args:
+        traffic: Objects of S samples.
+        footprints: (S, 5) the car's rectangle in each sample now.
+
+    Returns:
+        (N,) verdicts.
+    """
+    return traffic.present[:, 0] & boxes_overlap(footprints[traffic.sample_of()], traffic.box[:, 0])
+
+
+def without(traffic: Traffic, objects: Bools) -> Traffic:
+    """The same objects, some of them never there.
+
+    Args:
+        traffic: Objects.
+        objects: (N,) which of them to take out.
+
+    Returns:
+        The objects with their numbers unchanged.
+    """
+    return Traffic(
+        traffic.offsets,
+        traffic.box,
+        traffic.present & ~objects[:, None],
+        traffic.velocity,
+        traffic.speed,
+        traffic.is_agent,
+    )

@@ -1,0 +1,145 @@
+"""Golden files of the PDM sub-scores: scenes as plain arrays, plans, and what the official code says about them."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from shapely.geometry import Polygon
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+from benchmark.pdm.definition import (
+    CENTER_AHEAD_M,
+    COMFORT_CENTER_AHEAD_M,
+    LENGTH_M,
+    STATE_COLUMNS,
+    WHEELBASE_M,
+    WIDTH_M,
+)
+from benchmark.pdm.road import Layer, Road
+from benchmark.pdm.traffic import KeyFrames
+from benchmark.verification.golden import GoldenArrays, golden_directory
+
+VEHICLE: Final = (LENGTH_M, WIDTH_M, CENTER_AHEAD_M, WHEELBASE_M, WHEELBASE_M, COMFORT_CENTER_AHEAD_M)
+"""Length, width, centre ahead, wheelbase of tracker and bicycle, centre ahead inside the comfort terms."""
+RECORDED: Final = "recorded"
+AGENT_TYPES: Final = 3
+"""Types of objects below this move by themselves."""
+
+
+class PdmArrays(GoldenArrays):
+    """Arrays of one file."""
+
+    def labels(self, name: str, length: int | None = None) -> list[str]:
+        """Names; arguments and errors as in `floats`."""
+        return [str(label) for label in self._taken(name, "U", "names", (length,))]
+
+
+class GoldenScene:
+    """One scene with S samples and P plans for each.
+
+    Attributes:
+        name: Name of the file.
+        stored: Its arrays.
+        now: (S, 11) states of the car.
+        plans: (S, P, 6, 3) poses in the frame of the rear axle.
+        history: (S, 4, 8) the beginnings of states at -1.5, -1, -0.5 and 0 s.
+        recorded: Which plan is the recorded future, the reference of EP and of the filter.
+        pair: (S,) samples with the same number are consecutive, the earlier one first.
+        key_frames: Objects of all samples.
+        route: (M, 2) polyline.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.stored = stored = PdmArrays.read(path)
+        self.name = path.name
+        self.plans = stored.floats("plans", None, None, PLAN_STEPS, 3)
+        self.samples, self.count = self.plans.shape[:2]
+        if not self.plans.size:
+            raise InputError(f"{path} has no samples or no plans; leave it out of the set")
+        vehicle = stored.floats("vehicle", len(VEHICLE))
+        if not np.array_equal(vehicle, VEHICLE):
+            raise InputError(f"{path} is about a vehicle of {vehicle.tolist()}, this program's is {list(VEHICLE)}")
+        self.now = stored.floats("ego_initial_state", self.samples, STATE_COLUMNS)
+        self.history = stored.floats("history_keyframes", self.samples, 4, 8)
+        names = stored.labels("plan_names", self.count)
+        if RECORDED not in names:
+            raise InputError(f"{path} names no plan {RECORDED}, the reference of EP; make the file again with it")
+        self.recorded = names.index(RECORDED)
+        self.pair = stored.integers("pair", self.samples)
+        if (np.unique(self.pair, return_counts=True)[1] != 2).any():
+            raise InputError(f"{path}: samples must come in pairs of consecutive ones; make the file again")
+        self.route = stored.floats("centerline", None, 2)
+        self.key_frames = self._key_frames()
+        self.with_area = stored.verdicts("uses_drivable_area", self.samples)
+        self._surfaces = self._read_surfaces()
+
+    def road(self, sample: int) -> Road:
+        """Surfaces of a sample; some do without the drivable area."""
+        area = bool(self.with_area[sample])
+        return Road.of([found for found in self._surfaces if area or found[0] is not Layer.DRIVABLE_AREA])
+
+    def by_plan(self, name: str, *shape: int) -> Floats:
+        """An official array, (S, P, ...)."""
+        return self.stored.floats(name, self.samples, self.count, *shape)
+
+    def flags_by_plan(self, name: str, *shape: int) -> Bools:
+        """Official verdicts, (S, P, ...)."""
+        return self.stored.verdicts(name, self.samples, self.count, *shape)
+
+    def _key_frames(self) -> KeyFrames:
+        stored, frames = self.stored, PLAN_STEPS + 1
+        offsets = stored.integers("obj_offset", self.samples + 1)
+        count = int(offsets[-1])
+        if offsets[0] != 0 or (np.diff(offsets) < 0).any():
+            raise InputError(f"{stored.path}: obj_offset must rise from 0; make the file again")
+        annotated = stored.verdicts("obj_key_valid", count, frames)
+        if not annotated.any(axis=1).all():
+            raise InputError(f"{stored.path} has an object that is never annotated; make the file again")
+        return KeyFrames(
+            offsets=offsets,
+            box=stored.floats("obj_key_box", count, frames, 3),
+            size=stored.floats("obj_size", count, 2),
+            annotated=annotated,
+            velocity=stored.floats("obj_key_velocity", count, frames, 2),
+            is_agent=stored.integers("obj_type", count) < AGENT_TYPES,
+        )
+
+    def _read_surfaces(self) -> list[tuple[Layer, Polygon, bool]]:
+        stored = self.stored
+        names, layers = stored.labels("layer_names"), stored.integers("poly_layer", None)
+        routed = stored.verdicts("poly_on_route", len(layers))
+        points, offsets = stored.floats("ring_xy", None, 2), stored.integers("ring_offset", None)
+        owner = stored.integers("ring_poly", len(offsets) - 1)
+        is_hole = stored.verdicts("ring_is_hole", len(offsets) - 1)
+        rings = [points[start:stop] for start, stop in pairwise(offsets.tolist())]
+        shells = {int(owner[ring]): rings[ring] for ring in np.flatnonzero(~is_hole)}
+        holes: dict[int, list[Floats]] = {}
+        for ring in np.flatnonzero(is_hole):
+            holes.setdefault(int(owner[ring]), []).append(rings[ring])
+        try:
+            return [
+                (Layer(names[layer]), Polygon(shells[number], holes.get(number, [])), bool(on_route))
+                for number, (layer, on_route) in enumerate(zip(layers.tolist(), routed))
+            ]
+        except (KeyError, IndexError, ValueError) as error:
+            raise InputError(
+                f"{stored.path}: its polygons do not fit together ({error}); make the file again"
+            ) from error
+
+
+def golden_scenes(golden: Path) -> list[Path]:
+    """The files of a set.
+
+    Args:
+        golden: Directory of the set.
+
+    Returns:
+        Paths by name.
+
+    Raises:
+        InputError: If the directory is absent or holds no such set.
+    """
+    return sorted(golden_directory(golden, "pdm", "*.npz").glob("*.npz"))

@@ -1,0 +1,82 @@
+"""Driving scores of a run: means and shares of its samples' sub-scores, and the totals made of them."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Final
+
+import numpy as np
+
+from benchmark.geometry import Bools, Floats
+from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.pdm.definition import VERSION
+from benchmark.pdm.totals import FILTERED, SubScores
+from benchmark.records.run_schema import DrivingRow, DrivingSummary, RateRow, SampleRow
+
+SUB_SCORES: Final = ("nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec")
+TOTALS: Final = ("score", "score_without_ec")
+COLUMNS: Final = (
+    *TOTALS,
+    *SUB_SCORES,
+    *(f"filtered_{name}" for name in (*TOTALS, *(name for name in SUB_SCORES if name != "ec"))),
+)
+"""Columns of a summary; EC is not filtered."""
+
+
+def summarise_driving(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed: int) -> DrivingSummary | None:
+    """Means and shares over the samples that have driving scores.
+
+    A sample without a predecessor has no EC and no ``score``, one without a history no HC; both are in
+    ``score_without_ec``, where HC counts as 1 without a history, as officially.
+
+    Args:
+        rows: S samples with plans.
+        scenes: S names of what is drawn together.
+        seed: Seed of the intervals.
+
+    Returns:
+        The summary, or ``None`` where no sample has driving scores.
+    """
+    counted = [(row.driving, scene) for row, scene in zip(rows, scenes, strict=True) if row.driving is not None]
+    if not counted:
+        return None
+    values, known = sample_scores([driving for driving, _ in counted])
+    weights = np.concatenate([known, known], axis=1).astype(np.float64)
+    both = np.concatenate([values, values == 1.0], axis=1) * weights
+    found = ratios_over_scenes(both, weights, [scene for _, scene in counted], seed=seed)
+    rates = [RateRow(**asdict(rate)) for rate in found]
+    columns = {
+        name: {"mean": mean, "ones": ones}
+        for name, mean, ones in zip(COLUMNS, rates[: len(COLUMNS)], rates[len(COLUMNS) :], strict=True)
+    }
+    return DrivingSummary(version=VERSION, columns=columns, counted=len(counted), incomplete=len(rows) - len(counted))
+
+
+def sample_scores(rows: Sequence[DrivingRow]) -> tuple[Floats, Bools]:
+    """Every column of single samples.
+
+    Args:
+        rows: S samples.
+
+    Returns:
+        (S, C) values in the order of ``COLUMNS`` and (S, C) whether each exists.
+    """
+    always = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in SUB_SCORES[:6]}
+    # What does not exist is null and becomes NaN, which no score is.
+    hc, ec = (np.array([getattr(row, name) for row in rows], np.float64) for name in ("hc", "ec"))
+    scores = SubScores(**always, hc=np.where(np.isnan(hc), 1.0, hc))
+    forgiven = {name: np.array([name in row.forgiven for row in rows], np.bool_) for name in FILTERED}
+    filtered = scores.forgiving(forgiven)
+    columns = {
+        "score": scores.score(ec),
+        "score_without_ec": scores.score_without_ec,
+        **always,
+        "hc": hc,
+        "ec": ec,
+        "filtered_score": filtered.score(ec),
+        "filtered_score_without_ec": filtered.score_without_ec,
+        **{f"filtered_{name}": getattr(filtered, name) for name in FILTERED},
+        "filtered_hc": np.where(np.isnan(hc) & ~forgiven["hc"], np.nan, filtered.hc),
+    }
+    values = np.stack([columns[name] for name in COLUMNS], axis=1)
+    known = ~np.isnan(values)
+    return np.where(known, values, 0.0), known

@@ -1,0 +1,135 @@
+"""The fast kernels against the slow version on made-up samples, and the slow version against official answers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmark.geometry import wrap_angle
+from benchmark.pdm.comfort import disagreement, extended_comfort
+from benchmark.pdm.definition import HEADING
+from benchmark.pdm.motion import tracked
+from benchmark.pdm.scoring import Judged, beside, judged
+from benchmark.pdm.verification.golden_set import GoldenScene
+from tests.benchmark.pdm.cases import Case, crossing, slow_objects
+from tests.benchmark.pdm.slow_pdm import (
+    SlowSample,
+    SlowVerdict,
+    slow_agreement,
+    slow_differences,
+    slow_motion,
+    slow_progress,
+    slow_score,
+    slow_states_verdict,
+    slow_verdict,
+)
+
+OFFICIAL = Path(__file__).resolve().parents[4] / "shared" / "golden" / "pdm"
+SEEDS = range(6)
+
+
+def judged_fast(case: Case) -> tuple[Judged, NDArray[np.int64]]:
+    """All plans of all samples at once, sample after sample."""
+    samples, plans = case.plans.shape[:2]
+    of = np.repeat(np.arange(samples), plans)
+    states = tracked(case.plans.reshape(-1, 6, 3), case.now[of])
+    return judged(states, of, case.surroundings), of
+
+
+def judged_slowly(case: Case) -> list[SlowVerdict]:
+    return [slow_verdict(plan, case.slow(sample)) for sample, plans in enumerate(case.plans) for plan in plans]
+
+
+@pytest.fixture(scope="module")
+def both() -> dict[int, tuple[Case, Judged, list[SlowVerdict]]]:
+    cases = {seed: crossing(seed) for seed in SEEDS}
+    return {seed: (case, judged_fast(case)[0], judged_slowly(case)) for seed, case in cases.items()}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_motions_are_those_of_the_slow_tracker(
+    seed: int, both: dict[int, tuple[Case, Judged, list[SlowVerdict]]]
+) -> None:
+    _, fast, slow = both[seed]
+    difference = fast.states - np.array([each.states for each in slow])
+    difference[..., HEADING] = wrap_angle(difference[..., HEADING])
+    assert np.abs(difference).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_verdict_is_that_of_the_slow_version(
+    seed: int, both: dict[int, tuple[Case, Judged, list[SlowVerdict]]]
+) -> None:
+    _, fast, slow = both[seed]
+    for name in ("nc", "dac", "ddc", "ttc", "lk", "hc"):
+        assert getattr(fast.scores, name).tolist() == [getattr(each, name) for each in slow], name
+    assert fast.collisions.step.tolist() == [each.collision_step for each in slow]
+    assert fast.near_misses.step.tolist() == [each.ttc_step for each in slow]
+    assert fast.course.progress_m == pytest.approx([each.progress_m for each in slow], abs=1e-6)
+
+
+def test_the_made_up_samples_decide_everything_both_ways(
+    both: dict[int, tuple[Case, Judged, list[SlowVerdict]]],
+) -> None:
+    found = [each for _, _, slow in both.values() for each in slow]
+    for name, values in {"nc": {0.0, 0.5, 1.0}, "ddc": {0.0, 0.5, 1.0}}.items():
+        assert {getattr(each, name) for each in found} == values
+    for name in ("dac", "ttc", "lk", "hc"):
+        assert {getattr(each, name) for each in found} == {0.0, 1.0}, name
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_progress_agreement_and_totals_are_those_of_the_slow_version(
+    seed: int, both: dict[int, tuple[Case, Judged, list[SlowVerdict]]]
+) -> None:
+    case, fast, slow = both[seed]
+    plans = case.plans.shape[1]
+    # The first plan of each sample stands for its recorded future.
+    reference = np.repeat(np.arange(0, len(slow), plans), plans)
+    scores = beside(fast, fast.course.progress_m[reference], fast.scores.multiplier[reference])
+    progress = [slow_progress(each, slow[place]) for each, place in zip(slow, reference)]
+    assert scores.ep == pytest.approx(progress, abs=1e-6)
+    # One sample's plans for the plans of the next: any two motions will do.
+    earlier, later = fast.states[:plans], fast.states[plans : 2 * plans]
+    ec = extended_comfort(disagreement(earlier, later, 5))
+    assert ec.tolist() == [slow_agreement(slow_differences(a, b, 5)) for a, b in zip(earlier, later)]
+    expected = [slow_score(slow[plans + row], progress[plans + row], ec[row]) for row in range(plans)]
+    assert scores.score(np.tile(ec, len(case.now)))[plans : 2 * plans] == pytest.approx(expected, abs=1e-6)
+    without = [slow_score(each, ep, None) for each, ep in zip(slow, progress)]
+    assert scores.score_without_ec == pytest.approx(without, abs=1e-6)
+
+
+def test_a_sample_is_judged_alike_alone_and_among_others() -> None:
+    case = crossing(3)
+    together, of = judged_fast(case)
+    around = case.surroundings
+    some = of == 2
+    alone = judged(together.states[some], of[some], around)
+    for name in ("nc", "dac", "ddc", "ttc", "lk", "hc"):
+        assert getattr(alone.scores, name).tolist() == getattr(together.scores, name)[some].tolist()
+    assert np.array_equal(alone.extremes, together.extremes[some])
+
+
+def test_no_plans_have_no_verdicts() -> None:
+    case = crossing(0)
+    none = judged(tracked(np.zeros((0, 6, 3)), np.zeros((0, 11))), np.zeros(0, np.int64), case.surroundings)
+    assert none.scores.nc.shape == (0,) and len(none.collisions.events) == 0
+
+
+@pytest.mark.skipif(not OFFICIAL.is_dir(), reason="the official answers are not here")
+def test_the_slow_version_says_what_the_official_code_says() -> None:
+    scene = GoldenScene(OFFICIAL / "scene-0553.npz")
+    frames = scene.key_frames
+    for sample in (0, 3):
+        around = SlowSample(
+            scene.now[sample], scene.history[sample], slow_objects(frames, sample), scene.road(sample), scene.route
+        )
+        for plan in range(0, scene.count, 3):
+            states = slow_motion(scene.plans[sample, plan], scene.now[sample])
+            assert np.abs(states - scene.by_plan("lqr_states", 31, 11)[sample, plan]).max() < 1e-6
+            for mode in ("lqr", "direct"):
+                given = scene.by_plan(f"{mode}_states", 31, 11)[sample, plan]
+                verdict = slow_states_verdict(given, around)
+                for name in ("nc", "dac", "ddc", "ttc", "lk", "hc"):
+                    assert getattr(verdict, name) == scene.by_plan(f"{mode}_{name}")[sample, plan], (mode, name, plan)
