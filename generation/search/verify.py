@@ -18,7 +18,7 @@ from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local, wra
 from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
 from generation.search.candidates import in_canvas
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.recorded_ego import log_replay_contacts
 
 
@@ -36,6 +36,7 @@ class Discard(StrEnum):
     LEAVES_ROAD = "leaves-the-drivable-area"
     NEVER_CLOSE = "never-gets-close"
     UNDRIVEABLE = "motion-no-driver-could-drive"
+    SCORES_TOO_HIGH = "best-score-above-the-limit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +74,17 @@ SIDEWAYS_M_S = 0.3
 """Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
 
 
-def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits) -> Finding | None:
-    """Check one adversarial scene.
+def verify(
+    scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None
+) -> Finding | None:
+    """Check one adversarial scene, for all of our reasons or for those alone that the paper names.
 
     Args:
         scene: The adversarial scene.
         agent: Index of the adversary.
         start: First frame of the adversarial track.
         hyper: Limits of the filter.
-        limits: Limits of the driver.
+        limits: Limits of the driver; ``None`` where there are none.
 
     Returns:
         The first reason to discard it, or ``None`` to keep it.
@@ -89,15 +92,16 @@ def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits:
     boxes = agent_boxes(scene, agent)[start:]
     if not np.isfinite(boxes).all():
         return Finding(Discard.UNDRIVEABLE)
-    broken = broken_limit(boxes, limits)
+    ours = hyper.discards is Discards.OURS
+    broken = broken_limit(boxes, limits) if ours and limits is not None else None
     if broken is not None:
         quantity, value, limit = broken
         return Finding(Discard.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
     return (
         _contact(scene, agent, start, boxes)
-        or (Finding(Discard.EGO_BLOCKED) if _blocks_ego(scene, boxes, hyper) else None)
+        or (Finding(Discard.EGO_BLOCKED) if ours and _blocks_ego(scene, boxes, hyper) else None)
         or _out_of_area(scene, agent, start, hyper)
-        or _off_road(scene, start, boxes, hyper)
+        or (_off_road(scene, start, boxes, hyper) if ours else None)
         or _never_close(scene, agent, start, hyper)
     )
 
