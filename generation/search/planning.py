@@ -77,7 +77,7 @@ class Planning:
         finding: Finding | None = None
         for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.executed_frames):
             try:
-                found = yield from self._plan(frame, state, np.concatenate(track))
+                found = yield from self.plan(frame, state, np.concatenate(track))
             except NothingToDraw:
                 finding = Finding(Discard.NOTHING_TO_DRAW, frame)
                 break
@@ -127,7 +127,8 @@ class Planning:
         inside = in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
         return None if inside.all() else Finding(Discard.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
 
-    def _plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
+    def plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
+        """Search one planning frame; arguments as of `evaluation`."""
         evaluate, previous = self.evaluation(frame, state, track), self._previous(frame, state, track)
         return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
 

@@ -227,7 +227,9 @@ def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> 
     boxes[..., 2:4] = size
     own, other = columns(boxes, CollisionReading.HALF), columns(around.boxes, CollisionReading.HALF)
     poses, count = boxes.shape[:2]
-    candidate, object_ = near_pairs(own, other, around.present)
+    # Where a square overflows the candidate is nowhere near anything.
+    with np.errstate(over="ignore", invalid="ignore"):
+        candidate, object_ = near_pairs(own, other, around.present)
     first, second = own.reshape(8, -1)[:, candidate], other.reshape(8, -1)[:, object_]
     distance = np.hypot(second[0] - first[0], second[1] - first[1])
     sure = np.zeros(poses * count, dtype=np.bool_)
