@@ -84,7 +84,7 @@ def verify(
         agent: Index of the adversary.
         start: First frame of the adversarial track.
         hyper: Limits of the filter.
-        limits: Limits of the driver; ``None`` where there are none.
+        limits: Limits of the driver; ``None`` where planning had none, and the usual ones are asked for.
 
     Returns:
         The first reason to discard it, or ``None`` to keep it.
@@ -93,7 +93,7 @@ def verify(
     if not np.isfinite(boxes).all():
         return Finding(Discard.UNDRIVEABLE)
     ours = hyper.discards is Discards.OURS
-    broken = broken_limit(boxes, limits) if ours and limits is not None else None
+    broken = broken_limit(boxes, limits or DriverLimits()) if ours else None
     if broken is not None:
         quantity, value, limit = broken
         return Finding(Discard.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
