@@ -122,9 +122,7 @@ def counts(attempts: Sequence[Attempt]) -> dict[str, Any]:
     }
 
 
-def rate(
-    data: DataSet, split: str, planner: str, case: Case, options: argparse.Namespace
-) -> tuple[int, int]:
+def rate(data: DataSet, split: str, planner: str, case: Case, options: argparse.Namespace) -> tuple[int, int]:
     """Colliding samples and samples, by exact geometry."""
     place = "recordings" if split == "val" else case.name(options.label)
     limit = options.limit if split == "val" else None
@@ -139,7 +137,19 @@ def rate(
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown, a row for each data set and preset, seeds together."""
     planners = list(dict.fromkeys(name for row in rows for name in row["rates"]))
-    head = ["data", "preset", "seeds", "tried", "kept", "recordings", "why not", "gap, m", "touch", "manoeuvres", *planners]
+    head = [
+        "data",
+        "preset",
+        "seeds",
+        "tried",
+        "kept",
+        "recordings",
+        "why not",
+        "gap, m",
+        "touch",
+        "manoeuvres",
+        *planners,
+    ]
     lines = [f"| {' | '.join(head)} |", "|---|---|--:|--:|--:|--:|---|--:|--:|---|" + "--:|" * len(planners)]
     for data, preset in dict.fromkeys((row["data"], row["preset"]) for row in rows):
         mine = [row for row in rows if (row["data"], row["preset"]) == (data, preset)]

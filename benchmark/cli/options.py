@@ -147,7 +147,9 @@ WideOption = Annotated[
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
 PresetOption = Annotated[
     Preset,
-    typer.Option("--preset", help="default, paper (the text) or reference (the public code); --dry-run lists departures."),
+    typer.Option(
+        "--preset", help="default, paper (the text) or reference (the public code); --dry-run lists departures."
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,

@@ -75,7 +75,9 @@ def unfit(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
         return NotTried.NOT_FOUR_WHEELED
     if agents.ids[agent] in scene.adversaries:
         return NotTried.ALREADY_ADVERSARY
-    return _unfit_as_we_choose(scene, agent, hyper) if hyper.choice is ChoiceOf.OURS else _unfit_as_reference(scene, agent)
+    return (
+        _unfit_as_we_choose(scene, agent, hyper) if hyper.choice is ChoiceOf.OURS else _unfit_as_reference(scene, agent)
+    )
 
 
 def _unfit_as_reference(scene: Scene, agent: int) -> NotTried | None:

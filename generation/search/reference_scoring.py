@@ -62,7 +62,9 @@ class ReferenceTerms(Terms):
         Candidates that hit the ego count where the smallest value is looked for, and then get the largest. Zeros where
         the challenge is switched off.
         """
-        raw, finite, hits = (np.stack([getattr(b, name) for b in batches]) for name in ("challenge", "finite", "hits_ego"))
+        raw, finite, hits = (
+            np.stack([getattr(b, name) for b in batches]) for name in ("challenge", "finite", "hits_ego")
+        )
         if not batches[0].challenged or not finite.any():
             return np.zeros_like(raw)
         low, high = raw[finite].min(), raw[finite].max()

@@ -74,9 +74,7 @@ SIDEWAYS_M_S = 0.3
 """Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
 
 
-def verify(
-    scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None
-) -> Finding | None:
+def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None) -> Finding | None:
     """Check one adversarial scene, for all of our reasons or for those alone that the paper names.
 
     Args:

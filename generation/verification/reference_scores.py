@@ -73,10 +73,18 @@ def compare_reference(comparison: Comparison, stored: GoldenArrays, excused: dic
     road = _compare_road(comparison, stored, frame, terms, excused)
     free = _compare_contacts(comparison, stored, frame, contacts, excused)
     comparison.numbers(
-        "reference: drivable area term", terms.dac[road], stored.floats("ref_dac", count)[road], ROAD_TOLERANCE, where=where
+        "reference: drivable area term",
+        terms.dac[road],
+        stored.floats("ref_dac", count)[road],
+        ROAD_TOLERANCE,
+        where=where,
     )
     comparison.numbers(
-        "reference: collision term", terms.cr[free], stored.floats("ref_cr", count)[free], COLLISION_TOLERANCE, where=where
+        "reference: collision term",
+        terms.cr[free],
+        stored.floats("ref_cr", count)[free],
+        COLLISION_TOLERANCE,
+        where=where,
     )
     challenge, golden = terms.challenges([terms])[0], stored.floats("ref_ac", count)
     comparison.numbers("reference: challenge", challenge[free], golden[free], CHALLENGE_TOLERANCE, where=where)
@@ -155,7 +163,9 @@ def _compare_contacts(
         _verdicts(comparison, quantity, differs, tie, excused, stored.path.name)
         sure &= ~tie.any(axis=1)
     differs = contacts.hits_ego != stored.verdicts("ref_ego_col", count)
-    barely = [any(_touches_barely(frame, each, pose) for pose in range(min(poses, SOON_POSES))) for each in range(count)]
+    barely = [
+        any(_touches_barely(frame, each, pose) for pose in range(min(poses, SOON_POSES))) for each in range(count)
+    ]
     tie = differs & np.array(barely, dtype=np.bool_) if differs.any() else np.zeros_like(differs)
     _verdicts(comparison, "reference: meets the ego", differs, tie, excused, stored.path.name)
     other_tests = np.array([contacts.tests != int(stored.integers("ref_n_polygon_tests"))])

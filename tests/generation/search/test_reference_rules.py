@@ -50,7 +50,9 @@ def test_the_reference_tries_cars_alone_parked_ones_among_them() -> None:
 
 
 def test_the_paper_tries_any_vehicle_that_comes_near() -> None:
-    scene = scene_of(NEAR, Car(38.0, 201.75, 8.0, category="vehicle.truck"), Car(75.0, 205.25, 0.0), Car(62.0, 212.0, 8.0))
+    scene = scene_of(
+        NEAR, Car(38.0, 201.75, 8.0, category="vehicle.truck"), Car(75.0, 205.25, 0.0), Car(62.0, 212.0, 8.0)
+    )
     assert [vehicle.agent for vehicle in eligibility_of(scene, PAPER, 0).chosen] == [0, 1, 2, 3]
 
 

@@ -86,7 +86,9 @@ def seen_from(car: Car, place: tuple[float, float]) -> tuple[Surroundings, Float
 
 def test_the_ego_is_seven_metres_long_around_its_lidar_and_challenged_at_its_rear_axle() -> None:
     scene = scene_on_straight_road((Car(80.0, 198.25, 8.0),), seconds=12.0)
-    around = reference_surroundings(scene, 0, tuple(range(81)), DrivableRaster.around(scene.road_map, scene.ego.pose[0]))
+    around = reference_surroundings(
+        scene, 0, tuple(range(81)), DrivableRaster.around(scene.road_map, scene.ego.pose[0])
+    )
     np.testing.assert_allclose(around.boxes[:, -1, 2:4], np.tile([7.0, 3.5], (81, 1)))
     np.testing.assert_allclose(around.boxes[:, -1, 0] - scene.ego.pose[:81, 0], scene.lidar.translation[0])
     np.testing.assert_allclose(around.ego_center, scene.ego.pose[:81, :2])

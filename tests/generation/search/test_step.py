@@ -16,7 +16,8 @@ from tests.generation.search.slow_step import SlowStep
 from tests.hand_made import Car, scene_on_straight_road
 
 SCENE = scene_on_straight_road(
-    (Car(60.0, 194.75, 9.0), Car(78.0, 198.25, 7.0), Car(74.0, 194.75, 8.0), Car(120.0, 201.75, 9.0, np.pi)), seconds=14.0
+    (Car(60.0, 194.75, 9.0), Car(78.0, 198.25, 7.0), Car(74.0, 194.75, 8.0), Car(120.0, 201.75, 9.0, np.pi)),
+    seconds=14.0,
 )
 FRAME = 24
 
