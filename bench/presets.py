@@ -1,8 +1,8 @@
 """The presets beside each other: what each tries and keeps, how close it comes, what it does, and who then collides.
 
-Run as ``python bench/presets.py --data mini --data ROOT --seed 0 --seed 1``. Each (data set, preset, seed) is a build of its
-own below ``--folder``; what is finished there is only read, so the same command goes on where it was broken off. Planners
-judge the most challenging scene of each recording. ``docs/generation.md`` shows the table.
+Run as ``python bench/presets.py --data mini --data ROOT --seed 0 --seed 1``. Each (data set, preset, seed) is a build
+of its own below ``--folder``; what is finished there is only read, so the same command goes on where it was broken off.
+Planners judge the most challenging scene of each recording. ``docs/generation.md`` shows the table.
 """
 
 import argparse
@@ -196,9 +196,10 @@ def papers() -> str:
     before = {row.model: row.percent[3] for row in TABLE_1 if row.data_set == "nuScenes-val"}
     rates = ", ".join(f"{model} {before[model]} -> {percent}" for model, percent in mean.items())
     return (
-        f"The paper: {ADV_NUSC['scenes']} scenes kept of 150 recordings with up to 10 vehicles each, {ADV_NUSC['samples']:,} "
-        f"samples, {ADV_NUSC['annotations']:,} annotations of {ADV_NUSC['instances']:,} instances; neither how many were tried "
-        f"nor how close they come. Collision rates, val -> Adv-nuSc, %: {rates}."
+        f"The paper: {ADV_NUSC['scenes']} scenes of 150 recordings with up to 10 vehicles each, "
+        f"{ADV_NUSC['samples']:,} samples, {ADV_NUSC['annotations']:,} annotations of {ADV_NUSC['instances']:,} "
+        "instances; it says neither how many were tried nor how close they come. "
+        f"Collision rates, val -> Adv-nuSc, %: {rates}."
     )
 
 

@@ -51,8 +51,7 @@ class CollisionReading(StrEnum):
 
 
 class ScoreOf(StrEnum):
-    """Whose score: the ``appendix`` (`generation.search.scoring`), or the ``reference`` code's
-    (`generation.search.reference_scoring`)."""
+    """Whose score: the appendix's (`generation.search.scoring`), or the code's (`reference_scoring` beside it)."""
 
     APPENDIX = "appendix"
     REFERENCE = "reference"
@@ -61,9 +60,9 @@ class ScoreOf(StrEnum):
 class Motion(StrEnum):
     """How a planned vehicle moves.
 
-    ``DRIVER``: `MotionModel.si`, within what a driver does. ``UNLIMITED``: the same tracker and bicycle without a driver's
-    limits, of which the paper has none. ``REFERENCE``: `MotionModel.reference`, a frame counting as a second, each
-    planning frame starting from the two last positions.
+    ``DRIVER``: `MotionModel.si`, within what a driver does. ``UNLIMITED``: the same tracker and bicycle without a
+    driver's limits, of which the paper has none. ``REFERENCE``: `MotionModel.reference`, a frame counting as a second,
+    each planning frame starting from the two last positions.
     """
 
     DRIVER = "driver"
@@ -72,7 +71,7 @@ class Motion(StrEnum):
 
 
 class ChoiceOf(StrEnum):
-    """Whose rules say which vehicles may become adversaries: ours, with `HyperParameters`' limits, or the reference's."""
+    """Whose rules say which vehicles may become adversaries: ours, with our limits, or the reference code's."""
 
     OURS = "ours"
     REFERENCE = "reference"
@@ -82,7 +81,7 @@ class Launch(StrEnum):
     """When an adversary takes over.
 
     ``NEAR``: once it is near the ego, after a history, driving forwards on the road. ``START``: at the first frame at
-    which it is there and in the area around the ego (Algorithm 1 begins at frame 0). ``REFERENCE``: the reference code's.
+    which it is there and in the area around the ego (Algorithm 1 begins at frame 0). ``REFERENCE``: the code's.
     """
 
     NEAR = "near"
@@ -91,8 +90,11 @@ class Launch(StrEnum):
 
 
 class Discards(StrEnum):
-    """What a scene is dropped for: ``OURS`` (`generation.search.verify`), only what the ``PAPER`` names, or what the
-    ``REFERENCE`` code asks, which does not look for contact again."""
+    """What a scene is dropped for.
+
+    ``OURS``: all of `generation.search.verify`. ``PAPER``: of it, what the paper names. ``REFERENCE``: what the code
+    asks, which does not look for contact again (`generation.search.reference_discards`).
+    """
 
     OURS = "ours"
     PAPER = "paper"
@@ -103,8 +105,8 @@ class Discards(StrEnum):
 class HyperParameters:
     """Settings of the search for one adversary; defaults are the paper's wherever it names a value.
 
-    `paper` gives the paper alone, `reference` the public code. Frames are 1/12 s. The first block is the paper's appendix ("Hyperparameters");
-    everything after it is open in the paper and says why it is there.
+    `paper` gives the paper's text, `reference` the public code. Frames are 1/12 s. The first block is the paper's
+    appendix ("Hyperparameters"); everything after it is open in the paper and says why it is there.
 
     Attributes:
         candidates: Batch size of each round.
@@ -309,7 +311,7 @@ class HyperParameters:
         """Content key of all values but those of younger settings at their defaults, so that kept work stays found."""
         defaults = {each.name: each.default for each in fields(self)}
         said = asdict(self)
-        return content_key({k: v for k, v in said.items() if k not in _ADDED or v != defaults[k]})
+        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != defaults[name]})
 
     @property
     def executed_frames(self) -> int:
@@ -318,7 +320,7 @@ class HyperParameters:
 
     @property
     def scored_frames(self) -> tuple[int, ...]:
-        """Frames after the planning frame that are scored: 1..H, then the sampled tail; 0..80 by the reference's score."""
+        """Frames after the planning frame that are scored: H timesteps and the sampled tail; the reference's 0..80."""
         if self.score is ScoreOf.REFERENCE:
             return tuple(range(REFERENCE_POSES))
         last, step = self.executed_frames, self.timestep_frames

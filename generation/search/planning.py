@@ -176,7 +176,7 @@ class Planning:
         )
 
     def _distances(self, frame: int, track: Floats) -> Floats:
-        """Distances from the adversary's centre to the ego's rear axle, from the frame before the launch to ``frame``."""
+        """Distances from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""
         first = max(self.start - 1, 0)
         centers = np.stack([self._pose(at, track)[:2] for at in range(first, frame + 1)])
         return np.asarray(np.linalg.norm(centers - self.scene.ego.pose[first : frame + 1, :2], axis=1))

@@ -51,8 +51,8 @@ def trajectory_model(
 ) -> "PackagedPrior":
     """The trajectory model that proposes candidates.
 
-    With the presets ``paper`` and ``reference`` every first batch is sampled afresh from noise by all steps, and nothing
-    that is drawn is drawn again; with ``reference`` dropout is on.
+    With the presets ``paper`` and ``reference`` every first batch is sampled afresh from noise by all steps, and
+    nothing that is drawn is drawn again; with ``reference`` dropout is on.
 
     Args:
         preset: As in `hyper_parameters`.

@@ -66,8 +66,8 @@ def reference_launch(scene: Scene, agent: int) -> int | None:
         agent: Index of the agent.
 
     Returns:
-        The frame; ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that is
-        read, which the reference code does not ask: it goes on with positions of nothing.
+        The frame; ``None`` if there is none up to frame 140, and where the vehicle was not there over the history that
+        is read, which the reference code does not ask: it goes on with positions of nothing.
     """
     valid = scene.agents.valid[agent]
     near = valid & (lidar_distance(scene, agent) < LAUNCH_WITHIN_M)

@@ -93,11 +93,11 @@ def distance_weights(poses: int) -> Floats:
 
 
 def reference_surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
-    """Everything but one agent as the reference code sees it: the ego 7 m long around its lidar and challenged at its
-    rear axle.
+    """Everything but one agent as the reference code sees it, the ego 7 m long around its lidar.
 
-    Objects that are absent in a frame are left out. In the reference code they are boxes without a size at the ego's
-    lidar, well inside the ego's box: whoever touches one touches the ego, so that no verdict changes.
+    It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they are
+    boxes without a size at the ego's lidar, well inside the ego's box: whoever touches one touches the ego, so that no
+    verdict changes.
 
     Args:
         scene: The scene.
@@ -261,13 +261,13 @@ def _inflated_meet(first: Floats, second: Floats) -> Bools:
 
 
 def challenge_on(distance_m: Floats, launch: int, frame: int, rng: np.random.Generator) -> bool:
-    """Whether the challenge counts at a planning frame: off in half of those, after 3 s, at which the adversary is near.
+    """Whether the challenge counts at a planning frame: off in half of those, after 3 s, at which it is near.
 
     The reference draws once a frame from a stream that other draws shift; here the search's own generator is asked.
 
     Args:
-        distance_m: (T,) from the adversary's centre to the ego's rear axle, from the frame before the launch on at least
-            up to the frame before this one.
+        distance_m: (T,) from the adversary's centre to the ego's rear axle, from the frame before the launch on at
+            least up to the frame before this one.
         launch: Frame of the launch; ``distance_m`` begins one frame earlier.
         frame: The planning frame.
         rng: Asked once, whether or not it is needed, so that chance does not hang on distances.

@@ -1,8 +1,8 @@
-"""`challenger-bench verify scoring`, second half: the reference code's score against its own numbers (``ref_*`` arrays).
+"""`challenger-bench verify scoring`, second half: the reference code's score against its own numbers (``ref_*``).
 
 The golden numbers are single precision, and here everything is double. So verdicts may differ where a point lies on a
-border of the raster, or a box touches, to within what single precision resolves; these are counted and left out, and any
-other difference is an error. Sums are held to what single precision leaves of them.
+border of the raster, or a box touches, to within what single precision resolves; these are counted and left out, and
+any other difference is an error. Sums are held to what single precision leaves of them.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ CHALLENGE_TOLERANCE: Final = 2e-5
 FINAL_TOLERANCE: Final = 5 * ROAD_TOLERANCE + 10 * COLLISION_TOLERANCE + CHALLENGE_TOLERANCE
 SCORE_TIE: Final = 2 * FINAL_TOLERANCE
 CELL_TIE: Final = 1e-2
-"""Cells from a border: coordinates of some 1,000 m have 6e-5 m in single precision, and go through two inverse matrices."""
+"""Cells from a border: coordinates of some 1,000 m have 6e-5 m in single precision and go through two inverses."""
 TOUCH_TIE_M: Final = 1e-3
 """Metres from touching."""
 MOST_START: Final = 1e-3 + 1e-6
@@ -67,7 +67,7 @@ def compare_reference(comparison: Comparison, stored: GoldenArrays, excused: dic
         InputError: If arrays are absent or do not fit each other.
     """
     frame, where = _read(stored), stored.path.name
-    count, poses = frame.center.shape[:2]
+    count = len(frame.center)
     terms = reference_terms(frame.center, frame.size, frame.around)
     contacts = reference_collisions(frame.center, frame.size, frame.around)
     road = _compare_road(comparison, stored, frame, terms, excused)
@@ -106,8 +106,8 @@ def _read(stored: GoldenArrays) -> _Frame:
     poses, row = len(stored.verdicts("ref_col", None, len(center))), int(stored.integers("ref_adv_row"))
     if not (poses <= center.shape[1] and len(boxes) == poses and 0 <= row < boxes.shape[1] - 1):
         raise InputError(
-            f"{stored.path} has {center.shape[1]} poses, reference boxes at {len(boxes)} and verdicts at {poses}, or no row "
-            f"{row} among {boxes.shape[1]} boxes; make the file again"
+            f"{stored.path} has {center.shape[1]} poses, reference boxes at {len(boxes)}, verdicts at {poses}, or no "
+            f"row {row} among {boxes.shape[1]} boxes; make the file again"
         )
     affine = stored.floats("raster_affine_global_to_index", 2, 3)
     others = np.delete(boxes, row, axis=1)[..., [0, 1, 4, 3, 6]]
@@ -163,14 +163,13 @@ def _compare_contacts(
         _verdicts(comparison, quantity, differs, tie, excused, stored.path.name)
         sure &= ~tie.any(axis=1)
     differs = contacts.hits_ego != stored.verdicts("ref_ego_col", count)
-    barely = [
-        any(_touches_barely(frame, each, pose) for pose in range(min(poses, SOON_POSES))) for each in range(count)
-    ]
-    tie = differs & np.array(barely, dtype=np.bool_) if differs.any() else np.zeros_like(differs)
+    tie = differs.copy()
+    for candidate in np.flatnonzero(differs):
+        tie[candidate] = any(_touches_barely(frame, candidate, pose) for pose in range(min(poses, SOON_POSES)))
     _verdicts(comparison, "reference: meets the ego", differs, tie, excused, stored.path.name)
     other_tests = np.array([contacts.tests != int(stored.integers("ref_n_polygon_tests"))])
     comparison.verdicts("reference: how many boxes are intersected", other_tests, where=stored.path.name)
-    return sure & ~tie
+    return np.asarray(sure & ~tie)
 
 
 def _touches_barely(frame: _Frame, candidate: int, pose: int) -> bool:

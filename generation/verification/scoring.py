@@ -1,4 +1,4 @@
-"""`challenger-bench verify scoring`: the paper's score, and the reference code's, against golden verdicts and numbers."""
+"""`challenger-bench verify scoring`: the paper's score, and the reference code's, against golden numbers."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""The built-in scoring set: made-up planning frames, and their candidates' scores, the paper's and the reference code's.
+"""The built-in scoring set: made-up planning frames, and the scores of their candidates written out in loops.
 
-Both are written out in loops.
+The paper's and the reference code's.
 
 ``python -m tests.generation.golden_scoring`` writes the set; a test compares what is stored with what this makes.
 """
@@ -137,7 +137,7 @@ def scored(
 
 
 def reference_scored(arrays: Arrays) -> Arrays:
-    """What the reference code says about the same candidates, all of whose poses count; in single precision, as there."""
+    """What the reference code says about the same candidates, all of whose poses count; single precision, as there."""
     boxes, valid = arrays["boxes_x_y_heading_width_length"], arrays["valid"]
     width, length = arrays["adv_width_length"].tolist()
     ego, heading = boxes[:, -1], boxes[:, -1, 2]

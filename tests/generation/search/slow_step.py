@@ -39,7 +39,7 @@ class SlowChoice:
 
 @dataclass(frozen=True)
 class SlowStep:
-    """A planning step at the frame of the launch."""
+    """A planning step at the frame of the launch, of the reference code or of the paper."""
 
     scene: Scene
     agent: int
@@ -47,15 +47,7 @@ class SlowStep:
     hyper: HyperParameters
     denoiser: TrajectoryDenoiser
     rng: np.random.Generator
-
-    @property
-    def reference(self) -> bool:
-        """Which of the two presets."""
-        return self.hyper == replace(HyperParameters.reference(), **self.sizes())
-
-    def sizes(self) -> dict[str, int]:
-        """Settings that tests make smaller."""
-        return {"candidates": self.hyper.candidates, "rounds": self.hyper.rounds}
+    reference: bool
 
     def run(self) -> SlowChoice:
         """The whole step, with random numbers asked for in the order of the search."""
@@ -159,8 +151,7 @@ class SlowStep:
         return VehicleState(np.array([x - behind * math.cos(yaw), y - behind * math.sin(yaw), yaw]), speed)
 
     def previous(self) -> Floats:
-        """Pose half a second ago: six frames; the reference code takes four, which for a straight drive is as if it were
-        slower."""
+        """Pose half a second ago: six frames; the reference code takes four."""
         x, y, yaw = self.pose(self.frame)
         was_x, was_y, was_yaw = self.pose(self.frame - (4 if self.reference else 6))
         dx, dy = was_x - x, was_y - y

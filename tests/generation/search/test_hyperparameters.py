@@ -75,8 +75,8 @@ def test_younger_settings_at_their_defaults_leave_kept_work_where_it_was() -> No
     keys = {each.fingerprint for each in (HyperParameters(), HyperParameters.paper(), HyperParameters.reference())}
     assert len(keys) == 3
     for assignment in (
-        "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited", "choice=reference",
-        "launch=start", "discards=paper",
+        "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited",
+        "choice=reference", "launch=start", "discards=paper",
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
