@@ -55,6 +55,8 @@ from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from benchmark.cli.beforehand.data_sets import Ahead
     from benchmark.machine.workers import Executor
     from generation.build.report import BuildReport
@@ -128,6 +130,7 @@ def generate_command(
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_root, require_source
     from benchmark.cli.beforehand.places import require_place
+    from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
     from generation.splits.format import require_freezable
 
@@ -154,10 +157,11 @@ def generate_command(
         # How many a search finds is not known.
         least = 1 if split == "adv" and frozen is None else len(ahead.scenes)
         require_room_to_draw(api.workspace(out), data, split, scenes=least, size=pixels, frames=frames.value)
+    unlike = told(preset.value, hyper) if split == "adv" and frozen is None and dry_run else []
     if dry_run and ahead.builds:
         from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
         then = f"build split {split} from {from_what}; --dry-run says how much work that is once they are there"
-        say_plan(ahead.plan(then), json_output=json_output)
+        say_plan([*ahead.plan(then), *unlike], json_output=json_output)
         return
     _require_cluster(place, ahead)
     from generation.build.settings import BuildSettings
@@ -214,7 +218,7 @@ def generate_command(
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
     if frozen is None:
-        _tell(build_split(source, split, settings), profile=profile, json_output=json_output)
+        _tell(build_split(source, split, settings), unlike, profile=profile, json_output=json_output)
     else:
         from generation.splits.building import build_frozen
 
@@ -290,13 +294,14 @@ def _require_cluster(place: "Executor", ahead: "Ahead") -> None:
         require_answer(place.address)
 
 
-def _tell(report: "BuildReport", *, profile: bool, json_output: bool) -> None:
-    """What was done and, if asked for, where the time went."""
+def _tell(report: "BuildReport", unlike: "Sequence[str]", *, profile: bool, json_output: bool) -> None:
+    """What was done, where the preset departs from its name and, if asked for, where the time went."""
     runtime = report.runtime if profile else None
     if json_output:
-        print_json(report.as_json() | ({} if runtime is None else {"runtime": runtime.model_dump()}))
+        said = {"departures": list(unlike)} if unlike else {}
+        print_json(report.as_json() | said | ({} if runtime is None else {"runtime": runtime.model_dump()}))
         return
-    typer.echo(report.summary())
+    typer.echo("\n".join([report.summary(), *unlike]))
     if runtime is not None:
         typer.echo(runtime.table().plain(indent="  ", least=(10, 9, 9, 9)), nl=False)
 
@@ -330,6 +335,7 @@ def ablate_command(
     from benchmark.cli.beforehand.data_sets import require_source
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.storage import file_name
+    from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
 
     hyper = hyper_parameters(preset.value, {"candidate_limit": vehicles, "candidates": candidates}, changes or ())
@@ -339,7 +345,7 @@ def ablate_command(
     require_place(out, "--out")
     if dry_run and ahead.builds:
         then = f"search {ahead.counted()} four times, with {model} driving; --dry-run says how long once they are there"
-        say_plan(ahead.plan(then), json_output=json_output)
+        say_plan([*ahead.plan(then), *told(preset.value, hyper)], json_output=json_output)
         return
     _require_cluster(place, ahead)
     from generation.build.ablation import ablate, ablation_estimate
@@ -361,7 +367,8 @@ def ablate_command(
         together=together,
     )
     if dry_run:
-        say_plan([ablation_estimate(source, planner, settings)], json_output=json_output)
+        estimate = ablation_estimate(source, planner, settings)
+        say_plan([estimate, *told(preset.value, hyper)], json_output=json_output)
         return
     report = ablate(source, planner, settings)
     if json_output:

@@ -91,6 +91,7 @@ class Preset(StrEnum):
 
     DEFAULT = "default"
     PAPER = "paper"
+    REFERENCE = "reference"
 
 
 class FilmLayoutName(StrEnum):
@@ -146,7 +147,10 @@ WideOption = Annotated[
 ]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
 PresetOption = Annotated[
-    Preset, typer.Option("--preset", help="default, or paper: nothing of the search that the paper does not name.")
+    Preset,
+    typer.Option(
+        "--preset", help="default, paper (the text) or reference (the public code); --dry-run lists departures."
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,

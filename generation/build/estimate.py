@@ -13,17 +13,16 @@ from typing import Literal
 
 import numpy as np
 
-from benchmark.dynamics.bicycle import MotionModel, simulate
+from benchmark.geometry import Floats
 from benchmark.machine.workers import Executor, LocalProcesses, single_threaded
 from benchmark.report.words import counted
-from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.build.profile import mean_seconds
 from generation.render.contract import LongRenderer, Renderer
-from generation.search.candidates import initial_state, launch_frame
+from generation.search.candidates import launch_frame
 from generation.search.definition import Search, Unit
+from generation.search.planning import Planning
 from generation.search.proposals import Mutation, Sampling
-from generation.search.scoring import score_terms, surroundings
 
 KEPT_SHARE = 0.4
 """Share of attempts that is expected to pass verification while none has been made: about that of the town."""
@@ -119,21 +118,17 @@ def attempt_seconds(search: Search, scene: Scene, unit: Unit) -> float:
         Seconds of one full search; a second try doubles it, giving up early shortens it.
     """
     single_threaded()
-    hyper, prior, model = search.hyper, search.prior(), MotionModel.si()
+    hyper, prior = search.hyper, search.prior()
     start = launch_frame(scene, unit.agent, hyper)
-    if start is None or model.limits is None:
+    if start is None:
         return 0.0
-    offsets = tuple(offset for offset in hyper.scored_frames if start + offset < len(scene.timestamps_us))
-    state, size = initial_state(scene, unit.agent, start, model.limits), scene.agents.size[unit.agent, :2]
-    raster = DrivableRaster.around(scene.road_map, scene.ego.pose[start], half_extent_m=hyper.half_extent_m)
-    frames = tuple(start + offset for offset in offsets)
-    around = surroundings(scene, unit.agent, frames, raster, raster_ego=hyper.raster_ego)
-    rng = np.random.default_rng(0)
+    rng, stages = np.random.default_rng(0), {"physics": 0.0, "scoring": 0.0}
+    planning = Planning(scene, unit.agent, start, hyper, _as_they_are, hyper.motion_model(), rng, stages)
+    evaluation = planning.evaluation(start, planning.first_state(), planning.first_pose()[None])
     waypoints = prior.answer([Sampling(hyper.candidates, _PREVIOUS, rng)])[0]
 
     def evaluate() -> None:
-        motion = simulate(waypoints, state, float(size[0]), steps=offsets[-1], model=model)
-        score_terms(motion.center[:, offsets], size, around, hyper, speed=motion.states[:, offsets, 3])
+        evaluation(waypoints)
 
     refinements = len(hyper.noise_levels())
     sampling = _seconds(lambda: prior.answer([Sampling(hyper.candidates, _PREVIOUS, rng)]))
@@ -141,8 +136,12 @@ def attempt_seconds(search: Search, scene: Scene, unit: Unit) -> float:
     if refinements:
         level = hyper.noise_levels()[0]
         mutation = _seconds(lambda: prior.answer([Mutation(waypoints, level, _PREVIOUS, rng)]))
-    frames = math.ceil((len(scene.timestamps_us) - 1 - start) / hyper.horizon)
+    frames = math.ceil((len(scene.timestamps_us) - 1 - start) / hyper.executed_frames)
     return frames * (sampling + refinements * mutation + (refinements + 1) * _seconds(evaluate))
+
+
+def _as_they_are(waypoints: Floats, rng: np.random.Generator) -> Floats:
+    return waypoints
 
 
 def rendering_estimate(

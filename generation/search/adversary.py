@@ -21,7 +21,7 @@ from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
 from generation.search.candidates import launch_frame
 from generation.search.ground_truth_checks import masked_steps
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
 from generation.search.ranking import challenge_score
@@ -82,23 +82,21 @@ def attempts_together(
         seed: User's seed; part of a seed made of content.
         hyper: Settings.
         prior: Diffusion model.
-        diversify: Spread of the initial batch; the package's own by default.
-        model: Physics; `MotionModel.si` by default.
+        diversify: Spread of the initial batch; by default the package's own, or none (``hyper.varied``).
+        model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
 
     Returns:
         For each vehicle the kept scene, or the reason why there is none.
 
     Raises:
-        InputError: If there is no such vehicle or the model has no limits.
+        InputError: If there is no such vehicle.
     """
-    model = model or MotionModel.si()
-    if model.limits is None:
-        raise InputError("executing a plan needs a motion model with limits, use MotionModel.si()")
+    model = model or hyper.motion_model()
     for scene, agent in vehicles:
         if not 0 <= agent < len(scene.agents):
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
-    diversify = diversify or _packaged_diversify()
+    diversify = diversify or (_packaged_diversify() if hyper.varied else _as_drawn)
     searches = [
         _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds) for scene, agent in vehicles
     ]
@@ -130,7 +128,7 @@ def _tries(
     blank = _untried(scene.name, scene.agents.ids[agent], seed, start)
     if start is None:
         return blank.discarded(Finding(Discard.NEVER_LAUNCHED))
-    if ego_already_collides(scene):
+    if hyper.discards is not Discards.REFERENCE and ego_already_collides(scene):
         return blank.discarded(Finding(Discard.ORIGINAL_COLLIDES))
     content = (scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
     stages = {"physics": 0.0, "scoring": 0.0}
@@ -169,10 +167,11 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Se
 
 def _judged(tried: Searched, planning: Planning) -> Searched:
     """The result with its verdict and its numbers."""
-    agent, start, limits = planning.agent, planning.start, planning.model.limits
-    assert limits is not None
+    agent, start = planning.agent, planning.start
     changed = planning.scene.with_adversary(agent, slice(start, start + len(tried.poses)), tried.poses)
-    finding = verify(changed, agent, start, planning.hyper, limits)
+    # The reference code has asked at each planning frame all that it asks.
+    asked = planning.hyper.discards is not Discards.REFERENCE
+    finding = verify(changed, agent, start, planning.hyper, planning.model.limits) if asked else None
     soonest = float(times_to_collision(changed, agent, start).min())
     closest = closest_approach(changed, agent, start)
     told: dict[str, Any] = {
@@ -207,6 +206,11 @@ def scene_identity(scene: Scene) -> str:
         digest.update(np.ascontiguousarray(array).tobytes())
     digest.update(shapely.to_wkb(scene.road_map.drivable_area))
     return content_key(scene.name, agents.ids, agents.categories, scene.adversaries, digest.hexdigest())
+
+
+def _as_drawn(waypoints: Floats, rng: np.random.Generator) -> Floats:
+    """A first batch without any spread."""
+    return waypoints
 
 
 def _packaged_diversify() -> Diversify:

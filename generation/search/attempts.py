@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.progress import Count
@@ -24,7 +23,7 @@ from benchmark.sheets.motion import origin_of
 from generation.search.adversary import Searched, attempts_together
 from generation.search.definition import Earlier, Search, Unit
 from generation.search.eligibility import Eligibility, eligibility_of
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.verify import verify
 
 SAME_M: Final = 1e-9
@@ -249,8 +248,9 @@ def _kept_work(path: Path) -> dict[str, Any] | None:
 
 def _undisturbed(result: Searched, unit: Unit, hyper: HyperParameters) -> Searched:
     """The attempt, discarded if an earlier adversary would no longer pass verification beside it."""
-    limits = MotionModel.si().limits
-    assert limits is not None
+    if hyper.discards is Discards.REFERENCE:
+        return result
+    limits = hyper.motion_model().limits
     for link in unit.earlier:
         finding = None if result.scene is None else verify(result.scene, link.agent, link.start, hyper, limits)
         if finding is not None:

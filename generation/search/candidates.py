@@ -10,12 +10,13 @@ import numpy as np
 import shapely
 
 from benchmark.constants import FOUR_WHEELED_CATEGORIES, FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.dynamics.bicycle import WHEELBASE, DriverLimits, VehicleState, rear_axle
+from benchmark.dynamics.bicycle import REFERENCE_STEERING_RAD, WHEELBASE, DriverLimits, VehicleState, rear_axle
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from generation.labels.labelling import ego_speed
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import ChoiceOf, HyperParameters, Launch
+from generation.search.reference_rules import CAR, in_reference_canvas, near_on_the_road, reference_launch
 
 STANDING_M_S = 0.3
 """Slower than this a recorded vehicle stands; what its annotation drifts is noise."""
@@ -36,6 +37,7 @@ class NotTried(StrEnum):
     NO_LAUNCH = "no-frame-to-launch-at"
     EGO_STANDS = "ego-stands-after-the-launch"
     NOT_DRAWN = "not-drawn-by-the-seed"
+    NO_CAR = "not-a-car"
 
 
 def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: int) -> tuple[int, ...]:
@@ -73,6 +75,24 @@ def unfit(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
         return NotTried.NOT_FOUR_WHEELED
     if agents.ids[agent] in scene.adversaries:
         return NotTried.ALREADY_ADVERSARY
+    return (
+        _unfit_as_we_choose(scene, agent, hyper) if hyper.choice is ChoiceOf.OURS else _unfit_as_reference(scene, agent)
+    )
+
+
+def _unfit_as_reference(scene: Scene, agent: int) -> NotTried | None:
+    if scene.agents.categories[agent] != CAR:
+        return NotTried.NO_CAR
+    near, on_road = near_on_the_road(scene, agent)
+    if not on_road:
+        return NotTried.OFF_ROAD if in_reference_canvas(scene, agent).any() else NotTried.NEVER_NEAR
+    if not near:
+        return NotTried.NEVER_NEAR
+    return None if reference_launch(scene, agent) is not None else NotTried.NO_LAUNCH
+
+
+def _unfit_as_we_choose(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
+    agents = scene.agents
     canvas = in_canvas(scene, agents.position[agent, :, :2], hyper.half_extent_m) & agents.valid[agent]
     if not canvas.any() or center_distance(scene, agent)[canvas].min() >= hyper.proximity_m:
         return NotTried.NEVER_NEAR
@@ -128,7 +148,30 @@ def center_distance(scene: Scene, agent: int) -> Floats:
 
 
 def launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
-    """First frame at which an agent may take over.
+    """First frame at which an agent may take over (`hyperparameters.Launch`).
+
+    Args:
+        scene: The recorded scene.
+        agent: Index of the agent.
+        hyper: Which rule, and its limits.
+
+    Returns:
+        The frame, or ``None``.
+    """
+    match hyper.launch:
+        case Launch.NEAR:
+            return _launch_near(scene, agent, hyper)
+        case Launch.REFERENCE:
+            return reference_launch(scene, agent)
+        case Launch.START:
+            inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)
+            there = np.flatnonzero(inside & scene.agents.valid[agent])
+            last = inside.size - 1 - hyper.shortest_drive_frames
+            return int(there[0]) if len(there) and there[0] <= last else None
+
+
+def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
+    """First frame at which an agent may take over near the ego.
 
     It has been there for the history, is close enough to the ego, drives forwards without sliding, stands on the
     road, and enough of the scene is left.
@@ -164,7 +207,7 @@ def drives_forward(scene: Scene, agent: int, frame: int) -> bool:
     return bool(np.abs(slip) <= MOST_SLIP_RAD)
 
 
-def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits) -> VehicleState:
+def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
     """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
 
     Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot ahead).
@@ -173,7 +216,7 @@ def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits) ->
         scene: The recorded scene.
         agent: Index of the agent.
         frame: Frame of the hand-over.
-        limits: The state is brought inside them.
+        limits: The state is brought inside them; without any, only the steering inside that of the physics.
 
     Returns:
         State at the rear axle.
@@ -186,6 +229,10 @@ def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits) ->
     speed = max(float(velocity @ heading), 0.0)
     if speed < STANDING_M_S:
         return VehicleState(pose, 0.0)
+    if limits is None:
+        steering = np.arctan(yaw_rate * WHEELBASE * length / max(speed, 1.0))
+        bounded = np.clip(steering, -REFERENCE_STEERING_RAD, REFERENCE_STEERING_RAD)
+        return VehicleState(pose, speed, float(acceleration @ heading), float(bounded))
     along = float(np.clip(acceleration @ heading, -limits.braking_m_s2, limits.acceleration_m_s2))
     most = min(limits.lateral_acceleration_m_s2 / speed, limits.yaw_rate_rad_s)
     steering = np.arctan(np.clip(yaw_rate, -most, most) * WHEELBASE * length / max(speed, 1.0))

@@ -28,20 +28,22 @@ class PackagedPrior:
         weights: Its weights, ``None`` for those in the package.
         device: Where the network runs.
         sampler: How the network is asked.
+        bank: Whether first batches are drawn from the samples beside the weights, where there are any.
     """
 
     weights: Path | None = None
     device: str = "cpu"
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    bank: bool = True
 
     def __call__(self) -> Prior:
         """The model."""
-        return _loaded(self.weights, self.device, self.sampler)
+        return _loaded(self.weights, self.device, self.sampler, self.bank)
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
-    return TrajectoryPrior.load(weights, sampler, device=device)
+def _loaded(weights: Path | None, device: str, sampler: SamplerSettings, bank: bool) -> TrajectoryPrior:
+    return TrajectoryPrior.load(weights, sampler, bank=bank, device=device)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +148,7 @@ class Search:
             "candidates": self.hyper.candidates,
             "shown": min(SHOWN_CANDIDATES, self.hyper.candidates),
             "step_s": FRAMES_PER_KEYFRAME / FRAME_HZ,
-            "executed_s": self.hyper.horizon / FRAME_HZ,
+            "executed_s": self.hyper.executed_frames / FRAME_HZ,
             "scored_s": self.hyper.scored_frames[-1] / FRAME_HZ,
             "attempt": self.key(unit),
         }

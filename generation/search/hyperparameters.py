@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from benchmark.constants import FRAMES_PER_KEYFRAME
+from benchmark.dynamics.bicycle import MotionModel
 from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -16,18 +17,22 @@ from benchmark.machine.storage import content_key
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
+REFERENCE_POSES = 81
+"""Poses of a candidate in the reference code, the planning frame's among them."""
 MOST_CANDIDATES = 65536
 """Beyond this a batch fills the memory of a worker."""
 _AT_LEAST_1 = (
     "candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries",
-    "shortest_drive_frames",
+    "shortest_drive_frames", "timestep_frames",
 )  # fmt: skip
 _POSITIVE = ("half_extent_m", "stopping_m_s2")
 _NOT_NEGATIVE = (
     "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames", "staying_preference",
     "init_scale", "corner_weight", "dac_weight", "cr_weight", "ac_weight", "road_and_collision_last_weight",
-    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight",
+    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least",
 )  # fmt: skip
+_ADDED = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
+"""Settings that came when searches had been kept already: at their defaults they are no part of the fingerprint."""
 
 
 class CollisionReading(StrEnum):
@@ -45,17 +50,68 @@ class CollisionReading(StrEnum):
     HALF = "half"
 
 
+class ScoreOf(StrEnum):
+    """Whose score: the appendix's (`generation.search.scoring`), or the code's (`reference_scoring` beside it)."""
+
+    APPENDIX = "appendix"
+    REFERENCE = "reference"
+
+
+class Motion(StrEnum):
+    """How a planned vehicle moves.
+
+    ``DRIVER``: `MotionModel.si`, within what a driver does. ``UNLIMITED``: the same tracker and bicycle without a
+    driver's limits, of which the paper has none. ``REFERENCE``: `MotionModel.reference`, a frame counting as a second,
+    each planning frame starting from the two last positions.
+    """
+
+    DRIVER = "driver"
+    UNLIMITED = "unlimited"
+    REFERENCE = "reference"
+
+
+class ChoiceOf(StrEnum):
+    """Whose rules say which vehicles may become adversaries: ours, with our limits, or the reference code's."""
+
+    OURS = "ours"
+    REFERENCE = "reference"
+
+
+class Launch(StrEnum):
+    """When an adversary takes over.
+
+    ``NEAR``: once it is near the ego, after a history, driving forwards on the road. ``START``: at the first frame at
+    which it is there and in the area around the ego (Algorithm 1 begins at frame 0). ``REFERENCE``: the code's.
+    """
+
+    NEAR = "near"
+    START = "start"
+    REFERENCE = "reference"
+
+
+class Discards(StrEnum):
+    """What a scene is dropped for.
+
+    ``OURS``: all of `generation.search.verify`. ``PAPER``: of it, what the paper names. ``REFERENCE``: what the code
+    asks, which does not look for contact again (`generation.search.reference_discards`).
+    """
+
+    OURS = "ours"
+    PAPER = "paper"
+    REFERENCE = "reference"
+
+
 @dataclass(frozen=True, slots=True)
 class HyperParameters:
     """Settings of the search for one adversary; defaults are the paper's wherever it names a value.
 
-    `paper` gives the paper alone. Frames are 1/12 s. The first block is the paper's appendix ("Hyperparameters");
-    everything after it is open in the paper and says why it is there.
+    `paper` gives the paper's text, `reference` the public code. Frames are 1/12 s. The first block is the paper's
+    appendix ("Hyperparameters"); everything after it is open in the paper and says why it is there.
 
     Attributes:
         candidates: Batch size of each round.
         rounds: Refinement rounds after the initial batch.
-        horizon: H, frames that are scored and executed before the next planning frame.
+        horizon: H, timesteps that are scored and executed before the next planning frame.
         init_scale: Upper end of the random initial score.
         corner_weight: Weight of a corner off the road relative to the centre.
         dac_weight: Weight of drivable area compliance.
@@ -104,6 +160,15 @@ class HyperParameters:
         best_of_all_rounds: Execute the best candidate of all rounds; the reference forgets all but the last round.
         stable_softmax: Subtract the smallest score before the exponential. The reference does not, in single
             precision: where every score is beyond about 103 it can draw nothing and stops.
+        timestep_frames: Frames of one timestep of ``horizon``; the paper does not say how long one lasts.
+        varied: Whether the speeds of the first batch are spread (the reference's ``aug_traj``, which the paper does not
+            mention).
+        init_least: Lower end of the random initial score.
+        score: Whose score.
+        motion: How a planned vehicle moves.
+        choice: Whose rules choose vehicles.
+        launch: When an adversary takes over.
+        discards: What a scene is dropped for.
     """
 
     candidates: int = 256
@@ -149,9 +214,42 @@ class HyperParameters:
     best_of_all_rounds: bool = True
     stable_softmax: bool = True
 
+    timestep_frames: int = 1
+    varied: bool = True
+    init_least: float = 0.0
+    score: ScoreOf = ScoreOf.APPENDIX
+    motion: Motion = Motion.DRIVER
+    choice: ChoiceOf = ChoiceOf.OURS
+    launch: Launch = Launch.NEAR
+    discards: Discards = Discards.OURS
+
     @classmethod
     def paper(cls) -> Self:
-        """The paper alone: nothing that it does not name looks ahead, keeps air or prefers a vehicle."""
+        """The text of the paper; what it leaves open is read as `generation.search.departures` says."""
+        return cls(
+            staying_preference=0.0,
+            tries=1,
+            shortest_drive_frames=12,
+            least_drivable_share=0.0,
+            parked=True,
+            lookahead_frames=0,
+            lookahead_challenge_weight=0.0,
+            clearance_m=0.0,
+            headway_s=0.0,
+            raster_ego=False,
+            moving_ego_m_s=0.0,
+            collision_reading=CollisionReading.LITERAL,
+            best_of_all_rounds=False,
+            timestep_frames=6,
+            varied=False,
+            motion=Motion.UNLIMITED,
+            launch=Launch.START,
+            discards=Discards.PAPER,
+        )
+
+    @classmethod
+    def reference(cls) -> Self:
+        """What the public code does; what cannot be is in `generation.search.departures`."""
         return cls(
             staying_preference=0.0,
             tries=1,
@@ -160,6 +258,14 @@ class HyperParameters:
             clearance_m=0.0,
             headway_s=0.0,
             raster_ego=False,
+            best_of_all_rounds=False,
+            stable_softmax=False,
+            init_least=0.02,
+            score=ScoreOf.REFERENCE,
+            motion=Motion.REFERENCE,
+            choice=ChoiceOf.REFERENCE,
+            launch=Launch.REFERENCE,
+            discards=Discards.REFERENCE,
         )
 
     def changed(self, assignments: Sequence[str]) -> Self:
@@ -200,22 +306,32 @@ class HyperParameters:
                 raise InputError(f"hyper-parameter {name} must not be negative, got {getattr(self, name)}")
         if self.candidates > MOST_CANDIDATES:
             raise InputError(f"hyper-parameter candidates must be at most {MOST_CANDIDATES}, got {self.candidates}")
-        if self.horizon + self.lookahead_frames > CANDIDATE_FRAMES:
+        if self.executed_frames + self.lookahead_frames > CANDIDATE_FRAMES:
             raise InputError(
                 f"hyper-parameters horizon and lookahead_frames must not be more than {CANDIDATE_FRAMES} together, the "
-                f"frames of a candidate, got {self.horizon} and {self.lookahead_frames}"
+                f"frames of a candidate, got {self.executed_frames} and {self.lookahead_frames}"
             )
 
     @property
     def fingerprint(self) -> str:
-        """Content key of all values."""
-        return content_key(asdict(self))
+        """Content key of all values but those of younger settings at their defaults, so that kept work stays found."""
+        defaults = {each.name: each.default for each in fields(self)}
+        said = asdict(self)
+        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != defaults[name]})
+
+    @property
+    def executed_frames(self) -> int:
+        """Frames that are executed before the next planning frame."""
+        return self.horizon * self.timestep_frames
 
     @property
     def scored_frames(self) -> tuple[int, ...]:
-        """Frames after the planning frame that are scored: 1..H, then the sampled tail."""
-        tail = range(self.horizon + self.lookahead_stride, self.horizon + self.lookahead_frames + 1)
-        return (*range(1, self.horizon + 1), *tail[:: self.lookahead_stride])
+        """Frames after the planning frame that are scored: H timesteps and the sampled tail; the reference's 0..80."""
+        if self.score is ScoreOf.REFERENCE:
+            return tuple(range(REFERENCE_POSES))
+        last, step = self.executed_frames, self.timestep_frames
+        tail = range(last + self.lookahead_stride, last + self.lookahead_frames + 1)
+        return (*range(step, last + 1, step), *tail[:: self.lookahead_stride])
 
     def safety_step_weights(self) -> Floats:
         """Step weights of drivable area compliance and collisions at ``scored_frames``.
@@ -231,6 +347,16 @@ class HyperParameters:
         head = np.linspace(self.challenge_first_weight, 1.0, self.horizon)
         tail = len(self.scored_frames) - self.horizon
         return np.concatenate([head, np.full(tail, self.lookahead_challenge_weight * self.lookahead_stride)])
+
+    def motion_model(self) -> MotionModel:
+        """The physics that executes plans."""
+        match self.motion:
+            case Motion.DRIVER:
+                return MotionModel.si()
+            case Motion.UNLIMITED:
+                return replace(MotionModel.si(), limits=None)
+            case Motion.REFERENCE:
+                return MotionModel.reference()
 
     def noise_levels(self) -> tuple[int, ...]:
         """Noise level of each refinement round: 5, 4, 3, 2, 1 by default; none without refinement."""

@@ -1,23 +1,27 @@
 """The planning frames of one adversary: searched one after the other, the best candidate executed up to the next."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmark.constants import FRAMES_PER_KEYFRAME
-from benchmark.dynamics.bicycle import MotionModel, VehicleState, rear_axle, simulate
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.records.attempts import PlanningFrame
 from benchmark.records.scenes import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.search.candidates import in_canvas, initial_state
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import Discards, HyperParameters, Motion, ScoreOf
 from generation.search.proposals import Diversify, SearchSteps
+from generation.search.reference_discards import fault_of_place, fault_of_step
+from generation.search.reference_rules import SPEED_FRAMES, STEP_FRAMES, reference_previous, reference_state
+from generation.search.reference_scoring import challenge_on, reference_surroundings, reference_terms
 from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine
 from generation.search.rounds import rounds_of
-from generation.search.scoring import score_terms, surroundings
+from generation.search.scoring import Terms, score_terms, surroundings
 from generation.search.verify import EGO, Discard, Finding, contacts
 
 
@@ -66,67 +70,132 @@ class Planning:
 
     def run(self) -> SearchSteps[Driven]:
         """Plan and execute to the end of the scene, or to where there is no use in going on."""
-        assert self.model.limits is not None
-        state = initial_state(self.scene, self.agent, self.start, self.model.limits)
-        track = [self._recorded_pose(self.start)[None]]
+        track = [self.first_pose()[None]]
+        state = self.first_state()
         plans: list[PlanningFrame] = []
         rounds: list[TraceFrame] = []
         finding: Finding | None = None
-        for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.horizon):
+        for frame in range(self.start, len(self.scene.timestamps_us) - 1, self.hyper.executed_frames):
             try:
-                found = yield from self._plan(frame, state, np.concatenate(track))
+                found = yield from self.plan(frame, state, np.concatenate(track))
             except NothingToDraw:
                 finding = Finding(Discard.NOTHING_TO_DRAW, frame)
                 break
-            steps = min(self.hyper.horizon, len(self.scene.timestamps_us) - 1 - frame)
+            steps = min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame)
             executed = found.motion.center[found.chosen, 1 : steps + 1]
             plans.append(_trace(frame, found))
-            finding = self._fault(frame, executed)
+            finding = self._fault(frame, executed, found.score)
             if finding is None or finding.reason is Discard.LEAVES_AREA:
                 track.append(executed)
             if finding is not None:
                 break
             if self.keep_rounds:
                 rounds.append(rounds_of(self.scene, self.agent, frame, state, found, self.hyper, self.model))
-            state = found.motion.state(found.chosen, steps)
+            state = self._next_state(found, steps, np.concatenate(track))
         return Driven(np.concatenate(track), tuple(plans), tuple(rounds), finding)
 
-    def _fault(self, frame: int, executed: Floats) -> Finding | None:
+    def first_pose(self) -> Floats:
+        """Pose (3,) of the box centre at the hand-over."""
+        return self._recorded_pose(self.start)
+
+    def first_state(self) -> VehicleState:
+        """Motion at the hand-over."""
+        if self.hyper.motion is Motion.REFERENCE:
+            return self._state_from_positions(self.start, self._recorded_pose(self.start)[None])
+        return initial_state(self.scene, self.agent, self.start, self.model.limits)
+
+    def _next_state(self, found: Refinement, steps: int, track: Floats) -> VehicleState:
+        """Motion at the next planning frame: where the executed candidate has got to, or what two positions say."""
+        if self.hyper.motion is Motion.REFERENCE:
+            return self._state_from_positions(self.start + len(track) - 1, track)
+        return found.motion.state(found.chosen, steps)
+
+    def _state_from_positions(self, frame: int, track: Floats) -> VehicleState:
+        now, before = self._pose(frame, track), self._pose(frame - SPEED_FRAMES, track)
+        return reference_state(before, now, float(self.scene.agents.size[self.agent, 0]))
+
+    def _fault(self, frame: int, executed: Floats, score: float) -> Finding | None:
         """Why there is no use in going on after executing (F, 3) poses from the frame after ``frame`` on."""
         if not np.isfinite(executed).all():
             return Finding(Discard.NO_SAFE_CANDIDATE, frame)
+        if self.hyper.discards is Discards.REFERENCE:
+            found = fault_of_step(score, frame) if self.hyper.scored else None
+            return found or fault_of_place(self.scene, executed[:, :2], frame + 1)
         touched = self._touched(frame, executed) if self.hyper.scored else None
         if touched is not None:
             return Finding(Discard.NO_SAFE_CANDIDATE, frame, touched)
         inside = in_canvas(self.scene, executed[:, :2], self.hyper.half_extent_m, first=frame + 1)
         return None if inside.all() else Finding(Discard.LEAVES_AREA, frame + 1 + int(np.argmin(inside)))
 
-    def _plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
-        offsets = tuple(offset for offset in self.hyper.scored_frames if frame + offset < len(self.scene.timestamps_us))
-        raster = _raster(self.scene, frame, self.hyper.half_extent_m)
-        frames = tuple(frame + offset for offset in offsets)
-        around = surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
-        size = self.scene.agents.size[self.agent, :2]
-        previous = self._previous(frame, state, track)
+    def plan(self, frame: int, state: VehicleState, track: Floats) -> SearchSteps[Refinement]:
+        """Search one planning frame; arguments as of `evaluation`."""
+        evaluate, previous = self.evaluation(frame, state, track), self._previous(frame, state, track)
+        return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
+
+    def evaluation(self, frame: int, state: VehicleState, track: Floats) -> Callable[[Floats], Evaluated]:
+        """What simulates and scores candidates at a planning frame.
+
+        Args:
+            frame: Frame index.
+            state: Motion of the vehicle there.
+            track: (F, 3) executed poses of the box centre from the launch to ``frame``.
+
+        Returns:
+            A function of (B, 16, 3) waypoints.
+        """
+        left = len(self.scene.timestamps_us) - 1 - frame
+        # Where less than a timestep is left, the scene's last frame stands for it.
+        offsets = tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
+        steps = max(offsets[-1], min(self.hyper.executed_frames, left))
+        rate = self._rated(frame, offsets, track)
+        length = float(self.scene.agents.size[self.agent, 0])
 
         def evaluate(waypoints: Floats) -> Evaluated:
             begun = time.process_time()
-            motion = simulate(waypoints, state, float(size[0]), steps=offsets[-1], model=self.model)
+            motion = simulate(waypoints, state, length, steps=steps, model=self.model)
             simulated = time.process_time()
-            terms = score_terms(motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3])
+            terms = rate(motion)
             self.stages["physics"] += simulated - begun
             self.stages["scoring"] += time.process_time() - simulated
             return Evaluated(motion, terms)
 
-        return (yield from refine(self.diversify, evaluate, previous, self.hyper, self.rng))
+        return evaluate
+
+    def _rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
+        """What rates the motion of candidates at a planning frame."""
+        raster = _raster(self.scene, frame, self.hyper.half_extent_m)
+        frames = tuple(frame + offset for offset in offsets)
+        size = self.scene.agents.size[self.agent, :2]
+        if self.hyper.score is ScoreOf.REFERENCE:
+            seen = reference_surroundings(self.scene, self.agent, frames, raster)
+            on = challenge_on(self._distances(frame, track), self.start, frame, self.rng)
+            return lambda motion: reference_terms(motion.center[:, offsets], size, seen, challenged=on)
+        around = surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
+        return lambda motion: score_terms(
+            motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3]
+        )
+
+    def _distances(self, frame: int, track: Floats) -> Floats:
+        """Distances from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""
+        first = max(self.start - 1, 0)
+        centers = np.stack([self._pose(at, track)[:2] for at in range(first, frame + 1)])
+        return np.asarray(np.linalg.norm(centers - self.scene.ego.pose[first : frame + 1, :2], axis=1))
 
     def _previous(self, frame: int, state: VehicleState, track: Floats) -> Floats:
-        """Own rear-axle pose (3,) half a second ago in the local frame: recorded before the launch, executed after."""
-        past = frame - FRAMES_PER_KEYFRAME
-        center = track[past - self.start] if past >= self.start else self._recorded_pose(max(past, 0))
+        """Own pose (3,) half a second ago in the local frame: recorded before the launch, executed after.
+
+        Of the rear axle; the reference code takes the box centre four frames ago.
+        """
+        if self.hyper.motion is Motion.REFERENCE:
+            return reference_previous(self._pose(frame - STEP_FRAMES, track), self._pose(frame, track))
+        center = self._pose(frame - FRAMES_PER_KEYFRAME, track)
         axle = rear_axle(center, float(self.scene.agents.size[self.agent, 0]))
         turn = wrap_angle(axle[2:] - state.pose[2])
         return np.concatenate([to_local(axle[:2], state.pose), turn])
+
+    def _pose(self, frame: int, track: Floats) -> Floats:
+        """Pose (3,) of the box centre: recorded before the launch, executed from then on."""
+        return track[frame - self.start] if frame >= self.start else self._recorded_pose(max(frame, 0))
 
     def _recorded_pose(self, frame: int) -> Floats:
         agents = self.scene.agents

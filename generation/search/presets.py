@@ -1,4 +1,4 @@
-"""The settings that a search starts from: this project's, or nothing of the search that the paper does not name."""
+"""The settings that a search starts from: this project's, the paper's text, or the public reference code."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from generation.search.hyperparameters import HyperParameters
 if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
 
-Preset = Literal["default", "paper"]
+Preset = Literal["default", "paper", "reference"]
 
 
 def hyper_parameters(
@@ -19,7 +19,8 @@ def hyper_parameters(
     """Settings of the search: the preset, settings by name, and changes by text, each over the last.
 
     Args:
-        preset: ``default``, or ``paper``.
+        preset: ``default`` is this project's best, ``paper`` the text, ``reference`` the public code
+            (`generation.search.departures` says where they cannot be followed).
         settings: Values of single settings; ``None`` leaves a setting as it is.
         changes: ``name=value`` (`HyperParameters.changed`).
 
@@ -29,7 +30,13 @@ def hyper_parameters(
     Raises:
         InputError: If a change names no setting or its value does not fit.
     """
-    start = HyperParameters.paper() if preset == "paper" else HyperParameters()
+    match preset:
+        case "default":
+            start = HyperParameters()
+        case "paper":
+            start = HyperParameters.paper()
+        case "reference":
+            start = HyperParameters.reference()
     given = {name: value for name, value in (settings or {}).items() if value is not None}
     return replace(start, **given).changed(changes)
 
@@ -42,10 +49,13 @@ def trajectory_model(
     calls: int | None = None,
     dropout: bool = False,
 ) -> "PackagedPrior":
-    """The trajectory model that proposes candidates; with the paper's preset nothing that it draws is drawn again.
+    """The trajectory model that proposes candidates.
+
+    With the presets ``paper`` and ``reference`` every first batch is sampled afresh from noise by all steps, and
+    nothing that is drawn is drawn again; with ``reference`` dropout is on.
 
     Args:
-        preset: ``default``, or ``paper``.
+        preset: As in `hyper_parameters`.
         weights: Of another model than the packaged one.
         device: Where it runs.
         calls: Most network calls of a mutation; the reference has one a noise level.
@@ -58,5 +68,6 @@ def trajectory_model(
     from generation.diffusion.prior import SamplerSettings
     from generation.search.definition import PackagedPrior
 
-    sampler = SamplerSettings(mutation_steps=calls, drivable=preset != "paper", dropout=dropout)
-    return PackagedPrior(weights, device, sampler)
+    ours = preset == "default"
+    sampler = SamplerSettings(mutation_steps=calls, drivable=ours, dropout=dropout or preset == "reference")
+    return PackagedPrior(weights, device, sampler, bank=ours)

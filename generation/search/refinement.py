@@ -13,7 +13,7 @@ from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Diversify, Mutation, Sampling, SearchSteps
-from generation.search.scoring import Terms, final_scores, normalised
+from generation.search.scoring import Terms, final_scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ def refine(
     batches: list[Batch] = []
     rounds: list[Round] = []
     for level in (*hyper.noise_levels(), 0):
-        start = rng.uniform(0.0, hyper.init_scale, len(waypoints))
+        start = hyper.init_least + rng.uniform(0.0, hyper.init_scale, len(waypoints))
         evaluated = evaluate(waypoints)
         scores = final_scores(evaluated.terms, start, hyper)
         batches.append(Batch(waypoints, evaluated, start))
@@ -169,7 +169,7 @@ def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
     """
     terms = [batch.evaluated.terms for batch in batches]
     finite = np.stack([each.finite for each in terms])
-    challenge = normalised(np.stack([each.challenge for each in terms]), finite)
+    challenge = terms[0].challenges(terms)
     safety = np.stack(
         [batch.start + hyper.dac_weight * each.dac + hyper.cr_weight * each.cr for batch, each in zip(batches, terms)]
     )

@@ -3,7 +3,9 @@
 Paper section 3 "Trajectory Scorer" and appendix "Trajectory Scoring". Vectorised over candidates, frames and objects.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +61,11 @@ class Terms:
     cr: Floats
     challenge: Floats
     finite: Bools
+
+    @classmethod
+    def challenges(cls, batches: "Sequence[Self]") -> Floats:
+        """ACScore of the appendix, normalised over R batches together, (R, B)."""
+        return normalised(np.stack([each.challenge for each in batches]), np.stack([each.finite for each in batches]))
 
 
 def surroundings(
@@ -160,7 +167,7 @@ def _any_corner_off(boxes: Floats, raster: DrivableRaster) -> Bools:
 
 
 def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = CollisionReading.GEOMETRY) -> Bools:
-    """Whether candidates collide with any present object (appendix, CollisionScore; three steps, see `_columns`).
+    """Whether candidates collide with any present object (appendix, CollisionScore; three steps, see `columns`).
 
     With ``GEOMETRY`` this is contact: the broad phase rejects pairs whose circumscribed circles are apart, which
     never changes the answer.
@@ -174,12 +181,12 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
     Returns:
         (B, S) verdicts.
     """
-    own = _columns(boxes.transpose(1, 0, 2), reading)
-    other = _columns(around.boxes, reading)
+    own = columns(boxes.transpose(1, 0, 2), reading)
+    other = columns(around.boxes, reading)
     hit = np.zeros(own.shape[1:], dtype=np.bool_)
     # Where a square overflows the candidate is nowhere near anything.
     with np.errstate(over="ignore", invalid="ignore"):
-        candidate, object_ = _near_pairs(own, other, around.present)
+        candidate, object_ = near_pairs(own, other, around.present)
         rows = 6 if reading is CollisionReading.GEOMETRY else 8
         # "clip" only spares the test of every index.
         first = np.take(own[:rows].reshape(rows, -1), candidate, axis=1, mode="clip")
@@ -196,7 +203,7 @@ def collisions(boxes: Floats, around: Surroundings, reading: CollisionReading = 
     return hit.T
 
 
-def _columns(boxes: Floats, reading: CollisionReading) -> Floats:
+def columns(boxes: Floats, reading: CollisionReading) -> Floats:
     """What collisions need of (S, N, 5) boxes, (8, S, N): x, y, half sizes, cosine and sine, inner and outer bound.
 
     The bounds of two boxes add up. Nearer than the inner one is a collision, farther than the outer one is none, and
@@ -218,7 +225,7 @@ def _columns(boxes: Floats, reading: CollisionReading) -> Floats:
     return columns
 
 
-def _near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def near_pairs(own: Floats, other: Floats, present: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs (P,) of candidate and object, counted over steps and boxes, that are not farther than the outer bound.
 
     Squared distances minus squared bounds are one matrix product a step. They are understated a little, which
@@ -275,6 +282,6 @@ def final_scores(terms: Terms, start: Floats, hyper: HyperParameters) -> Floats:
     Returns:
         (B,) scores, lower is better; infinity for candidates that must never be chosen.
     """
-    challenge = normalised(terms.challenge, terms.finite)
+    (challenge,) = terms.challenges([terms])
     score = start + hyper.dac_weight * terms.dac + hyper.cr_weight * terms.cr + hyper.ac_weight * challenge
     return np.where(terms.finite, score, np.inf)

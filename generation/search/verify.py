@@ -20,7 +20,7 @@ from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
 from generation.search.candidates import in_canvas
 from generation.search.ground_truth_checks import recorded_contacts
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.recorded_ego import log_replay_contacts
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
@@ -43,6 +43,7 @@ class Discard(StrEnum):
     TOUCHES_VAD = "touches-under-vad"
     TOUCHES_SPARSEDRIVE = "touches-under-sparsedrive"
     TOUCHES_DIFFUSIONDRIVE = "touches-under-diffusiondrive"
+    SCORES_TOO_HIGH = "best-score-above-the-limit"
 
     @classmethod
     def touches(cls, protocol: str) -> "Discard":
@@ -85,15 +86,15 @@ SIDEWAYS_M_S = 0.3
 """Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
 
 
-def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits) -> Finding | None:
-    """Check one adversarial scene.
+def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits: DriverLimits | None) -> Finding | None:
+    """Check one adversarial scene, for all of our reasons or for those alone that the paper names.
 
     Args:
         scene: The adversarial scene.
         agent: Index of the adversary.
         start: First frame of the adversarial track.
         hyper: Limits of the filter.
-        limits: Limits of the driver.
+        limits: Limits of the driver; ``None`` where planning had none, and the usual ones are asked for.
 
     Returns:
         The first reason to discard it, or ``None`` to keep it.
@@ -101,15 +102,16 @@ def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits:
     boxes = agent_boxes(scene, agent)[start:]
     if not np.isfinite(boxes).all():
         return Finding(Discard.UNDRIVEABLE)
-    broken = broken_limit(boxes, limits)
+    ours = hyper.discards is Discards.OURS
+    broken = broken_limit(boxes, limits or DriverLimits()) if ours else None
     if broken is not None:
         quantity, value, limit = broken
         return Finding(Discard.UNDRIVEABLE, quantity=quantity, value=value, limit=limit)
     return (
         _contact(scene, agent, start, boxes)
-        or (Finding(Discard.EGO_BLOCKED) if _blocks_ego(scene, boxes, hyper) else None)
+        or (Finding(Discard.EGO_BLOCKED) if ours and _blocks_ego(scene, boxes, hyper) else None)
         or _out_of_area(scene, agent, start, hyper)
-        or _off_road(scene, start, boxes, hyper)
+        or (_off_road(scene, start, boxes, hyper) if ours else None)
         or _never_close(scene, agent, start, hyper)
         or _masked(scene, agent, start)
     )

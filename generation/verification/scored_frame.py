@@ -60,14 +60,25 @@ def read_scored_frame(stored: GoldenArrays) -> ScoredFrame:
     if boxes.shape[:2] != valid.shape or not 0 <= ego < valid.shape[1] or not valid[:, ego].all():
         raise InputError(f"the objects in {stored.path} do not fit each other, or the ego is absent; make it again")
     affine = stored.floats("raster_affine_global_to_index", 2, 3)
-    around = Surroundings(boxes, valid, boxes[:, ego, :2], _raster(stored, affine))
+    around = Surroundings(boxes, valid, boxes[:, ego, :2], golden_raster(stored, affine))
     size = np.array([length, width])
     own = np.concatenate([center[..., :2], np.broadcast_to(size, (*center.shape[:2], 2)), center[..., 2:]], axis=-1)
     return ScoredFrame(center, size, own, around, affine)
 
 
-def _raster(stored: GoldenArrays, affine: Floats) -> DrivableRaster:
-    """The raster with the pose and the cell size that its affine map says."""
+def golden_raster(stored: GoldenArrays, affine: Floats) -> DrivableRaster:
+    """The raster with the pose and the cell size that its affine map says.
+
+    Args:
+        stored: One file of a scoring set.
+        affine: (2, 3) from global metres to raster coordinates.
+
+    Returns:
+        The raster.
+
+    Raises:
+        InputError: If it is not square, or the map is more than a turn, a shift and a scale.
+    """
     cells = stored.verdicts("raster", None, None)
     count = len(cells)
     scale = float(np.hypot(*affine[1, :2]))

@@ -1,4 +1,4 @@
-"""`challenger-bench verify scoring`: the paper's score against golden verdicts, terms and final scores."""
+"""`challenger-bench verify scoring`: the paper's score, and the reference code's, against golden numbers."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from benchmark.verification.golden import GoldenArrays, golden_directory
 from generation.search.hyperparameters import CollisionReading, HyperParameters
 from generation.search.scoring import Terms, final_scores, normalised, score_terms
 from generation.verification.built_in import BUILT_IN
+from generation.verification.reference_scores import compare_reference, has_reference_scores
 from generation.verification.scored_frame import ScoredFrame, read_scored_frame
 from generation.verification.ties import RANK_TIE, on_raster_tie, out_of_order, touching_tie
 
@@ -36,7 +37,7 @@ class _Golden:
 
 
 def verify_scoring(golden: Path | None = None) -> list[Check]:
-    """Compare the score of candidates with a golden set, in all three collision readings.
+    """Compare the score of candidates with a golden set, in all three collision readings, and the reference code's.
 
     Args:
         golden: Directory with one npz file for each planning frame; the built-in set by default.
@@ -50,13 +51,21 @@ def verify_scoring(golden: Path | None = None) -> list[Check]:
     folder = golden_directory(golden or BUILT_IN / "scoring", "scoring", "*.npz")
     comparison = Comparison()
     excused: dict[str, int] = {}
+    single: dict[str, int] = {}
+    with_reference = 0
     paths = sorted(folder.glob("*.npz"))
     # What overflows is not finite, and then fails by itself.
     with np.errstate(over="ignore", invalid="ignore"):
         for path in paths:
-            _compare_file(comparison, GoldenArrays.read(path), excused)
+            stored = GoldenArrays.read(path)
+            _compare_file(comparison, stored, excused)
+            if has_reference_scores(stored):
+                compare_reference(comparison, stored, single)
+                with_reference += 1
     for quantity, count in excused.items():
         comparison.note(quantity, f"{count} within 1e-9 of a tie are left out")
+    for quantity, count in single.items():
+        comparison.note(quantity, f"{count} differ and hang on single precision, in {counted(with_reference, 'file')}")
     comparison.note("centre off the road", f"{counted(len(paths), 'file')}{_absent(folder, paths)}")
     return comparison.checks()
 

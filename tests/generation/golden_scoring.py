@@ -1,4 +1,6 @@
-"""The built-in scoring set: made-up planning frames, and the paper's score of their candidates written out in loops.
+"""The built-in scoring set: made-up planning frames, and the scores of their candidates written out in loops.
+
+The paper's and the reference code's.
 
 ``python -m tests.generation.golden_scoring`` writes the set; a test compares what is stored with what this makes.
 """
@@ -14,10 +16,13 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
 from generation.verification.built_in import BUILT_IN
+from tests.generation.search.slow_reference_scoring import slow_reference
 
 Arrays = dict[str, NDArray[Any]]
 FRAMES = 13
 EGO_WIDTH_LENGTH = (1.730, 4.084)
+EGO_CENTER_AHEAD_M, LIDAR_AHEAD_M = 1.39, 0.94
+"""Of the rear axle."""
 SAFETY = [(1.0 + (math.sqrt(0.85) - 1.0) * step / 11) ** 2 for step in range(12)]
 CHALLENGE = [0.7 + 0.3 * step / 11 for step in range(12)]
 
@@ -127,7 +132,51 @@ def scored(
         final = 5.0 * arrays["paper_dac"] + 10.0 * term + arrays["paper_ac"]
         arrays |= {f"paper_collision_{reading}": hits, f"paper_cr_{reading}": term, f"paper_final_{reading}": final}
     rng = np.random.default_rng(content_seed("golden scoring", "start", len(own)))
-    return arrays | {"paper_init_score_uniform_0_1e-3": rng.uniform(0.0, 1e-3, len(own))}
+    arrays |= {"paper_init_score_uniform_0_1e-3": rng.uniform(0.0, 1e-3, len(own))}
+    return arrays | reference_scored(arrays)
+
+
+def reference_scored(arrays: Arrays) -> Arrays:
+    """What the reference code says about the same candidates, all of whose poses count; single precision, as there."""
+    boxes, valid = arrays["boxes_x_y_heading_width_length"], arrays["valid"]
+    width, length = arrays["adv_width_length"].tolist()
+    ego, heading = boxes[:, -1], boxes[:, -1, 2]
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    rear = ego[:, :2] - EGO_CENTER_AHEAD_M * ahead
+    lidar = rear + LIDAR_AHEAD_M * ahead
+    seen = boxes.copy()
+    seen[:, -1] = np.column_stack([lidar, heading, np.full(FRAMES, 3.5), np.full(FRAMES, 7.0)])
+    # An absent object is a box without a size at the ego's lidar.
+    seen[~valid] = np.concatenate([lidar[:, None].repeat(boxes.shape[1], 1), np.zeros((*valid.shape, 3))], -1)[~valid]
+    slow = slow_reference(
+        arrays["candidates"],
+        np.array([length, width]),
+        seen[..., [0, 1, 4, 3, 2]],
+        np.ones(valid.shape, np.bool_),
+        rear,
+        arrays["raster"],
+        arrays["raster_affine_global_to_index"],
+    )
+    own = np.tile([*boxes[0, 0, :2], 0.0, width, length], (FRAMES, 1, 1))
+    rows = np.concatenate([own, seen], axis=1)
+    flat = np.zeros(rows.shape[:2])
+    stored = [rows[..., 0], rows[..., 1], flat, rows[..., 3], rows[..., 4], flat, -rows[..., 2] - 0.5 * np.pi]
+    return {
+        "ref_boxes_x_y_z_w_l_h_yawmm": np.stack(stored, axis=-1).astype(np.float32),
+        "ref_adv_row": np.array(0),
+        "ref_ego_rear_xy": rear.astype(np.float32),
+        "ref_out_of_road_center": slow.off.astype(np.uint8),
+        "ref_corners_out_count": slow.corners.astype(np.uint8),
+        "ref_must_col": slow.sure.T,
+        "ref_col": slow.collision.T,
+        "ref_ego_col": slow.hits_ego,
+        "ref_n_polygon_tests": np.array(slow.tests),
+        "ref_dac": slow.dac.astype(np.float32),
+        "ref_cr": slow.cr.astype(np.float32),
+        "ref_ac": slow.ac.astype(np.float32),
+        "ref_final_without_noise": slow.final().astype(np.float32),
+        "ref_final_with_noise": (slow.final() + arrays["paper_init_score_uniform_0_1e-3"]).astype(np.float32),
+    }
 
 
 def corners(box: Floats) -> list[tuple[float, float]]:

@@ -4,7 +4,7 @@ import importlib.util
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from benchmark import api
 from benchmark.errors import InputError, did_you_mean
@@ -97,9 +97,9 @@ def require_device(name: str) -> None:
 
 def require_search(preset: str, settings: Mapping[str, Any], changes: Sequence[str]) -> None:
     """Refuse settings of the search that there are not; raises `InputError`."""
-    from generation.search.presets import hyper_parameters
+    from generation.search.presets import Preset, hyper_parameters
 
-    hyper_parameters("paper" if preset == "paper" else "default", settings, changes)
+    hyper_parameters(cast(Preset, preset), settings, changes)
 
 
 def require_published(name: str, *, files: bool = False) -> None:

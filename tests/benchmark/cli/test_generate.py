@@ -34,3 +34,20 @@ def test_a_mistyped_option_is_told_before_anything_is_built(
     assert run.err.startswith("error: ") and run.err.count("\n") == 1
     assert word in run.err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["generate", "ablate"])
+@pytest.mark.parametrize("preset", ["paper", "reference"])
+def test_a_dry_run_lists_where_a_preset_departs_from_its_name(tmp_path: Path, command: str, preset: str) -> None:
+    arguments = (command, "--preset", preset, "--set", "tries=2", "--dry-run", "--out", tmp_path / "out")
+    run = challenger_bench(*arguments, cache=tmp_path / "cache")
+    assert (run.code, run.err) == (0, "")
+    assert f"preset {preset} departs from the {'text' if preset == 'paper' else 'code'} in" in run.out
+    assert "- tries is 1; here it is 2, because it was asked for" in run.out
+    assert "--denoiser FILE takes them" in run.out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_default_preset_has_nothing_to_list(tmp_path: Path) -> None:
+    run = challenger_bench("generate", "--dry-run", "--out", tmp_path / "out", cache=tmp_path / "cache")
+    assert run.code == 0 and "departs" not in run.out

@@ -186,8 +186,6 @@ def test_bad_arguments_are_sentences() -> None:
     scene = scene_on_straight_road(CARS)
     with pytest.raises(InputError, match="no agent 7"):
         attempt(scene, 7, 0, HYPER, DrivingPrior(), diversify=unchanged)
-    with pytest.raises(InputError, match="limits"):
-        attempt(scene, 0, 0, HYPER, DrivingPrior(), diversify=unchanged, model=MotionModel.reference())
 
 
 def test_attempts_side_by_side_are_as_if_alone() -> None:

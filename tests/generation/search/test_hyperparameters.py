@@ -1,9 +1,14 @@
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from benchmark.dynamics.bicycle import MotionModel, VehicleState, simulate
 from benchmark.errors import InputError
+from benchmark.machine.storage import content_key
 from generation.search.hyperparameters import CANDIDATE_FRAMES, CollisionReading, HyperParameters
+
+YOUNGER = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
 
 
 def test_settings_change_by_text() -> None:
@@ -27,6 +32,10 @@ def test_settings_change_by_text() -> None:
         ("candidates=1000000000", "at most 65536"),
         ("candidates", "NAME=VALUE of a hyper-parameter; names are"),
         ("shortest_drive_frames=0", "at least 1"),
+        ("timestep_frames=0", "at least 1"),
+        ("timestep_frames=9", "not be more than 96 together"),
+        ("score=mine", "one of appendix, reference"),
+        ("launch=now", "one of near, start, reference"),
         ("stopping_m_s2=0", "must be positive"),
         ("half_extent_m=-50", "must be positive"),
         ("init_scale=-1", "must not be negative"),
@@ -40,12 +49,37 @@ def test_what_does_not_fit_is_one_sentence(assignment: str, says: str) -> None:
         HyperParameters().changed([assignment])
 
 
-def test_the_paper_alone_looks_one_second_ahead_and_keeps_no_air() -> None:
+def test_the_paper_has_its_table_and_nothing_that_it_does_not_name() -> None:
     paper = HyperParameters.paper()
-    assert paper.scored_frames == tuple(range(1, 13))
+    assert paper.scored_frames == tuple(range(6, 73, 6))
+    assert paper.executed_frames == 72
     assert (paper.clearance_m, paper.headway_s, paper.tries, paper.staying_preference) == (0.0, 0.0, 1, 0.0)
+    assert (paper.varied, paper.best_of_all_rounds, paper.parked) == (False, False, True)
+    assert paper.motion_model().limits is None and paper.motion_model().dt == 1 / 12
     table = (paper.dac_weight, paper.cr_weight, paper.ac_weight, paper.temperature, paper.rounds, paper.horizon)
     assert table == (5.0, 10.0, 1.0, 1.0, 5, 12)
+
+
+def test_the_reference_scores_every_pose_and_counts_frames_as_seconds() -> None:
+    reference = HyperParameters.reference()
+    assert reference.scored_frames == tuple(range(81))
+    assert reference.executed_frames == 12
+    assert reference.motion_model() == MotionModel.reference()
+    assert (reference.varied, reference.best_of_all_rounds, reference.stable_softmax) == (True, False, False)
+
+
+def test_younger_settings_at_their_defaults_leave_kept_work_where_it_was() -> None:
+    """The key of the settings that were kept before there were any of them."""
+    said = {name: value for name, value in asdict(HyperParameters()).items() if name not in YOUNGER}
+    assert HyperParameters().fingerprint == content_key(said)
+    keys = {each.fingerprint for each in (HyperParameters(), HyperParameters.paper(), HyperParameters.reference())}
+    assert len(keys) == 3
+    for assignment in (
+        "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited",
+        "choice=reference", "launch=start", "discards=paper",
+    ):  # fmt: skip
+        keys.add(HyperParameters().changed([assignment]).fingerprint)
+    assert len(keys) == 3 + len(YOUNGER)
 
 
 def test_the_longest_look_ahead_is_as_long_as_a_candidate() -> None:

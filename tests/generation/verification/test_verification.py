@@ -128,6 +128,39 @@ def test_wrong_scores_fail_where_they_are_wrong(tmp_path: Path) -> None:
     assert "worst in crossing.npz" in checks[0].note
 
 
+def test_wrong_scores_of_the_reference_fail_where_they_are_wrong(tmp_path: Path) -> None:
+    folder = copied("scoring", tmp_path)
+    change(
+        folder / "crossing.npz",
+        ref_col=flipped(4, 5),
+        ref_dac=shifted(1e-4, 6),
+        ref_ac=shifted(1e-3, 7),
+        ref_n_polygon_tests=lambda count: count + 1,
+    )
+    assert failures(verify_scoring(folder)) == {
+        "reference: collision", "reference: drivable area term", "reference: challenge",
+        "reference: how many boxes are intersected",
+    }  # fmt: skip
+
+
+def test_sets_without_numbers_of_the_reference_are_sets(tmp_path: Path) -> None:
+    folder = copied("scoring", tmp_path)
+    for path in folder.glob("*.npz"):
+        save(path, {name: array for name, array in load(path).items() if not name.startswith("ref_")})
+    checks = verify_scoring(folder)
+    assert not failures(checks) and not any("reference" in check.quantity for check in checks)
+
+
+def test_a_verdict_that_hangs_on_single_precision_is_counted(tmp_path: Path) -> None:
+    """A corner that lies on the border of a cell; the same difference elsewhere is an error."""
+    folder = copied("scoring", tmp_path)
+    checks = verify_scoring(folder)
+    noted = {check.quantity: check.note for check in checks}
+    assert "hang on single precision, in 3 files" in noted["reference: corners off the road"]
+    change(folder / "parked_row.npz", ref_corners_out_count=shifted(1, 3, 6))
+    assert "reference: corners off the road" in failures(verify_scoring(folder))
+
+
 def test_another_ranking_fails(tmp_path: Path) -> None:
     folder = copied("scoring", tmp_path)
     best, worst = (int(pick(load(folder / "parked_row.npz")["paper_final_half"])) for pick in (np.argmin, np.argmax))

@@ -1,0 +1,277 @@
+"""Where the presets ``paper`` and ``reference`` do not follow what they are named after, each with its reason.
+
+One list for ``generate --preset NAME --dry-run`` and for ``docs/generation.md``, which a test compares. What the paper
+leaves open is no departure; `READINGS` says how it is read and what each reading kept where it was tried.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Final
+
+from generation.search.hyperparameters import HyperParameters
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """One departure.
+
+    Attributes:
+        said: What the paper or the code says, and where.
+        instead: What is done here.
+        reason: Why.
+    """
+
+    said: str
+    instead: str
+    reason: str
+
+    def sentence(self) -> str:
+        """For people."""
+        return f"{self.said}; here {self.instead}, because {self.reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Something that the paper leaves open or says in two ways.
+
+    Attributes:
+        open: What, and where.
+        taken: The reading of the preset.
+        why: Which others were tried and what they kept, or why none was.
+    """
+
+    open: str
+    taken: str
+    why: str
+
+    def sentence(self) -> str:
+        """For people."""
+        return f"{self.open}: read as {self.taken} ({self.why})"
+
+
+_MODEL: Final = Departure(
+    "the trajectory model is a transformer trained on nuPlan (section 3; the code's ig360_adv.ckpt)",
+    "the packaged model samples, trained on other recordings",
+    "the weights are not free to pass on; --denoiser FILE takes them",
+)
+
+PAPER: Final[tuple[Departure, ...]] = (
+    _MODEL,
+    Departure(
+        "any background vehicle may be chosen (section 3, appendix Adv-nuSc)",
+        "only four-wheeled ones are",
+        "rear axle and wheelbase are taken as 0.3 and 0.6 of the length, which is a car's measure and no cycle's",
+    ),
+    Departure(
+        "the selected vehicle drives on from its motion (section 3)",
+        "one that is recorded reversing starts from a stand",
+        "the tracker follows headings and never reverses",
+    ),
+    Departure(
+        "surviving scenes are ranked by their adversarial challenge score (appendix Adv-nuSc)",
+        "they are ranked by how closely and how urgently the moving ego is pressed",
+        "ACScore is normalised within a batch, so that those of two scenes cannot be compared",
+    ),
+    Departure(
+        "a random subset of the scenes is looked at by people (appendix Adv-nuSc)",
+        "nobody looks",
+        "a command cannot; sheets and films show every scene",
+    ),
+    Departure(
+        "scenes are rendered by MagicDriveDiT (section 3)",
+        "a schematic renderer draws unless --renderer magicdrive is given",
+        "its weights are large and need a GPU",
+    ),
+)
+
+REFERENCE: Final[tuple[Departure, ...]] = (
+    _MODEL,
+    Departure(
+        "scores are single precision",
+        "double precision",
+        "every number here is; verify scoring counts the few verdicts that differ",
+    ),
+    Departure(
+        "one seeded stream of random numbers serves sampling, scores and the switch of the challenge",
+        "each search has its own, asked once a planning frame for the switch",
+        "a result must not depend on what else is computed",
+    ),
+    Departure(
+        "where every score is beyond about 103 the softmax underflows and the program ends",
+        "the vehicle is dropped as scores-underflow",
+        "one vehicle must not end a build",
+    ),
+    Departure(
+        "a candidate with NaN ends the program",
+        "that candidate is never chosen",
+        "one candidate must not end a build",
+    ),
+    Departure(
+        "a vehicle that is absent in the 16 frames before its launch is given positions of nothing",
+        "it is not tried (no-frame-to-launch-at)",
+        "there is no motion to go on from",
+    ),
+    Departure(
+        "objects that are absent in a frame are boxes without a size inside the ego",
+        "they are left out",
+        "whoever touches one touches the ego's box, so that no verdict changes",
+    ),
+    Departure(
+        "the road under a chosen vehicle is read from a raster around the ego at each frame",
+        "from the polygons of the map",
+        "they are what the raster is drawn from",
+    ),
+    Departure(
+        "which of the editable vehicles is edited is said by hand",
+        "up to 10 are drawn by the seed, as the paper says",
+        "a command has to choose",
+    ),
+    Departure(
+        "the functions' defaults are 20 rounds and temperature 0.1",
+        "5 rounds and temperature 1",
+        "the shipped script passes these",
+    ),
+    Departure(
+        "a scene is dropped if the adversary never comes within 15 m",
+        "it is not",
+        "the code's array is zero before the launch, so that its rule never fires",
+    ),
+    Departure(
+        "a bad scene is planned to its end and then dropped",
+        "planning ends where the reason shows",
+        "the result is the same",
+    ),
+    Departure(
+        "there is no order among scenes",
+        "they are written in the order of our ranking",
+        "--top and --per-scene need one; without them nothing is dropped for it",
+    ),
+)
+
+READINGS: Final[tuple[Reading, ...]] = (
+    Reading(
+        "how long one of the 12 timesteps of H lasts (table of hyper-parameters)",
+        "half a second, the rate of nuScenes' annotations",
+        "1/12 s kept 0 of 35, with 29 that could no longer avoid contact; 1/6 s 1; 1/4 s 1; 1/2 s 3",
+    ),
+    Reading(
+        "short and long edges of the collision test (appendix, Trajectory Scoring)",
+        "the words: whole edges",
+        "at 1/2 s the words kept 4 of 35, half edges 4, boxes alone 3; at 1/12 s the words 2, boxes alone 0",
+    ),
+    Reading(
+        "how much noise t_trunc adds (Algorithm 1)",
+        "5, 4, 3, 2, 1 of 100 steps, as the code",
+        "kept 4 of 35; from 20 down to 1 3; from 50 down to 1 5, farther away and with nine times the network calls",
+    ),
+    Reading(
+        "when a vehicle takes over that is not there at frame 0 (Algorithm 1)",
+        "at its first frame in the area around the ego",
+        "kept 3 of 35 with boxes alone; within 25 m of the ego, as the default, 1",
+    ),
+    Reading("the size of a batch (section 3)", "256, as the code", "others were not tried"),
+    Reading(
+        "how near is close for a vehicle to be chosen (appendix Adv-nuSc)",
+        "20 m between the centres, as the code",
+        "others were not tried",
+    ),
+    Reading(
+        "how near it must get not to be dropped (appendix Adv-nuSc)",
+        "4 m between the bodies, as the default",
+        "others were not tried",
+    ),
+    Reading(
+        "argmax(R) in Algorithm 1, the highest score in section 3, lower is better in the appendix",
+        "the lowest score",
+        "the terms are penalties",
+    ),
+    Reading(
+        "noise is added to the batch in Algorithm 1, to what was drawn of it in section 3",
+        "to what was drawn",
+        "the draw would have no effect otherwise",
+    ),
+    Reading(
+        "ACStepWeight has T elements, Dist has H (appendix, Trajectory Scoring)",
+        "H elements",
+        "they are multiplied",
+    ),
+    Reading(
+        "collisions with other vehicles (appendix) or with any object (section 3)",
+        "with any object that is there",
+        "a scene in which it touches a pedestrian has no safe way either",
+    ),
+    Reading(
+        "the loop from 0 to the number of rounds (Algorithm 1)",
+        "5 rounds after the first batch",
+        "the code's count",
+    ),
+    Reading(
+        "what is a point outside the bird's-eye view",
+        "off the road; the view is 100 m wide, of the planning frame, in cells of 0.5 m",
+        "there is no road to be seen there",
+    ),
+    Reading(
+        "which motion lies between waypoints",
+        "a natural cubic spline at 12 Hz",
+        "straight lines have corners that the tracker would follow",
+    ),
+    Reading(
+        "how long a vehicle drives that leaves the recording early, or comes late",
+        "to the end of the scene; it is not chosen with less than a second left",
+        "Algorithm 1 goes on to the end",
+    ),
+)
+"""Measured on the first five vehicles of each of seven recordings, seed 0, 20 network calls for a first batch."""
+
+
+def departures(preset: str, hyper: HyperParameters) -> tuple[Departure, ...]:
+    """Departures of a search from what its preset is named after.
+
+    Args:
+        preset: ``paper`` or ``reference``; ``default`` follows neither and has none.
+        hyper: Its settings; those that were changed are departures, too.
+
+    Returns:
+        The departures.
+    """
+    match preset:
+        case "paper":
+            known, asked = PAPER, HyperParameters.paper()
+        case "reference":
+            known, asked = REFERENCE, HyperParameters.reference()
+        case _:
+            return ()
+    changed = [
+        Departure(
+            f"{each.name} is {getattr(asked, each.name)}",
+            f"it is {getattr(hyper, each.name)}",
+            "it was asked for",
+        )
+        for each in fields(hyper)
+        if getattr(hyper, each.name) != getattr(asked, each.name)
+    ]
+    return (*changed, *known)
+
+
+def told(preset: str, hyper: HyperParameters) -> list[str]:
+    """Lines for ``--dry-run``: departures, then how the paper is read where it leaves something open."""
+    found = departures(preset, hyper)
+    if not found:
+        return []
+    lines = [f"preset {preset} departs from the {'text' if preset == 'paper' else 'code'} in {len(found)} points:"]
+    lines += [f"- {each.sentence()}" for each in found]
+    if preset == "paper" and READINGS:
+        lines += ["what the text leaves open:", *(f"- {each.sentence()}" for each in READINGS)]
+    return lines
+
+
+def departures_table(found: Sequence[Departure]) -> str:
+    """Markdown for ``docs/generation.md``."""
+    rows = [f"| {each.said} | {each.instead} | {each.reason} |" for each in found]
+    return "\n".join(["| said | here | because |", "|---|---|---|", *rows])
+
+
+def readings_table() -> str:
+    """Markdown for ``docs/generation.md``."""
+    rows = [f"| {each.open} | {each.taken} | {each.why} |" for each in READINGS]
+    return "\n".join(["| open | taken | tried |", "|---|---|---|", *rows])

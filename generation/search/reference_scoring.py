@@ -1,0 +1,282 @@
+"""The score of the public reference code, beside the paper's (`generation.search.scoring`); lower is better.
+
+It looks at all 81 poses of a candidate, weighs the far ones little, squares distances to the ego, inflates the
+candidate where boxes are intersected, and gives candidates that would touch the ego the worst challenge of the batch.
+What the paper says in their place is in `generation.search.departures`. Vectorised over candidates, poses and objects.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Bools, Floats, axes_overlap
+from benchmark.road_map import DrivableRaster
+from benchmark.scene import Scene
+from generation.search.hyperparameters import REFERENCE_POSES, CollisionReading
+from generation.search.scoring import Surroundings, Terms, columns, near_pairs, surroundings
+
+SOON_POSES: Final = 14
+"""Poses whose boxes are all intersected and whose road weighs in full: the planning frame, H frames and one more."""
+COLLISION_POSES: Final = 13
+"""Poses whose collisions weigh in full."""
+CHECKED_LATER: Final = (16, 20, 24)
+"""Later poses at which boxes are intersected."""
+TAIL_WEIGHT: Final = 0.03
+CORNER_PENALTY: Final = (0.0, 1.0, 1.1, 1.2, 1.3)
+"""By number of corners off the road."""
+CORNER_WEIGHT: Final = 0.2
+INFLATION: Final = 1.2
+EGO_LENGTH_WIDTH_M: Final = (7.0, 3.5)
+"""Of the ego that is collided with; its centre is the lidar."""
+SPREAD_FLOOR: Final = 1e-7
+"""Added to the spread of the challenge before it divides."""
+CALM_FRAMES: Final = 36
+"""Frames after the launch in which the challenge is always on."""
+NEAR_M: Final = 5.0
+"""Smoothed distance to the ego below which the challenge is switched off in half of the planning frames."""
+KEPT_SHARE: Final = 0.7
+"""Of the smoothed distance from one frame to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceTerms(Terms):
+    """The terms of the reference code; S poses, the planning frame's among them.
+
+    Attributes:
+        corners_off: (B, S) how many of the four points that pass for corners are off the road.
+        hits_ego: (B,) whose inflated box touches the ego's soon; they get the worst challenge of the batch.
+        challenged: Whether the challenge counts in this planning frame (`challenge_on`).
+    """
+
+    corners_off: NDArray[np.int64]
+    hits_ego: Bools
+    challenged: bool
+
+    @classmethod
+    def challenges(cls, batches: Sequence[Self]) -> Floats:
+        """The challenge mapped to [0, 1] over R batches together, (R, B).
+
+        Candidates that hit the ego count where the smallest value is looked for, and then get the largest. Zeros where
+        the challenge is switched off.
+        """
+        raw, finite, hits = (
+            np.stack([getattr(b, name) for b in batches]) for name in ("challenge", "finite", "hits_ego")
+        )
+        if not batches[0].challenged or not finite.any():
+            return np.zeros_like(raw)
+        low, high = raw[finite].min(), raw[finite].max()
+        return np.where(finite, (np.where(hits, high, raw) - low) / (high - low + SPREAD_FLOOR), 0.0)
+
+
+def road_weights(poses: int) -> Floats:
+    """Weights (S,) of leaving the road: they fall faster where fewer poses are left of the scene."""
+    weight = np.linspace(1.0, 0.5, poses) ** 2
+    weight[SOON_POSES:] *= TAIL_WEIGHT
+    return np.asarray(weight)
+
+
+def collision_weights(poses: int) -> Floats:
+    """Weights (S,) of collisions."""
+    weight = np.linspace(1.0, 0.5, REFERENCE_POSES) ** 2
+    weight[COLLISION_POSES:] *= TAIL_WEIGHT
+    return np.asarray(weight[:poses])
+
+
+def distance_weights(poses: int) -> Floats:
+    """Weights (S,) of the distance to the ego, before squaring."""
+    head = np.linspace(0.7, 1.0, COLLISION_POSES)
+    tail = np.linspace(0.2, 0.05, REFERENCE_POSES - COLLISION_POSES) ** 2
+    return np.asarray(np.concatenate([head, tail])[:poses])
+
+
+def reference_surroundings(scene: Scene, agent: int, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+    """Everything but one agent as the reference code sees it, the ego 7 m long around its lidar.
+
+    It is challenged at its rear axle. Objects that are absent in a frame are left out. In the reference code they are
+    boxes without a size at the ego's lidar, well inside the ego's box: whoever touches one touches the ego, so that no
+    verdict changes.
+
+    Args:
+        scene: The scene.
+        agent: Index of the agent that is being planned.
+        frames: S frame indices, the planning frame first.
+        raster: Drivable area around the ego's lidar at the planning frame.
+
+    Returns:
+        The surroundings; ``ego_center`` is the rear axle.
+    """
+    around = surroundings(scene, agent, frames, raster)
+    pose = scene.ego.pose[np.asarray(frames)]
+    around.boxes[:, -1] = np.column_stack(
+        [lidar_positions(scene)[np.asarray(frames)], np.tile(EGO_LENGTH_WIDTH_M, (len(pose), 1)), pose[:, 2]]
+    )
+    return Surroundings(around.boxes, around.present, pose[:, :2], raster)
+
+
+def lidar_positions(scene: Scene) -> Floats:
+    """(T, 2) of the ego's lidar, metres, global."""
+    pose = scene.ego.pose
+    ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+    return np.asarray(pose[:, :2] + scene.lidar.translation[0] * ahead)
+
+
+def reference_terms(center: Floats, size: Floats, around: Surroundings, *, challenged: bool = True) -> ReferenceTerms:
+    """The terms of the reference code's score.
+
+    Args:
+        center: (B, S, 3) poses of the candidates' box centres from the planning frame on; S is 81, or as many as the
+            scene has left.
+        size: (2,) length and width of the vehicle.
+        around: Surroundings at the same S frames, the ego last (`reference_surroundings`).
+        challenged: Whether the challenge counts.
+
+    Returns:
+        The terms. Poses beyond the ends of the raster are read at its border, as the reference code does.
+    """
+    poses = center.shape[1]
+    finite = np.isfinite(center).all(axis=(1, 2))
+    safe = np.where(finite[:, None, None], center, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = ~at_border(around.raster, safe[..., :2])
+        corners = (~at_border(around.raster, corner_points(safe, size))).sum(axis=-1)
+        offset = safe[..., :2] - around.ego_center
+        distance = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
+        challenge = ((distance * distance_weights(poses)) ** 2).sum(axis=1)
+    finite &= np.isfinite(challenge)
+    contacts = reference_collisions(safe, size, around)
+    penalty = np.asarray(CORNER_PENALTY)[corners]
+    return ReferenceTerms(
+        center_off_road=off,
+        corner_off_road=corners > 0,
+        collision=contacts.collision,
+        distance=distance,
+        dac=(off + CORNER_WEIGHT * penalty) @ road_weights(poses),
+        cr=contacts.collision @ collision_weights(poses),
+        challenge=challenge,
+        finite=finite,
+        corners_off=corners,
+        hits_ego=contacts.hits_ego,
+        challenged=challenged,
+    )
+
+
+def at_border(raster: DrivableRaster, points: Floats) -> Bools:
+    """Whether points (..., 2) are drivable; those outside the raster are read at its border."""
+    cos, sin = np.cos(raster.pose[2]), np.sin(raster.pose[2])
+    dx, dy = points[..., 0] - raster.pose[0], points[..., 1] - raster.pose[1]
+    count = len(raster.cells)
+    right, forward = (
+        np.clip(np.rint(along / raster.resolution_m + count / 2), 0, count - 1).astype(np.int64)
+        for along in (dx * sin - dy * cos, dx * cos + dy * sin)
+    )
+    return np.asarray(raster.cells[right, forward])
+
+
+def corner_points(center: Floats, size: Floats) -> Floats:
+    """The points (B, S, 4, 2) that the reference code takes for the corners of a box.
+
+    Half the width along x times the cosine, half the length along y times the sine of the heading: no rotation. Heading
+    along x, all four lie on a line through the middle of the vehicle.
+
+    Args:
+        center: (B, S, 3) poses of box centres.
+        size: (2,) length and width.
+
+    Returns:
+        The points, metres, global.
+    """
+    signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    half = 0.5 * size[::-1] * np.stack([np.cos(center[..., 2]), np.sin(center[..., 2])], axis=-1)
+    return np.asarray(center[..., None, :2] + signs * half[..., None, :])
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceContacts:
+    """Collisions as the reference code counts them.
+
+    Attributes:
+        sure: (B, S) nearer to something than half the short edges; no other test is made there.
+        collision: (B, S) those, and those whose inflated box is met.
+        hits_ego: (B,) whose box meets the ego's and no other object's at one of the first 14 poses.
+        tests: Pairs of boxes that were intersected.
+    """
+
+    sure: Bools
+    collision: Bools
+    hits_ego: Bools
+    tests: int
+
+
+def reference_collisions(center: Floats, size: Floats, around: Surroundings) -> ReferenceContacts:
+    """Collisions as the reference code counts them.
+
+    At every pose: nearer than half the short edges collides. Nearer than half the long edges, at poses 0 to 13, 16, 20
+    and 24: the candidate's box, 1.2 times its size, is intersected.
+
+    Args:
+        center: (B, S, 3) finite poses.
+        size: (2,) length and width.
+        around: Objects at the same frames, the ego last.
+
+    Returns:
+        The collisions.
+    """
+    boxes = np.empty((center.shape[1], center.shape[0], 5))
+    boxes[..., [0, 1, 4]] = center.transpose(1, 0, 2)
+    boxes[..., 2:4] = size
+    own, other = columns(boxes, CollisionReading.HALF), columns(around.boxes, CollisionReading.HALF)
+    poses, count = boxes.shape[:2]
+    # Where a square overflows the candidate is nowhere near anything.
+    with np.errstate(over="ignore", invalid="ignore"):
+        candidate, object_ = near_pairs(own, other, around.present)
+    first, second = own.reshape(8, -1)[:, candidate], other.reshape(8, -1)[:, object_]
+    distance = np.hypot(second[0] - first[0], second[1] - first[1])
+    sure = np.zeros(poses * count, dtype=np.bool_)
+    sure[candidate[distance < first[6] + second[6]]] = True
+    step = candidate // count
+    asked = (step < SOON_POSES) | np.isin(step, CHECKED_LATER)
+    asked &= ~sure[candidate] & (distance <= first[7] + second[7])
+    meets = _inflated_meet(first[:, asked], second[:, asked])
+    at, objects = candidate[asked][meets], around.boxes.shape[1]
+    ego = object_[asked][meets] % objects == objects - 1
+    collision, others = sure.copy(), np.zeros_like(sure)
+    collision[at], others[at[~ego]] = True, True
+    soon = at[ego]
+    soon = soon[~others[soon] & (soon // count < SOON_POSES)]
+    hits_ego = np.zeros(count, dtype=np.bool_)
+    hits_ego[soon % count] = True
+    shape = (poses, count)
+    return ReferenceContacts(sure.reshape(shape).T, collision.reshape(shape).T, hits_ego, int(asked.sum()))
+
+
+def _inflated_meet(first: Floats, second: Floats) -> Bools:
+    """(P,) whether boxes meet, (8, P) columns each, the first of them inflated."""
+    first[2:4] *= INFLATION
+    cos = first[4] * second[4] + first[5] * second[5]
+    sin = first[4] * second[5] - first[5] * second[4]
+    return axes_overlap(second[0] - first[0], second[1] - first[1], first[2:6], second[2:6], cos, sin)
+
+
+def challenge_on(distance_m: Floats, launch: int, frame: int, rng: np.random.Generator) -> bool:
+    """Whether the challenge counts at a planning frame: off in half of those, after 3 s, at which it is near.
+
+    The reference draws once a frame from a stream that other draws shift; here the search's own generator is asked.
+
+    Args:
+        distance_m: (T,) from the adversary's centre to the ego's rear axle, from the frame before the launch on at
+            least up to the frame before this one.
+        launch: Frame of the launch; ``distance_m`` begins one frame earlier.
+        frame: The planning frame.
+        rng: Asked once, whether or not it is needed, so that chance does not hang on distances.
+
+    Returns:
+        Whether it counts.
+    """
+    drawn = rng.random()
+    smoothed = 0.0
+    for before in distance_m[: frame - launch + 1]:
+        smoothed = KEPT_SHARE * smoothed + (1.0 - KEPT_SHARE) * float(before)
+    return not (frame > launch + CALM_FRAMES and smoothed < NEAR_M and drawn < 0.5)
