@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
 
 Preset = Literal["default", "paper"]
+SampleSource = Literal["fresh", "reference", "stored"]
 
 
 def hyper_parameters(
@@ -41,8 +42,12 @@ def trajectory_model(
     *,
     calls: int | None = None,
     dropout: bool = False,
+    samples: SampleSource | None = None,
 ) -> "PackagedPrior":
-    """The trajectory model that proposes candidates; with the paper's preset nothing that it draws is drawn again.
+    """The trajectory model that proposes candidates.
+
+    With the paper's preset it is not told how the vehicle moves, samples by the reference's 100 steps, and nothing that
+    it draws is drawn again.
 
     Args:
         preset: ``default``, or ``paper``.
@@ -50,13 +55,16 @@ def trajectory_model(
         device: Where it runs.
         calls: Most network calls of a mutation; the reference has one a noise level.
         dropout: Sample with dropout on, as the reference code does by an omission.
+        samples: Where new candidates come from (`generation.diffusion.prior.Samples`), if not where the preset says.
 
     Returns:
         What makes the model in each process.
     """
     # Settings are checked where nothing runs yet, and torch is slow to import.
-    from generation.diffusion.prior import SamplerSettings
+    from generation.diffusion.prior import SamplerSettings, Samples
     from generation.search.definition import PackagedPrior
 
-    sampler = SamplerSettings(mutation_steps=calls, drivable=preset != "paper", dropout=dropout)
+    ours = preset == "default"
+    source = Samples(samples or ("fresh" if ours else "reference"))
+    sampler = SamplerSettings(samples=source, conditioned=ours, mutation_steps=calls, drivable=ours, dropout=dropout)
     return PackagedPrior(weights, device, sampler)
