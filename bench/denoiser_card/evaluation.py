@@ -8,20 +8,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from bench.denoiser_card.drawing import Source, asked, drawn_again, replayed
 from bench.denoiser_card.feasibility import Tracking, track
 from bench.denoiser_card.two_sample import motion_features, permutation_test, rejection_rate
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from generation.diffusion.bank import bank_beside, read_bank
 from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.kinematics import STEP_S, Motion, motion
+from generation.diffusion.residual_network import present_features
 from generation.diffusion.schedule import add_noise, signal_and_noise
-from generation.diffusion.standardiser import ACTION_SCALE, actions_from_waypoints, waypoints_from_actions
+from generation.diffusion.standardiser import ACTION_SCALE, actions_from_waypoints
 from generation.diffusion.training.loop import HELD_OUT_SOURCES
-from generation.diffusion.training.window_pool import WindowPool, load_track_data, window_actions
+from generation.diffusion.training.window_pool import WindowPool, load_track_data
 
-ATTEMPTS: Final = 64
 NEIGHBOURS_OF: Final = 1000
 REPLAYED: Final = 20_000
 """Training windows that are replayed, drawn as training draws them but not scaled."""
@@ -42,7 +42,7 @@ class HeldOut:
         waypoints: (N, 16, 3) held-out windows.
         vehicle: (N,) which vehicle each is of; windows of one vehicle resemble each other.
         learnt_from: (A, 16, 3) actions of all training windows, as they are and mirrored.
-        replayed: (R, 16, 3) actions drawn from them as in training: sources by the root of their size.
+        replayed: (R, 16, 3) actions drawn from them as in training, but not scaled.
     """
 
     previous: Floats
@@ -69,14 +69,14 @@ def load_held_out(tracks: Path, sources: tuple[str, ...] = HELD_OUT_SOURCES, see
     data = load_track_data(tracks, sources, stride_s=0.5)
     if not data.held_out:
         raise InputError(f"{tracks} has none of the held-out sources {', '.join(sources)}; nothing to compare")
-    pool = WindowPool.of({name: window_actions(windows) for name, windows in data.training.items()})
+    pool = WindowPool.of(data.training)
     vehicles = [windows.track + 1_000_000 * index for index, windows in enumerate(data.held_out.values())]
     return HeldOut(
         previous=np.concatenate([windows.previous for windows in data.held_out.values()]),
         waypoints=np.concatenate([windows.waypoints for windows in data.held_out.values()]),
         vehicle=np.concatenate(vehicles),
         learnt_from=np.concatenate([pool.actions, pool.actions * [1.0, -1.0, -1.0]]),
-        replayed=pool.draw(REPLAYED, 0.0, np.random.default_rng(content_seed("replayed windows", seed))),
+        replayed=pool.draw(REPLAYED, 0.0, np.random.default_rng(content_seed("replayed windows", seed))).actions,
     )
 
 
@@ -132,7 +132,8 @@ class Report:
 class TwoSample:
     """Tests of what is told apart from held-out driving, one window of each vehicle.
 
-    The names are ``samples``, ``replay`` and ``held-out`` (some of the vehicles against others).
+    The names are ``samples``, ``replay`` (of training windows), ``replay of held-out`` (each at the start of another)
+    and ``held-out`` (some of the vehicles against others).
 
     Attributes:
         vehicles: Held-out vehicles.
@@ -164,28 +165,6 @@ def wasserstein(first: Floats, second: Floats) -> float:
     return float(np.abs(quantiles[0] - quantiles[1]).mean())
 
 
-def replay(actions: Floats, previous: Floats, rng: np.random.Generator, attempts: int = ATTEMPTS) -> Floats:
-    """Actions drawn at random for each start, and drawn again where a car could not drive them.
-
-    Args:
-        actions: (A, 16, 3) to draw from.
-        previous: (N, 3) poses half a second before each start.
-        rng: Chance.
-        attempts: Draws at most; 1 keeps the first whatever it is.
-
-    Returns:
-        (N, 16, 3) waypoints.
-    """
-    waypoints = waypoints_from_actions(actions[rng.integers(0, len(actions), len(previous))], previous)
-    for _ in range(attempts - 1):
-        bad = np.flatnonzero(motion(waypoints, previous).excess > 0)
-        if not len(bad):
-            break
-        again = actions[rng.integers(0, len(actions), len(bad))]
-        waypoints[bad] = waypoints_from_actions(again, previous[bad])
-    return waypoints
-
-
 def quantities(moved: Motion) -> dict[str, Floats]:
     """Values by quantity, with units, of trajectories that are compared by their distributions."""
     between = 0.5 * (moved.speed[..., 1:] + moved.speed[..., :-1])
@@ -210,10 +189,10 @@ def _nearest(actions: Floats, references: Floats) -> float:
 
 
 def compare_with_held_out(weights: Path, held_out: HeldOut, seed: int = 0) -> Report:
-    """Compare the bank of a model with windows of sources it was not trained on.
+    """Compare samples of a model, as a search draws them, with windows of sources it was not trained on.
 
     Args:
-        weights: Weights with a bank beside them.
+        weights: Of the model.
         held_out: What to compare with.
         seed: Of the draws.
 
@@ -221,18 +200,20 @@ def compare_with_held_out(weights: Path, held_out: HeldOut, seed: int = 0) -> Re
         See `Report`.
 
     Raises:
-        InputError: If weights or bank are missing or broken.
+        InputError: If the weights are missing or broken.
     """
-    bank = read_bank(bank_beside(weights), weights)
+    source = asked(load_denoiser(weights))
     previous, real = held_out.previous, held_out.waypoints
     rng = np.random.default_rng(content_seed("held-out comparison", seed))
     # What is replayed and which starts are tracked and tested is the same for every model.
     choice = np.random.default_rng(content_seed("held-out starts", seed))
-    raw, sampled = replay(bank, previous, rng, attempts=1), replay(bank, previous, rng)
-    replayed = replay(held_out.replayed, previous, choice)
-    actual, ideal, model = (quantities(motion(part, previous)) for part in (real, replayed, sampled))
+    raw, sampled = drawn_again(source, previous, rng, attempts=1), drawn_again(source, previous, rng)
+    again = drawn_again(replayed(held_out.replayed), previous, choice)
+    known = drawn_again(_held_out_replayed(held_out), previous, choice)
+    actual, ideal, model = (quantities(motion(part, previous)) for part in (real, again, sampled))
     pick = choice.choice(len(previous), size=min(NEIGHBOURS_OF, len(previous)), replace=False)
     starts = choice.permutation(len(previous))[:TRACKED_STARTS]
+    tested = {"samples": sampled, "replay": again, "replay of held-out": known, "held-out": real}
     return Report(
         comparisons=tuple(
             DistributionDistances(
@@ -247,25 +228,31 @@ def compare_with_held_out(weights: Path, held_out: HeldOut, seed: int = 0) -> Re
         held_out_windows=len(previous),
         drivable_raw=float((motion(raw, previous).excess == 0).mean()),
         drivable=float((motion(sampled, previous).excess == 0).mean()),
-        nearest_sample=_nearest(bank[:NEIGHBOURS_OF], held_out.learnt_from),
+        nearest_sample=_nearest(actions_from_waypoints(raw[pick], previous[pick]), held_out.learnt_from),
         nearest_held_out=_nearest(actions_from_waypoints(real[pick], previous[pick]), held_out.learnt_from),
         denoising_error=_denoising_error(weights, held_out, choice),
         tracking={
             "samples": track(sampled[starts][:, None], previous[starts]),
             "held-out": track(real[starts][:, None], previous[starts]),
         },
-        told_apart=_told_apart({"samples": sampled, "replay": replayed, "held-out": real}, held_out, choice),
+        told_apart=_told_apart(tested, held_out, choice),
     )
 
 
+def _held_out_replayed(held_out: HeldOut) -> Source:
+    """Held-out windows, each at the start of another: a model that knows them perfectly but not the start."""
+    return replayed(actions_from_waypoints(held_out.waypoints, held_out.previous))
+
+
 def _denoising_error(weights: Path, held_out: HeldOut, rng: np.random.Generator) -> dict[int, float]:
-    denoiser = load_denoiser(weights)
+    denoiser, poses = load_denoiser(weights), torch.from_numpy(held_out.previous.astype(np.float32))
+    present = present_features(poses) if denoiser.config.conditioned else None
     clean = torch.from_numpy(actions_from_waypoints(held_out.waypoints, held_out.previous).astype(np.float32))
     noise = torch.from_numpy(rng.standard_normal(clean.shape).astype(np.float32))
     errors = {}
     for level in NOISE_LEVELS:
         with torch.inference_mode():
-            predicted = denoiser(add_noise(clean, noise, level - 1), torch.tensor([float(level - 1)]))
+            predicted = denoiser(add_noise(clean, noise, level - 1), torch.tensor([float(level - 1)]), present)
         signal, spread = signal_and_noise(level - 1)
         error = (spread / signal) * (predicted - noise).numpy()[..., :2]
         errors[level] = float(np.sqrt((error**2).mean()) * ACTION_SCALE / STEP_S**2)

@@ -6,35 +6,43 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from torch import Tensor
 
-from bench.denoiser_card.evaluation import HeldOut, quantities, replay, wasserstein
+from bench.denoiser_card.drawing import Process, asked, drawn_again, fast
+from bench.denoiser_card.evaluation import HeldOut, quantities, wasserstein
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from generation.diffusion.bank import sample_actions
+from generation.diffusion.bank import normal_noise
 from generation.diffusion.checkpoint import load_denoiser
+from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
-from generation.diffusion.schedule import STEPS
+from generation.diffusion.schedule import STEPS, Denoise, reverse, strided_timesteps
 
 ROUND_NOISE_LEVELS: Final = (5, 4, 3, 2, 1)
-FULL_CALLS: Final = (STEPS, 50, 20, 10, 5)
+FULL_CALLS: Final = (32, 16, 12, 8, 6, 4)
 FULL_SAMPLES: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class FullProcess:
-    """Full processes with some number of calls.
+    """Full processes of some kind with some number of calls.
 
     Attributes:
+        process: ``reference`` or ``solver``.
         calls: Network calls.
         distance: Mean over quantities of the 1-Wasserstein distance from held-out driving, in spreads of it.
-        from_all_calls: The same from the samples of 100 calls with the same starting noise.
+        from_reference: The same from the samples of the reference's 100 calls.
+        off_m: Root mean square distance of waypoints from the finest solution with the same starting noise; ``None``
+            where noise is added on the way, so that samples cannot be compared one by one.
         drivable_raw: Share of samples that a car can drive from a held-out start, without drawing again.
     """
 
+    process: str
     calls: int
     distance: float
-    from_all_calls: float
+    from_reference: float
+    off_m: float | None
     drivable_raw: float
 
 
@@ -44,31 +52,50 @@ def full_process_costs(weights: Path, held_out: HeldOut, seed: int = 0) -> tuple
     Args:
         weights: Weights.
         held_out: What to compare with.
-        seed: Of the starting noise, which all share, and of the draws.
+        seed: Of the starting noise, which all share, and of the starts.
 
     Returns:
-        One entry per number of calls, 100 first.
+        The reference's process with 100 calls, then the solver by falling number of calls.
 
     Raises:
         InputError: If the weights cannot be used.
     """
-    denoiser, previous = load_denoiser(weights), held_out.previous
-    actual = quantities(motion(held_out.waypoints, previous))
+    denoiser, rng = load_denoiser(weights), np.random.default_rng(content_seed("full process starts", seed))
+    starts = rng.permutation(len(held_out.previous))[:FULL_SAMPLES]
+    previous, actual = held_out.previous[starts], quantities(motion(held_out.waypoints, held_out.previous))
+    finest = _drawn(denoiser, fast(STEPS), previous, seed)
     costs: list[FullProcess] = []
     complete: dict[str, Floats] = {}
-    for calls in FULL_CALLS:
-        rng = np.random.default_rng(content_seed("full process", seed))
-        actions = sample_actions(denoiser, FULL_SAMPLES, calls, rng)
-        draw = np.random.default_rng(content_seed("full process draws", seed))
-        raw = motion(replay(actions, previous, draw, attempts=1), previous)
-        model = quantities(motion(replay(actions, previous, draw), previous))
+    for name, calls in (("reference", STEPS), *(("solver", calls) for calls in FULL_CALLS)):
+        noise = np.random.default_rng(content_seed("full process steps", seed))
+        process = _reference(noise) if name == "reference" else fast(calls)
+        raw = _drawn(denoiser, process, previous, seed)
+        again = np.random.default_rng(content_seed("full process draws", seed))
+        model = quantities(motion(drawn_again(asked(denoiser, process), previous, again), previous))
         complete = complete or model
-        distance, from_all = (
+        distance, from_reference = (
             float(np.mean([wasserstein(model[name], other[name]) / actual[name].std() for name in actual]))
             for other in (actual, complete)
         )
-        costs.append(FullProcess(calls, distance, from_all, float((raw.excess == 0).mean())))
+        off = None if name == "reference" else _rms_metres(raw - finest)
+        drivable = float((motion(raw, previous).excess == 0).mean())
+        costs.append(FullProcess(name, calls, distance, from_reference, off, drivable))
     return tuple(costs)
+
+
+def _drawn(denoiser: TrajectoryDenoiser, process: Process, previous: Floats, seed: int) -> Floats:
+    """Waypoints of one sample for each start; the starting noise is the same for every process."""
+    noise = np.random.default_rng(content_seed("full process", seed))
+    return drawn_again(asked(denoiser, process), previous, noise, attempts=1)
+
+
+def _reference(rng: np.random.Generator) -> Process:
+    """The reference's 100 steps with their noise, which has a generator of its own."""
+
+    def process(denoise: Denoise, noisy: Tensor) -> Tensor:
+        return reverse(denoise, noisy, strided_timesteps(STEPS - 1, None), draw=lambda: normal_noise(rng, len(noisy)))
+
+    return process
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +117,7 @@ def stride_errors(weights: Path, calls: Sequence[int] = (1, 2), seed: int = 0) -
     """Compare strided truncated processes with the reference's, over the five rounds of a diversified batch at 8 m/s.
 
     Args:
-        weights: Weights with a bank beside them.
+        weights: Weights.
         calls: Numbers of calls to compare.
         seed: Of batch and noise.
 

@@ -6,15 +6,16 @@ from bench.denoiser_card.evaluation import TEST_REPEATS, TEST_SIZES, Report
 from bench.denoiser_card.feasibility import HORIZONS_S, LIMITED_M, WITHIN_M
 from bench.denoiser_card.sampling_steps import FULL_SAMPLES, FullProcess, StrideError
 from bench.denoiser_card.two_sample import FEATURES, PERMUTATIONS
-from generation.diffusion.prior import SamplerSettings
+from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings
 from generation.diffusion.training.card import table
 
 COMPARISON = """\
 ## Against driving it never saw
 
 {windows:,} windows of {titles}. For the start of each
-window a sample is drawn, again if no car could drive it from that speed. Distances are 1-Wasserstein. *Replay* draws
-training windows instead of samples: what an unconditional model that knows its training data perfectly would reach.
+window a sample is drawn as a search draws it ({calls} network calls, told how the vehicle moves there), again if no car
+could drive it from that speed. Distances are 1-Wasserstein. *Replay* draws training windows instead of samples: what an
+unconditional model that knows its training data perfectly would reach.
 
 {distances}
 
@@ -23,7 +24,6 @@ Root mean square error of the accelerations that the network finds in held-out w
 {errors}
 
 - Drivable from a held-out start as drawn: {drivable_raw:.1%}; after drawing again: {drivable:.1%}.
-  The model does not know the speed, so braking samples would reverse a slow car; that is why they are drawn again.
 - Nearest training window, median, root mean square: {nearest_sample:.2f} m/s^2 from a sample,
   {nearest_held_out:.2f} m/s^2 from a held-out window: samples are {copies}.
 """
@@ -53,16 +53,29 @@ size that told the two apart at 5 %.
 
 {samples_apart}
 {replay_apart}
-An unconditional model of other roads cannot pass at every size: it does not know what the road ahead of this car is
-like. *Replay* shows how much of that is the data's doing, *held-out* that the test keeps its 5 %.
+A model of other roads cannot pass at every size: it does not know what the road ahead of this car is like. *Replay*
+(of training windows) shows how much of that is the data's doing; *replay of held-out* puts held-out windows at the
+starts of others and is the floor of every model that is not told how the vehicle moves; *held-out* shows that the test
+keeps its 5 %.
 """
 
 FULL = """\
 ## Fewer network calls in full processes
 
-{samples:,} samples each. Distances: mean over the quantities above, in spreads of held-out driving.
+{samples:,} held-out starts, one sample each. Distances: mean over the quantities above, in spreads of held-out driving.
+*Off*: root mean square distance of waypoints from the solver's finest solution with the same starting noise.
 
 {costs}
+
+Default: {calls} calls of the solver.
+"""
+
+BESIDE = """\
+## Beside another model
+
+Measured in the same run, with the same starts and draws: {which}.
+
+{rows}
 """
 
 TRUNCATED = """\
@@ -99,6 +112,7 @@ def _comparison(report: Report, titles: Sequence[str]) -> str:
     errors = report.denoising_error
     return COMPARISON.format(
         windows=report.held_out_windows,
+        calls=SOLVER_CALLS,
         titles=", ".join(titles),
         distances=table(head, values),
         errors=table(("noise level", *errors), [("m/s^2", *(f"{error:.3f}" for error in errors.values()))]),
@@ -146,13 +160,50 @@ def _apart(report: Report, name: str) -> str:
     return f"Most tests tell {name} apart from n = {sizes[0]} on." if sizes else f"Most tests do not tell {name} apart."
 
 
+def beside_section(report: Report, other: Report, which: str) -> str:
+    """Section that puts a model beside another one.
+
+    Args:
+        report: Of the model.
+        other: Of the other.
+        which: What the other is.
+
+    Returns:
+        Markdown.
+    """
+    both = (report, other)
+    rows = [
+        ("drivable as drawn", *(f"{each.drivable_raw:.1%}" for each in both)),
+        ("drivable after drawing again", *(f"{each.drivable:.1%}" for each in both)),
+        ("mean distance to held-out, spreads", *(f"{_mean_distance(each):.3f}" for each in both)),
+        ("energy distance", *(f"{each.told_apart.full['samples'][0]:.3f}" for each in both)),
+    ]
+    for index, size in enumerate(TEST_SIZES):
+        rates = [each.told_apart.rates["samples"][index] for each in both]
+        rows.append((f"told apart, n = {size}", *("-" if rate is None else f"{rate:.0%}" for rate in rates)))
+    return BESIDE.format(which=which, rows=table(("", "this model", "the other"), rows))
+
+
+def _mean_distance(report: Report) -> float:
+    rows = report.comparisons
+    return sum(row.model / row.held_out_spread for row in rows) / len(rows)
+
+
 def full_process_section(costs: Sequence[FullProcess]) -> str:
     """Section on full processes with fewer calls."""
     rows = [
-        (cost.calls, f"{cost.distance:.3f}", f"{cost.from_all_calls:.3f}", f"{cost.drivable_raw:.1%}") for cost in costs
+        (
+            cost.process,
+            cost.calls,
+            f"{cost.distance:.3f}",
+            f"{cost.from_reference:.3f}",
+            "-" if cost.off_m is None else f"{cost.off_m:.2f}",
+            f"{cost.drivable_raw:.1%}",
+        )
+        for cost in costs
     ]
-    head = ("calls", "to held-out", "to 100 calls", "drivable as drawn")
-    return FULL.format(samples=FULL_SAMPLES, costs=table(head, rows))
+    head = ("process", "calls", "to held-out", "to the reference's", "off, m", "drivable as drawn")
+    return FULL.format(samples=FULL_SAMPLES, costs=table(head, rows), calls=SOLVER_CALLS)
 
 
 def truncated_process_section(errors: Sequence[StrideError]) -> str:

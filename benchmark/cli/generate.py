@@ -32,6 +32,7 @@ from benchmark.cli.options import (
     PresetOption,
     RenderDeviceOption,
     RendererName,
+    SamplesOption,
     ScenesOption,
     SeedOption,
     SetOption,
@@ -65,8 +66,8 @@ if TYPE_CHECKING:
 
 _OF_THE_SEARCH: Final = (
     "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
-    "candidates", "rounds", "parked", "preset", "changes", "denoiser", "calls", "dropout", "device", "together",
-    "keep_rounds", "profile",
+    "candidates", "rounds", "parked", "preset", "changes", "denoiser", "calls", "dropout", "samples", "device",
+    "together", "keep_rounds", "profile",
 )  # fmt: skip
 """Options of ``generate`` that say nothing to a split that is built from a frozen one."""
 
@@ -101,6 +102,7 @@ def generate_command(
     denoiser: DenoiserOption = None,
     calls: CallsOption = None,
     dropout: DropoutOption = False,
+    samples: SamplesOption = None,
     device: DeviceOption = "cpu",
     together: TogetherOption = 1,
     layout: Annotated[Layout, typer.Option(help="One root with suffixed names, or one root per variant.")] = (
@@ -195,7 +197,14 @@ def generate_command(
     settings = BuildSettings(
         out=api.workspace(out).split_root(source.name, split),
         hyper=hyper,
-        prior=trajectory_model(preset.value, denoiser, device, calls=calls, dropout=dropout),
+        prior=trajectory_model(
+            preset.value,
+            denoiser,
+            device,
+            calls=calls,
+            dropout=dropout,
+            samples=None if samples is None else samples.value,
+        ),
         source_split=source_split,
         scenes=named,
         limit=limit,

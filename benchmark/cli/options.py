@@ -86,6 +86,14 @@ class Verifiable(StrEnum):
     MODEL = "model"
 
 
+class SampleSource(StrEnum):
+    """Where first candidates come from."""
+
+    FRESH = "fresh"
+    REFERENCE = "reference"
+    STORED = "stored"
+
+
 class Preset(StrEnum):
     """Settings of the search to start from."""
 
@@ -164,6 +172,13 @@ DenoiserOption = Annotated[
 DeviceOption = Annotated[str, typer.Option("--device", help="Where the trajectory model runs: cpu, cuda, cuda:1.")]
 TogetherOption = Annotated[
     int, typer.Option("--together", min=1, help="Attempts planned side by side in a process; pays on a GPU.")
+]
+SamplesOption = Annotated[
+    SampleSource | None,
+    typer.Option(
+        "--samples",
+        help="First candidates: fresh from noise in a few calls, by the reference's 100 steps, or stored ones.",
+    ),
 ]
 DropoutOption = Annotated[
     bool, typer.Option("--dropout", help="Sample with dropout on, as the reference code does by an omission.")

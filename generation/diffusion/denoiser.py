@@ -39,6 +39,8 @@ class DenoiserConfig:
         preconditioned: Whether a Gaussian of the data carries the linear part (`GaussianPreconditioner`).
         attention: Whether waypoints are tokens of a transformer; otherwise they are one vector
             (`generation.diffusion.residual_network`), and heads, history and logits play no part.
+        conditioned: Whether the network can be told how the vehicle moves now (`present_features`), so that nobody
+            brakes into reverse. The published network cannot; one that can answers without where it is not told.
     """
 
     feature_dim: int = 256
@@ -51,6 +53,7 @@ class DenoiserConfig:
     dropout: float = 0.1
     preconditioned: bool = False
     attention: bool = True
+    conditioned: bool = False
 
     def __post_init__(self) -> None:
         if min(self.feature_dim, self.heads, self.layers, self.feedforward_dim) < 1 or self.history_tokens < 0:
@@ -59,19 +62,22 @@ class DenoiserConfig:
             raise InputError(
                 f"a denoiser's width must be an even multiple of its heads, got {self.feature_dim} and {self.heads}"
             )
+        if self.conditioned and self.attention:
+            raise InputError("only a network without attention can be told how the vehicle moves; set one of them off")
 
 
 PACKAGED = DenoiserConfig(
-    feature_dim=192,
+    feature_dim=256,
     heads=1,
     layers=3,
-    feedforward_dim=192,
+    feedforward_dim=256,
     history_tokens=0,
     far_logit_bias=0.0,
     noise_level_scale=float(STEPS),
     dropout=0.1,
     preconditioned=True,
     attention=False,
+    conditioned=True,
 )
 """The small network whose weights are in the package."""
 
@@ -185,7 +191,8 @@ class DenoiserLayer(nn.Module):
 class TrajectoryDenoiser(nn.Module):
     """Predicts the noise in standardised actions (paper, Diffusion Trajectory Generator).
 
-    Unconditional: neither the scene nor the vehicle's history reaches it.
+    Neither the scene nor the vehicle's history reaches it; how fast the vehicle is and turns now does where the
+    configuration says so.
     """
 
     rotary_turns: Tensor
@@ -200,7 +207,7 @@ class TrajectoryDenoiser(nn.Module):
             return
         level = NoiseLevelSinusoid(LEVEL_FEATURES)
         size = (config.feature_dim, config.feedforward_dim, config.layers)
-        self.residual_network = ResidualNetwork(*size, config.dropout, level)
+        self.residual_network = ResidualNetwork(*size, config.dropout, level, conditioned=config.conditioned)
 
     def _build_transformer(self, config: DenoiserConfig) -> None:
         width = config.feature_dim
@@ -223,26 +230,27 @@ class TrajectoryDenoiser(nn.Module):
         bias = config.far_logit_bias * far if config.far_logit_bias else None
         self.register_buffer("logit_bias", bias, persistent=False)
 
-    def forward(self, noisy: Tensor, timesteps: Tensor) -> Tensor:
+    def forward(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
         """Predict the noise.
 
         Args:
             noisy: (B, 16, 3) noisy standardised actions.
             timesteps: (1,) or (B,) 0..99.
+            present: (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says nothing.
 
         Returns:
             (B, 16, 3) predicted standard normal noise.
         """
         if self.preconditioner is None:
-            return self.network(noisy, timesteps)
+            return self.network(noisy, timesteps, present)
         whitened, guess, left = self.preconditioner.split(noisy, timesteps)
-        return self.preconditioner.join(self.network(whitened, timesteps), guess, left)
+        return self.preconditioner.join(self.network(whitened, timesteps, present), guess, left)
 
-    def network(self, tokens_in: Tensor, timesteps: Tensor) -> Tensor:
+    def network(self, tokens_in: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
         """The network without its preconditioner: (B, 16, 3) to (B, 16, 3)."""
         levels = timesteps.to(tokens_in.dtype) * (self.config.noise_level_scale / STEPS)
         if not self.config.attention:
-            answer: Tensor = self.residual_network(tokens_in, levels)
+            answer: Tensor = self.residual_network(tokens_in, levels, present)
             return answer
         tokens: Tensor = self.trajectory_encoder(tokens_in)
         kinds = [1] * WAYPOINTS

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Final, Self
 
@@ -17,22 +19,31 @@ from benchmark.machine.storage import content_key, file_sha256
 from generation.diffusion.bank import bank_beside, normal_noise, read_bank
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
+from generation.diffusion.fast_sampling import solve, solver_timesteps
 from generation.diffusion.kinematics import motion
-from generation.diffusion.schedule import STEPS, add_noise, reverse, strided_timesteps
+from generation.diffusion.network_calls import ACCELERATOR_ROWS, NetworkCalls, device_of
+from generation.diffusion.schedule import STEPS, Denoise, add_noise, reverse, strided_timesteps
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
 from generation.search.proposals import Mutation, Request, Sampling
 
-EXACT_ROUNDS: Final = 8
-"""Batches that exact sampling draws at most in search of drivable trajectories."""
+MOST_BATCHES: Final = 8
+"""Batches that are drawn at most in search of drivable trajectories."""
+SOLVER_CALLS: Final = 8
+"""Network calls of a fast full process; the model card says what fewer and more give."""
+REDRAWN_BESIDE: Final = 8
+"""More than the share so far asks for are drawn again, so that one more batch is usually enough."""
 SLOWER_X: Final = (0.2, 0.8)
 FASTER_X: Final = (1.2, 1.8)
 BOTH_AXES: Final = (0.5, 1.5)
 """Ranges of the reference's ``aug_traj``."""
-PROCESSOR_ROWS: Final = 256
-"""Trajectories of one network call on a processor: their features fit into its cache."""
-ACCELERATOR_ROWS: Final = 4096
-"""Trajectories of one network call on an accelerator. Fixed, and filled up where there are fewer, because a matrix
-product's last bits depend on its shape: so an answer does not depend on who asks beside it."""
+
+
+class Samples(StrEnum):
+    """Where new candidates come from: drawn afresh by the fast solver or by the reference's process, or stored ones."""
+
+    FRESH = "fresh"
+    REFERENCE = "reference"
+    STORED = "stored"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,17 +51,21 @@ class SamplerSettings:
     """How the network is asked.
 
     Attributes:
-        steps: Network calls of a full reverse process; ``None`` is the reference's 100.
+        samples: ``fresh`` draws every batch from noise by the fast solver, ``reference`` by the reference's 100 steps,
+            ``stored`` picks from the samples beside the weights, made once by the reference's steps.
+        solver_calls: Network calls of a full process of ``fresh``.
+        conditioned: Whether a network that can be told is told how the vehicle moves now. Stored samples are not.
         mutation_steps: Network calls of a truncated one at most, spread over its steps; ``None`` is the reference's one
             per noise level. What fewer cost is in the model card.
         stochastic: Whether reverse steps add the reference's small noise.
         drivable: Whether samples that no car could drive from the present speed are drawn again, and changes that
-            make a candidate less drivable not made. The model does not know the speed: braking samples would drive a
-            slow car backwards.
+            make a candidate less drivable not made. A model that is not told the speed brakes slow cars into reverse.
         dropout: Whether the network samples with dropout on, as the reference does by an omission.
     """
 
-    steps: int | None = None
+    samples: Samples = Samples.FRESH
+    solver_calls: int = SOLVER_CALLS
+    conditioned: bool = True
     mutation_steps: int | None = None
     stochastic: bool = True
     drivable: bool = True
@@ -87,14 +102,14 @@ class TrajectoryPrior:
             denoiser: The network.
             settings: How it is asked.
             fingerprint: Content key of all that decides its answers.
-            bank: (N, 16, 3) actions to draw from instead of full reverse processes.
+            bank: (N, 16, 3) actions to draw from, for the settings that ask for stored samples.
             device: Where the network runs, the processor by default.
             block: Trajectories of one network call, filled up where there are fewer; ``None`` asks for each search
                 alone, which suits a processor.
         """
-        self._device, self._block = device or torch.device("cpu"), block
-        self._denoiser, self._bank = denoiser.to(self._device).train(settings.dropout), bank
-        self.settings, self.fingerprint = settings, fingerprint
+        asked = {"conditioned": settings.conditioned, "dropout": settings.dropout}
+        self._network = NetworkCalls(denoiser, device or torch.device("cpu"), block, **asked)
+        self._bank, self.settings, self.fingerprint = bank, settings, fingerprint
 
     @classmethod
     def load(
@@ -102,16 +117,13 @@ class TrajectoryPrior:
         path: Path | None = None,
         settings: SamplerSettings | None = None,
         *,
-        bank: bool = True,
         device: str = "cpu",
     ) -> Self:
         """Load weights.
 
         Args:
             path: safetensors of ours, or the published checkpoint (a bare state dict); ``None`` is the packaged model.
-            settings: How the network is asked. A bank is always made of full processes without dropout, so asking for
-                anything else samples without it.
-            bank: Whether to draw from the pre-sampled bank beside the weights, where there is one.
+            settings: How the network is asked.
             device: Where the network runs, for example ``cuda``. Other kinds of device round differently, so their
                 results have content keys of their own.
 
@@ -119,19 +131,17 @@ class TrajectoryPrior:
             The prior.
 
         Raises:
-            InputError: If weights, bank, settings or device cannot be used.
+            InputError: If weights, stored samples, settings or device cannot be used.
         """
         weights = PACKAGED_WEIGHTS if path is None else path
         settings = settings or SamplerSettings()
-        for calls in (settings.steps, settings.mutation_steps):
-            strided_timesteps(0, calls)
-        target = _device(device)
+        strided_timesteps(0, settings.mutation_steps)
+        solver_timesteps(settings.solver_calls)
+        target = device_of(device)
         denoiser = load_denoiser(weights)
-        beside = bank_beside(weights)
-        whole = settings.steps is None and settings.stochastic and not settings.dropout
-        use_bank = bank and whole and beside.is_file()
-        held = read_bank(beside, weights) if use_bank else None
-        digests = [file_sha256(weights), file_sha256(beside) if use_bank else None]
+        stored = settings.samples is Samples.STORED
+        held = _stored(weights, settings) if stored else None
+        digests = [file_sha256(weights), file_sha256(bank_beside(weights)) if stored else None]
         fingerprint = content_key("trajectory prior", digests, asdict(settings), target.type)
         block = None if target.type == "cpu" else ACCELERATOR_ROWS
         return cls(denoiser, settings, fingerprint, held, target, block)
@@ -148,7 +158,7 @@ class TrajectoryPrior:
         Raises:
             InputError: As `sample` and `mutate`.
         """
-        if self._block is None or self.settings.dropout:
+        if self._network.block is None or self.settings.dropout:
             # One call for each: a processor gains nothing from larger batches, and dropout draws inside the network.
             return [waypoints for request in requests for waypoints in self._answer([request])]
         return self._answer(requests)
@@ -162,7 +172,7 @@ class TrajectoryPrior:
             rng: All chance.
 
         Returns:
-            (count, 16, 3) waypoints. Drawn without replacement as long as the bank has enough that suit the speed.
+            (count, 16, 3) waypoints. Stored ones are without repetition as long as enough of them suit the speed.
 
         Raises:
             InputError: If ``count`` is not positive or ``previous`` is not a finite pose.
@@ -217,28 +227,38 @@ class TrajectoryPrior:
         """Full reverse processes, repeated for those that have not enough that suit the speed."""
         drawn = [np.zeros((0, WAYPOINTS, CHANNELS)) for _ in requests]
         previous = [_pose(request.previous) for request in requests]
-        open_ones = list(range(len(requests)))
-        for _ in range(EXACT_ROUNDS if self.settings.drivable else 1):
-            if not open_ones:
+        wanted = {index: _count(request.count) for index, request in enumerate(requests)}
+        for _ in range(MOST_BATCHES if self.settings.drivable else 1):
+            if not wanted:
                 break
-            batch = [requests[index] for index in open_ones]
-            noise = [normal_noise(request.rng, _count(request.count)) for request in batch]
-            start = self._denoiser.start(torch.cat(noise).to(self._device))
-            rngs = [request.rng for request in batch]
-            actions = self._reverse(start, strided_timesteps(STEPS - 1, self.settings.steps), rngs, noise)
-            for index, part in zip(open_ones, actions, strict=True):
+            rngs = [requests[index].rng for index in wanted]
+            noise = [normal_noise(rng, count) for rng, count in zip(rngs, wanted.values(), strict=True)]
+            actions = self._from_noise(noise, rngs, [previous[index] for index in wanted])
+            for index, part in zip(wanted, actions, strict=True):
                 drawn[index] = np.concatenate([drawn[index], waypoints_from_actions(part, previous[index])])
-            open_ones = [
-                index
-                for index in open_ones
-                if (motion(drawn[index], previous[index]).excess == 0).sum() < requests[index].count
-            ]
+            wanted = {
+                index: more
+                for index in wanted
+                if (more := _still_wanted(drawn[index], previous[index], requests[index].count))
+            }
         if not self.settings.drivable:
             return drawn
         return [
             np.asarray(found[_most_drivable(found, pose, request.count)[: request.count]])
             for found, pose, request in zip(drawn, previous, requests, strict=True)
         ]
+
+    def _from_noise(
+        self, noise: Sequence[Tensor], rngs: Sequence[np.random.Generator], previous: Sequence[Floats]
+    ) -> list[Floats]:
+        """Clean actions of each request, by the process that the settings name."""
+        sizes = [len(part) for part in noise]
+        start, denoise = self._network.denoiser.start(self._network.put(noise)), self._network.told(previous, sizes)
+        if self.settings.samples is Samples.REFERENCE:
+            return self._reverse(denoise, start, strided_timesteps(STEPS - 1, None), rngs, sizes)
+        with self._network.asking(rngs):
+            clean = solve(denoise, start, solver_timesteps(self.settings.solver_calls))
+        return _parts(clean, sizes)
 
     def _mutate_together(self, requests: Sequence[Mutation], level: int) -> list[Floats]:
         """Truncated processes of one noise level."""
@@ -250,8 +270,9 @@ class TrajectoryPrior:
             for start, pose in zip(before, previous, strict=True)
         ]
         noise = [normal_noise(request.rng, len(start)) for request, start in zip(requests, before, strict=True)]
-        noisy = add_noise(torch.cat(actions).to(self._device), torch.cat(noise).to(self._device), timesteps[0])
-        clean = self._reverse(noisy, timesteps, [request.rng for request in requests], noise)
+        noisy = add_noise(self._network.put(actions), self._network.put(noise), timesteps[0])
+        rngs, sizes = [request.rng for request in requests], [len(part) for part in noise]
+        clean = self._reverse(self._network.told(previous, sizes), noisy, timesteps, rngs, sizes)
         return [
             self._kept(start, waypoints_from_actions(part, pose), pose)
             for start, part, pose in zip(before, clean, previous, strict=True)
@@ -265,39 +286,45 @@ class TrajectoryPrior:
         return np.where(worse[:, None, None], before, after)
 
     def _reverse(
-        self, noisy: Tensor, timesteps: Sequence[int], rngs: Sequence[np.random.Generator], like: Sequence[Tensor]
+        self,
+        denoise: Denoise,
+        noisy: Tensor,
+        timesteps: Sequence[int],
+        rngs: Sequence[np.random.Generator],
+        sizes: Sequence[int],
     ) -> list[Floats]:
-        """Clean actions of each request; ``like`` are tensors of the requests' sizes."""
-        sizes = [len(part) for part in like]
+        """Clean actions of each request by the reference's process."""
 
         def draw() -> Tensor:
             drawn = [normal_noise(rng, size) for rng, size in zip(rngs, sizes, strict=True)]
-            return torch.cat(drawn).to(self._device)
+            return self._network.put(drawn)
 
-        with torch.inference_mode(), torch.random.fork_rng(enabled=self.settings.dropout):
-            if self.settings.dropout:
-                torch.manual_seed(int(rngs[0].integers(2**62)))
-            clean = reverse(self._predict, noisy, timesteps, draw=draw if self.settings.stochastic else None)
-        return [part.numpy().astype(np.float64) for part in torch.split(clean.cpu(), sizes)]
-
-    def _predict(self, noisy: Tensor, timestep: Tensor) -> Tensor:
-        """The network's answer, in blocks."""
-        count = len(noisy)
-        if self._block is not None:
-            noisy = torch.cat([noisy, noisy.new_zeros(-count % self._block, *noisy.shape[1:])])
-        blocks = torch.split(noisy, self._block or PROCESSOR_ROWS)
-        return torch.cat([self._denoiser(block, timestep) for block in blocks])[:count]
+        with self._network.asking(rngs):
+            clean = reverse(denoise, noisy, timesteps, draw=draw if self.settings.stochastic else None)
+        return _parts(clean, sizes)
 
 
-def _device(name: str) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.ones(1, device=device).cpu()
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise InputError(
-            f"this machine cannot compute on device {name!r}; use cpu, or cuda where there is a GPU"
-        ) from (error)
-    return device
+def _parts(clean: Tensor, sizes: Sequence[int]) -> list[Floats]:
+    """Answers of each request in double precision."""
+    return [part.numpy().astype(np.float64) for part in torch.split(clean.cpu(), list(sizes))]
+
+
+def _stored(weights: Path, settings: SamplerSettings) -> Floats:
+    """(N, 16, 3) actions that were sampled in advance."""
+    beside = bank_beside(weights)
+    if settings.dropout:
+        raise InputError("stored samples were drawn without dropout; draw afresh, or leave dropout off")
+    if not beside.is_file():
+        raise InputError(f"no stored samples at {beside}; draw afresh, or take weights of train denoiser")
+    return read_bank(beside, weights)
+
+
+def _still_wanted(drawn: Floats, previous: Floats, count: int) -> int:
+    """How many more to draw so that ``count`` are drivable, by the share that was so far; 0 where there are enough."""
+    drivable = int((motion(drawn, previous).excess == 0).sum())
+    if drivable >= count:
+        return 0
+    return min(count, math.ceil(1.2 * (count - drivable) * len(drawn) / max(drivable, 1)) + REDRAWN_BESIDE)
 
 
 def _continuous(waypoints: Floats) -> Floats:

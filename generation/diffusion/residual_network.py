@@ -3,12 +3,36 @@
 Forty-eight numbers need no attention. At the packaged size a call costs a tenth of the packaged-size transformer's.
 """
 
+from typing import Final
+
+import torch
 from torch import Tensor, nn
 
+from generation.diffusion.kinematics import STEP_S
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
 LEVEL_FEATURES = 64
 """Width of the noise level's features."""
+PRESENT_FEATURES: Final = 4
+"""Numbers that say how the vehicle moves now (`present_features`)."""
+FASTEST_M_S: Final = 40.0
+SHARPEST_RAD: Final = 0.5
+"""Largest speed and turn per half second that a network is told; recordings hold nothing beyond."""
+
+
+def present_features(previous: Tensor) -> Tensor:
+    """How a vehicle moves now, in numbers of order one.
+
+    Args:
+        previous: (..., 3) pose half a second ago in the frame of the vehicle now, metres and radians.
+
+    Returns:
+        (..., 4): speed, closeness to standing still, turn of the last half second, and a one that says that they are
+        known. A vehicle of which nothing is said has zeros instead.
+    """
+    speed = (-previous[..., 0] / STEP_S).clamp(0.0, FASTEST_M_S)
+    turn = (-previous[..., 2]).clamp(-SHARPEST_RAD, SHARPEST_RAD)
+    return torch.stack([speed / 10.0, torch.exp(-0.5 * speed), 5.0 * turn, torch.ones_like(speed)], dim=-1)
 
 
 class ResidualBlock(nn.Module):
@@ -39,28 +63,44 @@ class ResidualNetwork(nn.Module):
         blocks: How many.
         dropout: Active in training mode only.
         level_features: Noise level (B,) to (B, 64).
+        conditioned: Whether the network can be told how the vehicle moves now.
     """
 
-    def __init__(self, width: int, hidden: int, blocks: int, dropout: float, level_features: nn.Module) -> None:
+    def __init__(
+        self,
+        width: int,
+        hidden: int,
+        blocks: int,
+        dropout: float,
+        level_features: nn.Module,
+        *,
+        conditioned: bool = False,
+    ) -> None:
         super().__init__()
+        self.conditioned = conditioned
         self.level_encoder = nn.Sequential(level_features, nn.Linear(LEVEL_FEATURES, LEVEL_FEATURES), nn.SiLU())
-        self.encoder = nn.Linear(WAYPOINTS * CHANNELS, width)
+        self.encoder = nn.Linear(WAYPOINTS * CHANNELS + (PRESENT_FEATURES if conditioned else 0), width)
         self.blocks = nn.ModuleList(ResidualBlock(width, hidden, dropout) for _ in range(blocks))
         self.decoder = nn.Linear(width, WAYPOINTS * CHANNELS)
         nn.init.zeros_(self.decoder.weight)
         nn.init.zeros_(self.decoder.bias)
 
-    def forward(self, noisy: Tensor, level: Tensor) -> Tensor:
+    def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
         """Ask.
 
         Args:
             noisy: (B, 16, 3).
             level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
+            present: (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
 
         Returns:
             (B, 16, 3) of order one; zero before training.
         """
-        features, level = self.encoder(noisy.flatten(1)), self.level_encoder(level)
+        known = noisy.flatten(1)
+        if self.conditioned:
+            silent = noisy.new_zeros(len(noisy), PRESENT_FEATURES) if present is None else present
+            known = torch.cat([known, silent], dim=1)
+        features, level = self.encoder(known), self.level_encoder(level)
         for block in self.blocks:
             features = block(features, level)
         answer: Tensor = self.decoder(features)

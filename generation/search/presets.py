@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
 
 Preset = Literal["default", "paper", "reference"]
+SampleSource = Literal["fresh", "reference", "stored"]
 
 
 def hyper_parameters(
@@ -48,11 +49,12 @@ def trajectory_model(
     *,
     calls: int | None = None,
     dropout: bool = False,
+    samples: SampleSource | None = None,
 ) -> "PackagedPrior":
     """The trajectory model that proposes candidates.
 
-    With the presets ``paper`` and ``reference`` every first batch is sampled afresh from noise by all steps, and
-    nothing that is drawn is drawn again; with ``reference`` dropout is on.
+    With the presets ``paper`` and ``reference`` it is not told how the vehicle moves, samples by the reference's 100
+    steps, and nothing that it draws is drawn again; with ``reference`` dropout is on.
 
     Args:
         preset: As in `hyper_parameters`.
@@ -60,14 +62,17 @@ def trajectory_model(
         device: Where it runs.
         calls: Most network calls of a mutation; the reference has one a noise level.
         dropout: Sample with dropout on, as the reference code does by an omission.
+        samples: Where new candidates come from (`generation.diffusion.prior.Samples`), if not where the preset says.
 
     Returns:
         What makes the model in each process.
     """
     # Settings are checked where nothing runs yet, and torch is slow to import.
-    from generation.diffusion.prior import SamplerSettings
+    from generation.diffusion.prior import SamplerSettings, Samples
     from generation.search.definition import PackagedPrior
 
     ours = preset == "default"
-    sampler = SamplerSettings(mutation_steps=calls, drivable=ours, dropout=dropout or preset == "reference")
-    return PackagedPrior(weights, device, sampler, bank=ours)
+    source = Samples(samples or ("fresh" if ours else "reference"))
+    dropout = dropout or preset == "reference"
+    sampler = SamplerSettings(samples=source, conditioned=ours, mutation_steps=calls, drivable=ours, dropout=dropout)
+    return PackagedPrior(weights, device, sampler)

@@ -1,5 +1,7 @@
 """The measured model card of the trajectory model: two-sample test, tracking, distances, cost of fewer calls."""
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 
 from bench.denoiser_card import evaluation, sampling_steps, sections
 from bench.denoiser_card.__main__ import write_measured_card
+from bench.denoiser_card.drawing import asked, drawn_again, replayed
 from bench.denoiser_card.evaluation import compare_with_held_out, load_held_out
 from bench.denoiser_card.feasibility import track
 from bench.denoiser_card.sampling_steps import FULL_CALLS, full_process_costs
@@ -22,9 +25,10 @@ from bench.denoiser_card.two_sample import (
 )
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.storage import file_sha256
 from generation.diffusion.bank import write_bank
 from generation.diffusion.checkpoint import load_denoiser, save_denoiser
-from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
 from generation.diffusion.training.card import write_model_card
 from tests.generation.diffusion.training.test_tracks import drive, write_tracks
@@ -188,15 +192,19 @@ def test_report_is_the_same_every_time_and_says_what_was_compared(folder: Path, 
     assert report.told_apart == again.told_apart
     assert report.told_apart.vehicles == 12
     assert report.told_apart.rates["samples"][1] is None
+    assert list(report.told_apart.rates) == ["samples", "replay", "replay of held-out", "held-out"]
     assert 0 < report.denoising_error[1] < report.denoising_error[100]
     assert report.tracking["held-out"].error_m.shape == (5, 16)
 
 
 def test_fewer_calls_are_compared_with_all_calls(folder: Path, weights: Path) -> None:
     costs = full_process_costs(weights, load_held_out(folder))
-    assert [cost.calls for cost in costs] == list(FULL_CALLS)
-    assert costs[0].from_all_calls == 0.0
-    assert all(cost.from_all_calls > 0 for cost in costs[1:])
+    assert [(cost.process, cost.calls) for cost in costs[:2]] == [("reference", 100), ("solver", FULL_CALLS[0])]
+    assert [cost.calls for cost in costs[1:]] == list(FULL_CALLS)
+    assert (costs[0].from_reference, costs[0].off_m) == (0.0, None)
+    assert all(cost.from_reference > 0 for cost in costs[1:])
+    off = [cost.off_m or 0.0 for cost in costs[1:]]
+    assert all(0 < more < fewer for more, fewer in itertools.pairwise(off))
 
 
 def test_card_is_written_from_measurements(folder: Path, weights: Path) -> None:
@@ -205,6 +213,39 @@ def test_card_is_written_from_measurements(folder: Path, weights: Path) -> None:
         assert words in text
     assert text == write_measured_card(weights, folder).read_text()
     assert not any(line.endswith("nan |") for line in text.splitlines())
+
+
+def test_card_puts_another_model_beside_measured_in_the_same_run(folder: Path, weights: Path) -> None:
+    other = weights.with_name("other.safetensors")
+    other.write_bytes(weights.read_bytes())
+    text = write_measured_card(weights, folder, other).read_text()
+    section = text.partition("## Beside another model")[2].partition("## ")[0]
+    assert file_sha256(other) in section
+    rows = [row.split("|")[1:-1] for row in section.splitlines() if row.startswith("| ")][1:]
+    assert len(rows) == 6
+    assert all(this == that for _, this, that in rows)
+
+
+def test_sources_ask_for_each_start(weights: Path) -> None:
+    """A network that is told the speed answers other speeds with other actions, one that is not does not."""
+    slow, fast = np.tile([-1.0, 0.0, 0.0], (8, 1)), np.tile([-8.0, 0.0, 0.0], (8, 1))
+    untold = asked(load_denoiser(weights))
+    np.testing.assert_array_equal(untold(slow, rng(1)), untold(fast, rng(1)))
+    torch.manual_seed(1)
+    network = TrajectoryDenoiser(replace(PACKAGED, feature_dim=16, feedforward_dim=16)).eval()
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    assert np.abs(asked(network)(slow, rng(1)) - asked(network)(fast, rng(1))).max() > 0.01
+
+
+def test_draws_are_repeated_until_they_can_be_driven() -> None:
+    braking, steady = np.zeros((2, 16, 3))
+    braking[0, 0] = -1.0
+    draws = replayed(np.stack([braking, steady]))
+    previous = np.tile([-1.0, 0.0, 0.0], (200, 1))
+    once, again = (motion(drawn_again(draws, previous, rng(), attempts), previous).excess for attempts in (1, 64))
+    assert 0.3 < (once > 0).mean() < 0.7
+    assert not again.any()
 
 
 def test_card_without_held_out_sources_says_so(folder: Path, weights: Path) -> None:

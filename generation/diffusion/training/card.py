@@ -12,6 +12,8 @@ from benchmark.weights.tensors import read_tensors
 from generation.diffusion.bank import bank_beside
 from generation.diffusion.training.loop import HELD_OUT_SOURCES
 from generation.diffusion.training.track_sources import find_track_sources
+from generation.diffusion.training.tracks import MAX_ROUGHNESS
+from generation.diffusion.training.window_pool import EVENING, MOST_OF_ONE_SOURCE
 
 TITLES: Final = {
     "argoverse2": "Argoverse 2 (test excerpts of its API)",
@@ -31,32 +33,39 @@ TITLES: Final = {
 INTRODUCTION: Final = """\
 # Trajectory denoiser
 
-An unconditional diffusion model of how vehicles move in eight seconds, trained by `challenger-bench train denoiser`
+A diffusion model of how vehicles move in eight seconds, trained by `challenger-bench train denoiser`
 (`generation/diffusion/training/loop.py`). It stands in for the published checkpoint, which was trained on nuPlan; the
 class is the same and loads that checkpoint too. Use: candidate trajectories for adversarial vehicles in research. Not a
-motion planner: it sees neither road, nor traffic, nor the vehicle's own speed.
+motion planner: it sees neither road nor traffic{knowing}.
 
 {files}
 
 Network: {shape}; {parameters:,} parameters.
-A Gaussian of the training data carries the linear part of the prediction.
+{carried}
 Trained by `challenger-bench train denoiser --tracks DIR --out FILE --seed {seed} --steps {steps}`:
-{batch} windows a step, averaged weights, {levels}, stored in half precision.
-The same command gives the same weights up to rounding on another machine. The length of training and the scaling of
-windows were chosen by the held-out loss; else held-out sources only measure. The bank holds {count} samples of the
-full 100-step process, seed {bank_seed}, float16.
+{batch} windows a step, averaged weights, {levels}, stored in half precision.{best}
+The same command gives the same weights up to rounding on another machine. The state that is shipped, the length of
+training and the scaling of windows were chosen by the held-out loss; else held-out sources only measure. The bank holds
+{count} samples of the full 100-step process, told nothing of the vehicle, seed {bank_seed}, float16; a search uses it
+only where stored samples are asked for (`generate --samples stored`).
 
 ## Data and licence
 
 Windows of 0.5 s of past and 8 s of future at 2 Hz in the rear-axle frame, smoothed by a local quadratic fit (1.7 s,
-rough sources 2.3 s). Left out: paths under 5 m, more than 8 m/s^2 along or across, more than 10 m/s^3, headings against
-the motion, turns tighter than 4.5 m. Half of the windows are mirrored, sizes vary by {jitter:.0%}. A source is drawn
-with chance proportional to the square root of its windows.
+rough sources 2.3 s). Left out: paths under 5 m, more than 8 m/s^2 along or across, more than 10 m/s^3, jitter of
+perception (acceleration that changes by more than {roughness:g} m/s^2 in most half seconds), headings against motion,
+turns tighter than 4.5 m. Half of the windows are mirrored, sizes vary by {jitter:.0%}. A source is drawn with chance
+proportional to the square root of its windows, but at most {cap:.0%}; then cells of present speed and of turn over 8 s
+are evened out to the power of {evening:g} across sources.
 
 {sources}
 
 {terms}
 """
+TOLD: Final = "; of the vehicle it is told the present speed and turn, if anything"
+UNTOLD: Final = ", nor the vehicle's own speed"
+CARRIED: Final = "A Gaussian of the training data carries the linear part of the prediction."
+PLAIN: Final = "Without the packaged network's preconditioning, as published."
 SHARE_ALIKE: Final = """\
 Several sources are for non-commercial use, share alike (CC BY-NC-SA), so **the weights and the bank are too: CC
 BY-NC-SA 4.0**, whatever the licence of the code."""
@@ -117,19 +126,33 @@ def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, An
     _, bank_facts = read_tensors(bank)
     files = [(path.name, file_sha256(path), path.stat().st_size) for path in (weights, bank)]
     learnt = [tensor for name, tensor in tensors.items() if not name.startswith("preconditioner.")]
+    rough, shares = facts.get("rough", {}), facts.get("shares", {})
     sources = [
-        (TITLES.get(name, name), f"{windows:,}", facts["licences"][name])
+        (
+            TITLES.get(name, name),
+            f"{windows:,}",
+            f"{rough[name]:,}" if name in rough else "-",
+            f"{shares[name]:.0%}" if name in shares else "-",
+            facts["licences"][name],
+        )
         for name, windows in sorted(facts["windows"].items())
     ]
+    network, best = facts["denoiser"], facts.get("best_step")
     return INTRODUCTION.format(
         files=table(("file", "SHA-256", "bytes"), files),
-        shape=_shape(facts["denoiser"]),
+        knowing=TOLD if network.get("conditioned") else UNTOLD,
+        shape=_shape(network),
+        carried=CARRIED if network.get("preconditioned") else PLAIN,
         parameters=sum(tensor.numel() for tensor in learnt),
         levels=_levels(facts.get("level_power", 1.0)),
+        best=f" The state after step {best:,} was the best." if best and best < facts["steps"] else "",
         count=bank_facts["count"],
         bank_seed=bank_facts["seed"],
         jitter=facts.get("size_jitter", 0.1),
-        sources=table(("source", "windows", "licence"), sources),
+        roughness=MAX_ROUGHNESS,
+        cap=MOST_OF_ONE_SOURCE,
+        evening=1 - EVENING,
+        sources=table(("source", "windows", "left out as jitter", "share of a batch", "licence"), sources),
         terms=_terms(facts, held_out),
         **{name: facts[name] for name in ("seed", "steps", "batch")},
     )

@@ -37,6 +37,10 @@ MIN_PATH_M: Final = 5.0
 MAX_LATERAL: Final = 8.0
 MAX_JERK: Final = 10.0
 """m/s^3; an emergency brake takes about half a second to build up, jitter does not."""
+MAX_ROUGHNESS: Final = 0.5
+"""m/s^2: where acceleration changes by more than this in most half seconds, it is jitter of perception. A driver brakes
+or pulls away once or twice in eight seconds and is steady between; KITTI's cars, measured well, are rougher in one of
+twenty windows, raw perception in one of four."""
 MAX_SLIP_RAD: Final = 0.35
 """Largest angle between heading and motion of the rear axle, above 2 m/s."""
 
@@ -169,8 +173,9 @@ def smooth(track: Floats, hz: float, span_s: float) -> Floats:
 def cut_windows(file: TrackFile, stride_s: float = 0.5) -> Windows:
     """Windows of half a second of past and eight seconds of future.
 
-    Left out are windows that move less than 5 m, that no tyre could hold (8 m/s^2 along or across), that jitter, whose
-    heading does not fit the motion, and those with a step that no car can take (`Motion.excess`).
+    Left out are windows that move less than 5 m, that no tyre could hold (8 m/s^2 along or across), that jitter, at one
+    place or throughout, whose heading does not fit the motion, and those with a step that no car can take
+    (`Motion.excess`).
 
     Args:
         file: One source.
@@ -210,6 +215,7 @@ def _drivable(local: Floats, track: NDArray[np.int64]) -> Windows:
         "accelerates beyond 8 m/s^2": np.abs(moved.acceleration).max(axis=1, initial=0.0) > MAX_ACCELERATION,
         "lateral beyond 8 m/s^2": np.abs(moved.lateral).max(axis=1, initial=0.0) > MAX_LATERAL,
         "jerk beyond 10 m/s^3": (jerk > MAX_JERK).any(axis=1),
+        "rough throughout": _roughness(moved.acceleration) > MAX_ROUGHNESS,
         "heading against motion": ((slip > MAX_SLIP_RAD) & (moved.speed > 2.0)).any(axis=1),
         "turns tighter than a car": moved.excess > 0,
     }
@@ -219,3 +225,8 @@ def _drivable(local: Floats, track: NDArray[np.int64]) -> Windows:
         rejected[reason] = int((hit & keep).sum())
         keep &= ~hit
     return Windows(local[keep, 0], local[keep, 2:], track[keep], rejected)
+
+
+def _roughness(acceleration: Floats) -> Floats:
+    """(N,) median change of (N, 16) accelerations in half a second, which one hard brake cannot move."""
+    return np.asarray(np.median(np.abs(np.diff(acceleration, axis=1)), axis=1))

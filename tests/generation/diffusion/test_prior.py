@@ -1,6 +1,7 @@
 """The prior that the search draws from: packaged weights, bank, mutation, diversification."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from generation.diffusion.bank import bank_beside, read_bank, sample_actions, wr
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, save_denoiser
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
 from generation.diffusion.kinematics import motion
-from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
+from generation.diffusion.prior import SOLVER_CALLS, SamplerSettings, Samples, TrajectoryPrior, diversify
 from generation.diffusion.standardiser import actions_from_waypoints
 from generation.search.proposals import Mutation, Request, Sampling
 from generation.verification.built_in import BUILT_IN
@@ -53,9 +54,56 @@ def test_samples_are_deterministic_and_seeded(prior: TrajectoryPrior) -> None:
     assert np.array_equal(first, TrajectoryPrior.load().sample(64, CRUISING, rng(1)))
 
 
-def test_bank_is_drawn_without_replacement(prior: TrajectoryPrior) -> None:
-    sampled = prior.sample(256, CRUISING, rng())
+@pytest.fixture(scope="module")
+def stored() -> TrajectoryPrior:
+    return TrajectoryPrior.load(None, SamplerSettings(samples=Samples.STORED))
+
+
+def test_stored_samples_are_drawn_without_repetition(stored: TrajectoryPrior) -> None:
+    sampled = stored.sample(256, CRUISING, rng())
     assert len(np.unique(sampled.reshape(256, -1), axis=0)) == 256
+
+
+def test_fresh_samples_are_none_of_the_stored_ones(prior: TrajectoryPrior, stored: TrajectoryPrior) -> None:
+    """Every planning frame has draws of its own, whatever was drawn before."""
+    chance = rng(3)
+    first, second = prior.sample(128, CRUISING, chance), prior.sample(128, CRUISING, chance)
+    everything = np.concatenate([first, second, stored.sample(4096, CRUISING, rng())]).reshape(-1, 48)
+    assert len(np.unique(everything.round(9), axis=0)) == 128 + 128 + 4096
+
+
+def test_fresh_samples_cost_few_network_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where most are drivable, a batch and a small one after it."""
+    made = TrajectoryPrior.load()
+    rows: list[int] = []
+    forward = TrajectoryDenoiser.forward
+
+    def counted(self: TrajectoryDenoiser, noisy: torch.Tensor, *told: torch.Tensor) -> torch.Tensor:
+        rows.append(len(noisy))
+        return forward(self, noisy, *told)
+
+    monkeypatch.setattr(TrajectoryDenoiser, "forward", counted)
+    assert len(made.sample(256, CRUISING, rng())) == 256
+    assert rows[:SOLVER_CALLS] == [256] * SOLVER_CALLS
+    assert sum(rows) < 1.5 * 256 * SOLVER_CALLS
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.5, 3.0])
+def test_a_model_that_is_told_the_speed_seldom_brakes_into_reverse(speed: float) -> None:
+    """As drawn, without drawing again."""
+    previous = np.array([-0.5 * speed, 0.0, 0.0])
+    settings = [SamplerSettings(drivable=False, conditioned=conditioned) for conditioned in (True, False)]
+    told, untold = (TrajectoryPrior.load(None, asked).sample(256, previous, rng()) for asked in settings)
+    shares = [float((motion(drawn, previous).excess == 0).mean()) for drawn in (told, untold)]
+    assert shares[0] > shares[1] + 0.1
+
+
+@pytest.mark.parametrize("speed", [8.0, 15.0])
+def test_nearly_everything_drawn_at_speed_can_be_driven(speed: float) -> None:
+    """As drawn, without drawing again."""
+    previous = np.array([-0.5 * speed, 0.0, 0.0])
+    drawn = TrajectoryPrior.load(None, SamplerSettings(drivable=False)).sample(256, previous, rng())
+    assert (motion(drawn, previous).excess == 0).mean() > 0.9
 
 
 def test_wasserstein_measures_shift_and_spread() -> None:
@@ -76,7 +124,7 @@ def test_bank_and_exact_sampling_have_the_same_distribution() -> None:
 
 
 def test_exact_sampling_through_the_interface() -> None:
-    exact = TrajectoryPrior.load(None, SamplerSettings(steps=4), bank=False)
+    exact = TrajectoryPrior.load(None, SamplerSettings(samples=Samples.REFERENCE))
     sampled = exact.sample(8, CRUISING, rng())
     assert sampled.shape == (8, 16, 3)
     assert np.array_equal(sampled, exact.sample(8, CRUISING, rng()))
@@ -98,8 +146,8 @@ def test_samples_differ_from_each_other(prior: TrajectoryPrior) -> None:
     assert (ends[:, 1] > 2).any() and (ends[:, 1] < -2).any()
 
 
-def test_more_than_the_bank_holds_can_be_asked_for(prior: TrajectoryPrior) -> None:
-    assert prior.sample(5000, CRUISING, rng()).shape == (5000, 16, 3)
+def test_more_than_are_stored_can_be_asked_for(stored: TrajectoryPrior) -> None:
+    assert stored.sample(5000, CRUISING, rng()).shape == (5000, 16, 3)
 
 
 def test_mutation_changes_more_at_higher_noise(prior: TrajectoryPrior) -> None:
@@ -224,10 +272,16 @@ def test_bank_of_other_weights_is_refused(tmp_path: Path) -> None:
         save_denoiser(path, TrajectoryDenoiser(SMALL), {})
     bank = write_bank(first, count=4)
     assert bank.read_bytes() == write_bank(first, count=4).read_bytes()
-    assert TrajectoryPrior.load(first).sample(3, CRUISING, rng()).shape == (3, 16, 3)
+    asked = SamplerSettings(samples=Samples.STORED)
+    assert TrajectoryPrior.load(first, asked).sample(3, CRUISING, rng()).shape == (3, 16, 3)
+    with pytest.raises(InputError, match="no stored samples"):
+        TrajectoryPrior.load(second, asked)
     bank.rename(bank_beside(second))
     with pytest.raises(InputError, match="not sampled from"):
-        TrajectoryPrior.load(second)
+        TrajectoryPrior.load(second, asked)
+    with pytest.raises(InputError, match="without dropout"):
+        TrajectoryPrior.load(second, replace(asked, dropout=True))
+    assert TrajectoryPrior.load(second).sample(3, CRUISING, rng()).shape == (3, 16, 3)
 
 
 def test_settings_are_part_of_the_fingerprint() -> None:
@@ -235,7 +289,10 @@ def test_settings_are_part_of_the_fingerprint() -> None:
         TrajectoryPrior.load(),
         TrajectoryPrior.load(None, SamplerSettings(mutation_steps=2)),
         TrajectoryPrior.load(None, SamplerSettings(drivable=False)),
-        TrajectoryPrior.load(bank=False),
+        TrajectoryPrior.load(None, SamplerSettings(samples=Samples.REFERENCE)),
+        TrajectoryPrior.load(None, SamplerSettings(samples=Samples.STORED)),
+        TrajectoryPrior.load(None, SamplerSettings(solver_calls=6)),
+        TrajectoryPrior.load(None, SamplerSettings(conditioned=False)),
         TrajectoryPrior.load(None, SamplerSettings(dropout=True)),
     ]
     assert len({kind.fingerprint for kind in kinds}) == len(kinds)
@@ -258,19 +315,21 @@ def test_wrong_use_is_refused(prior: TrajectoryPrior) -> None:
             prior.mutate(wrong, 5, CRUISING, rng())
     with pytest.raises(InputError, match="denoising step"):
         TrajectoryPrior.load(None, SamplerSettings(mutation_steps=0))
+    with pytest.raises(InputError, match="2 to 100 times"):
+        TrajectoryPrior.load(None, SamplerSettings(solver_calls=1))
     for device in ("cuda:77", "toaster", "meta"):
         with pytest.raises(InputError, match="cannot compute on device"):
             TrajectoryPrior.load(device=device)
 
 
 @pytest.mark.parametrize("block", [None, 96])
-@pytest.mark.parametrize("banked", [True, False])
+@pytest.mark.parametrize("samples", list(Samples))
 def test_an_answer_does_not_depend_on_who_asks_beside_it(
-    prior: TrajectoryPrior, block: int | None, banked: bool
+    prior: TrajectoryPrior, block: int | None, samples: Samples
 ) -> None:
     """Blocks are what an accelerator computes with; here they run on the processor."""
-    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS) if banked else None
-    asked = TrajectoryPrior(load_denoiser(PACKAGED_WEIGHTS), SamplerSettings(steps=4), "", bank, block=block)
+    bank = read_bank(bank_beside(PACKAGED_WEIGHTS), PACKAGED_WEIGHTS) if samples is Samples.STORED else None
+    asked = TrajectoryPrior(load_denoiser(PACKAGED_WEIGHTS), SamplerSettings(samples), "", bank, block=block)
     start = prior.sample(40, CRUISING, rng())
 
     def requests() -> list[Request]:

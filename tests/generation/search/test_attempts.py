@@ -15,6 +15,7 @@ from benchmark.scene import Scene
 from generation.build.profile import runtime_table
 from generation.search.attempts import attempts, eligibility, kept_attempt
 from generation.search.definition import Earlier, PackagedPrior, Search, Unit
+from generation.search.presets import SampleSource, trajectory_model
 from tests.generation.labels.recorded_roads import HYPER, recorded
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.generation.search.one_vehicle import choose
@@ -174,3 +175,35 @@ def test_a_track_does_not_fit_another_scene(tmp_path: Path) -> None:
 
 def test_the_packaged_prior_is_loaded_once() -> None:
     assert PackagedPrior()() is PackagedPrior()()
+
+
+def fresh_search(folder: Path, source: SampleSource = "fresh") -> Search:
+    hyper = replace(HYPER, candidates=24, rounds=2, tries=1)
+    model = trajectory_model(samples=source)
+    return Search("data", hyper, 0, model, model().fingerprint, folder)
+
+
+def test_fresh_samples_give_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
+    units = units_of(SCENE)[:3]
+    one, two, side_by_side = (fresh_search(tmp_path / name) for name in ("one", "two", "together"))
+    found = attempts(one, units, lambda unit: SCENE, LocalProcesses(1))
+    assert attempts(two, units, lambda unit: SCENE, LocalProcesses(2)) == found
+    assert attempts(side_by_side, units, lambda unit: SCENE, LocalProcesses(1), together=3) == found
+    for unit in units:
+        assert one.path(unit).read_bytes() == two.path(unit).read_bytes() == side_by_side.path(unit).read_bytes()
+
+
+def test_where_samples_come_from_is_recorded_and_part_of_the_key(tmp_path: Path) -> None:
+    sources: tuple[SampleSource, ...] = ("fresh", "reference", "stored")
+    searches = [fresh_search(tmp_path, source) for source in sources]
+    said = [json.loads(json.dumps(search.as_json()))["sampler"]["samples"] for search in searches]
+    assert said == list(sources)
+    assert len({search.key(units_of(SCENE)[0]) for search in searches}) == 3
+    assert searches[0].key(units_of(SCENE)[0]) == fresh_search(tmp_path / "elsewhere").key(units_of(SCENE)[0])
+
+
+def test_presets_that_follow_others_are_not_told_the_speed_and_draw_nothing_again() -> None:
+    ours, theirs = trajectory_model().sampler, trajectory_model("paper").sampler
+    assert (ours.samples.value, ours.conditioned, ours.drivable) == ("fresh", True, True)
+    assert (theirs.samples.value, theirs.conditioned, theirs.drivable) == ("reference", False, False)
+    assert trajectory_model("paper", samples="stored").sampler.samples.value == "stored"

@@ -3,19 +3,18 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from benchmark.errors import InputError
-from benchmark.geometry import Floats
 from benchmark.weights.tensors import read_tensors
 from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig
 from generation.diffusion.training import loop as training
 from generation.diffusion.training.loop import TrainingConfig, train_denoiser
-from generation.diffusion.training.window_pool import WindowPool
 from tests.generation.diffusion.training.test_tracks import drive, write_tracks
 
 TINY = replace(PACKAGED, feature_dim=16, heads=2, layers=1, feedforward_dim=16)
@@ -73,12 +72,61 @@ def test_seed_changes_the_weights(tracks: Path) -> None:
 
 
 def test_held_out_sources_are_not_learnt_from(tracks: Path) -> None:
-    alone = train_denoiser(config(tracks, tracks.parent / "a.safetensors"))
+    once = {"checkpoint_every": 6}
+    alone = train_denoiser(config(tracks, tracks.parent / "a.safetensors", **once))
     write_tracks(tracks / "interaction_sample.npz", [drive(np.full(150, 6.0), 0.3)])
-    beside = train_denoiser(config(tracks, tracks.parent / "b.safetensors"))
+    beside = train_denoiser(config(tracks, tracks.parent / "b.safetensors", **once))
     assert all(torch.equal(weights(alone)[name], weights(beside)[name]) for name in weights(alone))
     log = [json.loads(row) for row in beside.with_suffix(".log.jsonl").read_text().splitlines()]
     assert all(row["held_out_loss"] > 0 and row["held_out_loss_of_rounds"] > 0 for row in log)
+
+
+def test_the_state_that_is_best_on_held_out_windows_is_kept(tracks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_tracks(tracks / "interaction_sample.npz", [drive(np.full(150, 6.0), 0.3)])
+    checks = iter([0.5, 0.3, 0.4])
+    checked = training._check
+
+    def told(*arguments: Any) -> dict[str, float | None]:
+        return {**checked(*arguments), "held_out_loss": next(checks)}
+
+    monkeypatch.setattr(training, "_check", told)
+    best = read_tensors(train_denoiser(config(tracks, tracks.parent / "a.safetensors")))
+    assert best[1]["best_step"] == 4
+    monkeypatch.undo()
+    stopped = tracks.parent / "b.safetensors"
+    taken = training._take_step
+
+    def dies(run: Any, settings: Any, pool: Any, step: int) -> float:
+        if step == 5:
+            raise KeyboardInterrupt
+        return taken(run, settings, pool, step)
+
+    checks = iter([0.5, 0.3])
+    monkeypatch.setattr(training, "_check", told)
+    monkeypatch.setattr(training, "_take_step", dies)
+    with pytest.raises(KeyboardInterrupt):
+        train_denoiser(config(tracks, stopped))
+    kept = weights(stopped)
+    assert all(torch.equal(best[0][name], kept[name]) for name in kept)
+
+
+def test_published_architecture_can_be_trained(tracks: Path) -> None:
+    asked = config(tracks, tracks.parent / "a.safetensors", batch=2, steps=1).of_architecture("published")
+    assert asked.denoiser == DenoiserConfig()
+    assert asked.learning_rate < config(tracks, tracks).learning_rate
+    learnt = load_denoiser(train_denoiser(asked))
+    assert sum(parameter.numel() for parameter in learnt.parameters()) == 6_717_187
+
+
+def test_a_network_learns_to_use_what_it_is_told(tracks: Path) -> None:
+    """Slow cars speed up and fast ones slow down here, so the present speed says much."""
+    slow, fast = np.clip(2 + 0.1 * np.arange(120), 0, 14), np.clip(14 - 0.1 * np.arange(120), 2, 14)
+    write_tracks(tracks / "made_up.npz", [drive(slow), drive(fast)] * 3)
+    write_tracks(tracks / "interaction_sample.npz", [drive(slow + 0.2), drive(fast - 0.1)])
+    out = tracks.parent / "a.safetensors"
+    train_denoiser(config(tracks, out, steps=300, batch=64, checkpoint_every=300, size_jitter=0.0))
+    (row,) = [json.loads(row) for row in out.with_suffix(".log.jsonl").read_text().splitlines()]
+    assert row["held_out_loss"] < 0.95 * row["held_out_loss_untold"]
 
 
 def test_stored_weights_are_half_precision_and_the_gaussian_is_not(tracks: Path) -> None:
@@ -118,17 +166,3 @@ def test_nothing_to_learn_from_is_refused(tracks: Path) -> None:
 def test_reference_habits_train_too(tracks: Path) -> None:
     out = train_denoiser(config(tracks, tracks.parent / "a.safetensors", denoiser=REFERENCE_LIKE, steps=2))
     assert load_denoiser(out).config == REFERENCE_LIKE
-
-
-def test_drawn_windows_are_mirrored_fairly_and_sources_balanced() -> None:
-    def lane(value: float, count: int) -> Floats:
-        return np.full((count, 16, 3), value)
-
-    drawn = WindowPool.of({"big": lane(0.01, 10_000), "small": lane(0.1, 100)}).draw(
-        20_000, 0.0, np.random.default_rng(0)
-    )
-    small = drawn[:, 0, 0] > 0.05
-    assert small.mean() == pytest.approx(1 / 11, abs=0.01)
-    assert (drawn[:, 0, 1] < 0).mean() == pytest.approx(0.5, abs=0.02)
-    assert np.array_equal(drawn[..., 1], drawn[..., 2])
-    assert (drawn[..., 0] > 0).all()

@@ -77,6 +77,7 @@ def test_start_from_rest_and_braking_are_kept() -> None:
         (np.full(100, 0.3), 0.0, "less than 5 m"),
         (np.where(np.arange(100) < 50, 20.0, 5.0), 0.0, "8 m/s"),
         (np.full(100, 20.0), 0.6, "lateral"),
+        (8.0 + np.sin(2 * np.pi * np.arange(100) / HZ / 1.9), 0.0, "rough throughout"),
         (np.full(100, 4.0), 1.5, "tighter than a car"),
         (np.full(100, -5.0), 0.0, "heading against motion"),
     ],

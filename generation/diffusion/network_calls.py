@@ -1,0 +1,117 @@
+"""Calls of the network in blocks, on any device, for several requests at once."""
+
+import contextlib
+import functools
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from generation.diffusion.denoiser import TrajectoryDenoiser
+from generation.diffusion.residual_network import present_features
+from generation.diffusion.schedule import Denoise
+
+PROCESSOR_ROWS: Final = 256
+"""Trajectories of one network call on a processor: their features fit into its cache."""
+ACCELERATOR_ROWS: Final = 4096
+"""Trajectories of one network call on an accelerator. Fixed, and filled up where there are fewer, because a matrix
+product's last bits depend on its shape: so an answer does not depend on who asks beside it."""
+
+
+class NetworkCalls:
+    """A network at work.
+
+    Attributes:
+        denoiser: The network.
+        device: Where it runs.
+        block: Trajectories of one call, filled up where there are fewer; ``None`` leaves them as many as there are.
+    """
+
+    def __init__(
+        self, denoiser: TrajectoryDenoiser, device: torch.device, block: int | None, *, conditioned: bool, dropout: bool
+    ) -> None:
+        """Put a network to work.
+
+        Args:
+            denoiser: The network.
+            device: Where it runs.
+            block: Trajectories of one call.
+            conditioned: Whether it is told how vehicles move now, if it can be.
+            dropout: Whether it answers with dropout on.
+        """
+        self.denoiser = denoiser.to(device).train(dropout)
+        self.device, self.block = device, block
+        self._conditioned = conditioned and denoiser.config.conditioned
+        self._dropout = dropout
+
+    def put(self, parts: Sequence[Tensor]) -> Tensor:
+        """(B, ...) rows of all requests on the device."""
+        return torch.cat(list(parts)).to(self.device)
+
+    def told(self, previous: Sequence[Floats], sizes: Sequence[int]) -> Denoise:
+        """The network, told of every request how its vehicle moves now.
+
+        Args:
+            previous: (3,) pose half a second ago of each request.
+            sizes: Rows of each.
+
+        Returns:
+            Predicts the noise in the rows of all requests.
+        """
+        present: Tensor | None = None
+        if self._conditioned:
+            poses = [torch.from_numpy(pose.astype(np.float32)) for pose in previous]
+            present = self.put(
+                [present_features(pose).expand(size, -1) for pose, size in zip(poses, sizes, strict=True)]
+            )
+        return functools.partial(self._predict, present=present)
+
+    @contextlib.contextmanager
+    def asking(self, rngs: Sequence[np.random.Generator]) -> Iterator[None]:
+        """No gradients; chance of dropout from the first request, and none of it left behind."""
+        with torch.inference_mode(), torch.random.fork_rng(enabled=self._dropout):
+            if self._dropout:
+                torch.manual_seed(int(rngs[0].integers(2**62)))
+            yield
+
+    def _predict(self, noisy: Tensor, timestep: Tensor, *, present: Tensor | None) -> Tensor:
+        """The network's answer, in blocks."""
+        count, size = len(noisy), self.block or PROCESSOR_ROWS
+        if self.block is not None:
+            noisy, present = _filled(noisy, size), None if present is None else _filled(present, size)
+        blocks = torch.split(noisy, size)
+        moving = [None] * len(blocks) if present is None else torch.split(present, size)
+        return torch.cat([self.denoiser(block, timestep, known) for block, known in zip(blocks, moving, strict=True)])[
+            :count
+        ]
+
+
+def device_of(name: str) -> torch.device:
+    """A device that computes.
+
+    Args:
+        name: For example ``cpu`` or ``cuda``.
+
+    Returns:
+        The device.
+
+    Raises:
+        InputError: If this machine cannot compute on it.
+    """
+    try:
+        device = torch.device(name)
+        torch.ones(1, device=device).cpu()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise InputError(
+            f"this machine cannot compute on device {name!r}; use cpu, or cuda where there is a GPU"
+        ) from error
+    return device
+
+
+def _filled(rows: Tensor, size: int) -> Tensor:
+    """Rows with zeros after them up to whole blocks."""
+    return torch.cat([rows, rows.new_zeros(-len(rows) % size, *rows.shape[1:])])
