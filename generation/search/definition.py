@@ -28,22 +28,20 @@ class PackagedPrior:
         weights: Its weights, ``None`` for those in the package.
         device: Where the network runs.
         sampler: How the network is asked.
-        bank: Whether first batches are drawn from the samples beside the weights, where there are any.
     """
 
     weights: Path | None = None
     device: str = "cpu"
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
-    bank: bool = True
 
     def __call__(self) -> Prior:
         """The model."""
-        return _loaded(self.weights, self.device, self.sampler, self.bank)
+        return _loaded(self.weights, self.device, self.sampler)
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded(weights: Path | None, device: str, sampler: SamplerSettings, bank: bool) -> TrajectoryPrior:
-    return TrajectoryPrior.load(weights, sampler, bank=bank, device=device)
+def _loaded(weights: Path | None, device: str, sampler: SamplerSettings) -> TrajectoryPrior:
+    return TrajectoryPrior.load(weights, sampler, device=device)
 
 
 @dataclass(frozen=True, slots=True)

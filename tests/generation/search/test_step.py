@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
-from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
+from generation.diffusion.prior import SamplerSettings, Samples, TrajectoryPrior, diversify
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
 from generation.search.proposals import run_together
@@ -29,7 +29,7 @@ def test_a_planning_step_is_the_one_that_is_written_out(reference: bool) -> None
     hyper = replace(preset, candidates=12, rounds=2)
     denoiser = load_denoiser(PACKAGED_WEIGHTS)
     slow = SlowStep(SCENE, 0, FRAME, hyper, denoiser, np.random.default_rng(5), reference=reference).run()
-    prior = TrajectoryPrior.load(settings=SamplerSettings(drivable=False), bank=False)
+    prior = TrajectoryPrior.load(settings=SamplerSettings(samples=Samples.REFERENCE, conditioned=False, drivable=False))
     spread = diversify if hyper.varied else unchanged
     rng, model = np.random.default_rng(5), hyper.motion_model()
     planning = Planning(SCENE, 0, FRAME, hyper, spread, model, rng, {"physics": 0.0, "scoring": 0.0})
