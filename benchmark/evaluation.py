@@ -8,7 +8,7 @@ changed protocol never needs the planner.
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -20,7 +20,7 @@ from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
 from benchmark.planning import Planner
-from benchmark.protocols import PROTOCOLS, protocol
+from benchmark.protocols import STANDARD, protocol
 from benchmark.records.run import RunRecord, write_record
 from benchmark.report.words import counted
 from benchmark.runs.failures import write_failures
@@ -40,7 +40,7 @@ class EvalSettings:
     """How to evaluate.
 
     Attributes:
-        protocols: Who judges; all that are known by default.
+        protocols: Who judges; by default those that every run is judged by.
         scenes: Only these scenes of the split.
         limit: Only the first so many scenes.
         workers: Number of processes; the result does not depend on it.
@@ -48,7 +48,7 @@ class EvalSettings:
         fresh: Plan again even where plans are kept.
     """
 
-    protocols: tuple[str, ...] = field(default_factory=lambda: tuple(PROTOCOLS))
+    protocols: tuple[str, ...] = STANDARD
     scenes: tuple[str, ...] | None = None
     limit: int | None = None
     workers: int = 1

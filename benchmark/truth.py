@@ -1,12 +1,29 @@
 """What really happened around one sample: everything that any collision or L2 protocol needs."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
 from benchmark.planning import Command
+
+
+class Roads(Protocol):
+    """The roads around one sample, in its ego frame (x forward, y left of the rear axle), made when they are asked for.
+
+    Nothing is kept: samples hold the map that they share and a pose, never a raster.
+    """
+
+    def kerb_lines(self) -> NDArray[np.float32]:
+        """(N, 20, 2) edges of the road surface, each as 20 points at equal distances, metres."""
+
+    def drivable_cells(self) -> NDArray[np.uint8]:
+        """(1000, 1000) ones where a car may drive: row is y, column is x, cells of 0.1 m from -50 m."""
+
+    def surely_drivable(self, points: Floats, margin_m: float) -> Bools:
+        """(K,) whether all within a distance of each of (K, 2) points is drivable; False where that is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +50,11 @@ class SampleTruth:
         has_points: (M, 7) whether its lidar and radar counts there add up to more than zero.
         has_lidar_points: (M, 7) whether its lidar count there is more than zero.
         adversaries: Instances that were made to be adversaries, as far as the data set says.
+        axle_poses: (7, 3) global x, y, yaw of the rear axle now and at the six steps, held past the end of the scene;
+            ``None``: they follow from the lidar's.
+        seen_before: (M,) whether the object was annotated now or in the second before, and more than 40 % visible
+            there; ``None``: those that are annotated now.
+        roads: The roads around, or ``None`` where the data set has no map.
     """
 
     scene: str
@@ -51,6 +73,9 @@ class SampleTruth:
     has_points: NDArray[np.bool_]
     has_lidar_points: NDArray[np.bool_]
     adversaries: frozenset[str] = frozenset()
+    axle_poses: Floats | None = None
+    seen_before: Bools | None = None
+    roads: Roads | None = None
 
     @property
     def complete(self) -> bool:

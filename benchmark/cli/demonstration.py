@@ -143,7 +143,7 @@ def _results_from() -> dict[str, Any]:
     """What the measured results depend on: weights, town, frozen split, search and protocols."""
     from adapters.models import miniatures
     from benchmark.machine.storage import file_sha256
-    from benchmark.protocols import PROTOCOLS
+    from benchmark.protocols import PROTOCOLS, STANDARD
     from generation.search.adversary import ALGORITHM_VERSION
     from generation.search.definition import PackagedPrior
     from generation.search.hyperparameters import HyperParameters
@@ -157,5 +157,5 @@ def _results_from() -> dict[str, Any]:
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_VEHICLES],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
-        "protocols": {name: definition.version for name, definition in PROTOCOLS.items()},
+        "protocols": {name: PROTOCOLS[name].version for name in STANDARD},
     }

@@ -67,7 +67,7 @@ def eval_command(
         list[str] | None,
         typer.Option(
             metavar="<str>",
-            help="Tables to print: a protocol, native, pdm or all; may be repeated. Records always hold all.",
+            help="Tables to print: a protocol, native, pdm or all; may be repeated. Judges that are not standard join.",
         ),
     ] = None,
     explain_protocols: Annotated[
@@ -85,6 +85,7 @@ def eval_command(
     from benchmark.cli.beforehand.names import require_models
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate
+    from benchmark.protocols import STANDARD
 
     if not model and plans is None:
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
@@ -101,7 +102,8 @@ def eval_command(
         runs = [*running, *([] if plans is None else [str(plans)])]
         say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
         return
-    settings = EvalSettings(scenes=name_list(scenes), limit=limit, seed=seed, workers=count)
+    judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name != "native")]))
+    settings = EvalSettings(judges, name_list(scenes), limit, count, seed)
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(name, checkpoint, data=data, seed=seed, device=device, precision=precision) for name in model

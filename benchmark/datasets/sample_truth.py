@@ -7,10 +7,16 @@ from numpy.typing import NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.annotated import nearest_valid
+from benchmark.datasets.roads_around import RoadsAround, RoadSurfaces
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle, yaw_of_quaternion
 from benchmark.planning import Command
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
+
+HIDDEN = 1
+"""nuScenes' visibility level of what is visible to 40 % at most."""
+KEYFRAMES_BEFORE = 2
+"""Keyframes before the present in which an object may have been seen: the last second."""
 
 
 def truth_of_scene(scene: Scene, sample_tokens: Sequence[str]) -> tuple[SampleTruth, ...]:
@@ -25,7 +31,10 @@ def truth_of_scene(scene: Scene, sample_tokens: Sequence[str]) -> tuple[SampleTr
     """
     lidar_poses = planar_lidar_poses(scene)
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
-    return tuple(_truth(scene, token, index, lidar_poses, boxes_yaw) for index, token in enumerate(sample_tokens))
+    surfaces = None if scene.road_map.drivable_area.is_empty else RoadSurfaces(scene.road_map)
+    return tuple(
+        _truth(scene, token, index, lidar_poses, boxes_yaw, surfaces) for index, token in enumerate(sample_tokens)
+    )
 
 
 def planar_lidar_poses(scene: Scene) -> Floats:
@@ -83,8 +92,11 @@ def _in_lidar(poses: Floats, frame: Floats) -> Floats:
     return np.stack([-local[..., 1], local[..., 0], yaw], axis=-1)
 
 
-def _truth(scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw: Floats) -> SampleTruth:
+def _truth(
+    scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw: Floats, surfaces: RoadSurfaces | None
+) -> SampleTruth:
     known = scene.annotations
+    axle_poses = scene.ego.pose[scene.keyframes]
     steps = index + np.arange(PLAN_STEPS + 1)
     exists = steps < len(scene.keyframes)
     steps = np.minimum(steps, len(scene.keyframes) - 1)
@@ -96,6 +108,7 @@ def _truth(scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw:
     boxes = np.concatenate([local[..., :2], known.size[rows, columns, :2], local[..., 2:]], axis=-1)
     lidar_points, radar_points = known.num_lidar_pts[rows, columns], known.num_radar_pts[rows, columns]
     future, future_valid = ego_future(lidar_poses, index)
+    past = slice(max(index - KEYFRAMES_BEFORE, 0), index + 1)
     return SampleTruth(
         scene=scene.name,
         sample_token=token,
@@ -113,4 +126,7 @@ def _truth(scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw:
         has_points=annotated & (lidar_points + radar_points > 0),
         has_lidar_points=annotated & (lidar_points > 0),
         adversaries=frozenset(scene.adversaries),
+        axle_poses=axle_poses[steps],
+        seen_before=(known.valid[seen, past] & (known.visibility[seen, past] != HIDDEN)).any(axis=-1),
+        roads=None if surfaces is None else RoadsAround(surfaces, axle_poses[index]),
     )

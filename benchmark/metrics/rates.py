@@ -103,10 +103,12 @@ def rates(
     Returns:
         Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
     """
-    weights = np.repeat(outcomes.counted[:, None].astype(float), len(HORIZONS), axis=1)
     columns: dict[str, dict[str, Rate]] = {}
-    for column, values in definition.sample_values(outcomes).items():
-        found = ratios_over_scenes(with_average(values) * weights, weights, scenes, seed=seed)
+    for column, by_horizon in definition.sample_values(outcomes).items():
+        values = with_average(by_horizon)
+        said = ~np.isnan(values)
+        weights = (said & outcomes.counted[:, None]).astype(np.float64)
+        found = ratios_over_scenes(np.where(said, values, 0.0) * weights, weights, scenes, seed=seed)
         columns[column] = dict(zip(HORIZONS, found))
     return columns
 

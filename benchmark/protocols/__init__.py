@@ -3,16 +3,23 @@
 from typing import Final
 
 from benchmark.errors import InputError, did_you_mean
+from benchmark.protocols.agent_driver import AgentDriver, RasterOfVAD
+from benchmark.protocols.bev_planner import BEVPlanner
 from benchmark.protocols.contract import CollisionProtocol, GroundTruthMask, Outcomes
 from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
+from benchmark.protocols.omnidrive import OmniDrive
+from benchmark.protocols.opendrivevla import OpenDriveVLA, OpenDriveVLAWithRasterOfVAD
+from benchmark.protocols.safemvdrive import SafeMVDrive, SafeMVDriveBox
 from benchmark.protocols.sparsedrive import SparseDrive
+from benchmark.protocols.stp3 import STP3
 from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
 
 __all__ = [
     "NATIVE_PROTOCOLS",
     "PROTOCOLS",
+    "STANDARD",
     "CollisionProtocol",
     "GroundTruthMask",
     "Outcomes",
@@ -25,6 +32,9 @@ PROTOCOLS: dict[str, CollisionProtocol] = {}
 """Every known protocol, in the order of their columns."""
 NATIVE_PROTOCOLS: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
 """Those of the repositories of the four planners that the paper tests."""
+
+STANDARD: Final = ("exact", "uniad", "vad", "vad-23", "sparsedrive", "diffusiondrive")
+"""Those that every run is judged by; the others judge on request, and stored plans whenever they are judged anew."""
 
 
 def register(definition: CollisionProtocol) -> None:
@@ -70,5 +80,15 @@ for definition in (
     VAD("vad-23", COUNTED_23),
     SparseDrive(),
     DiffusionDrive(),
+    STP3(),
+    BEVPlanner(),
+    OmniDrive(),
+    SafeMVDrive(),
+    SafeMVDriveBox("safemvdrive-box", needs_points=True),
+    SafeMVDriveBox("safemvdrive-box-all", needs_points=False),
+    OpenDriveVLA(),
+    OpenDriveVLAWithRasterOfVAD(),
+    AgentDriver(),
+    RasterOfVAD(),
 ):
     register(definition)

@@ -152,7 +152,8 @@ class CollisionProtocol(Protocol):
             outcomes: S verdicts of this protocol.
 
         Returns:
-            Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always.
+            Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always. NaN in
+            another column: the sample says nothing about it, and is not in its denominator.
         """
 
 

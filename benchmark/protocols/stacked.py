@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.geometry import Bools, Floats
-from benchmark.truth import SampleTruth
+from benchmark.geometry import Bools, Floats, to_global, to_local, wrap_angle
+from benchmark.truth import Roads, SampleTruth
 
 _KEYFRAMES = PLAN_STEPS + 1
 
@@ -28,6 +28,11 @@ class StackedTruths:
         ego_future: (S, 6, 3) recorded lidar origin, x, y, yaw.
         ego_future_valid: (S, 6) whether it exists.
         adversarial: (M,) whether the object was made to be an adversary, as far as the data set says.
+        seen_before: (M,) whether the object was seen now or in the second before (`SampleTruth.seen_before`).
+        axle_poses: (S, 7, 3) global x, y, yaw of the rear axle now and at the steps.
+        ahead_m: (S,) lidar origin ahead of the rear axle.
+        keyframes_before: (S,) earlier keyframes of the scene.
+        roads: S times the roads around, or ``None``.
     """
 
     sample_of: NDArray[np.int64]
@@ -40,6 +45,11 @@ class StackedTruths:
     ego_future: Floats
     ego_future_valid: Bools
     adversarial: Bools
+    seen_before: Bools
+    axle_poses: Floats
+    ahead_m: Floats
+    keyframes_before: NDArray[np.int64]
+    roads: tuple[Roads | None, ...]
 
     def of_categories(self, names: Collection[str]) -> Bools:
         """Which objects are of certain categories.
@@ -51,6 +61,26 @@ class StackedTruths:
             (M,) verdicts.
         """
         return np.fromiter((name in names for name in self.categories), np.bool_, count=len(self.categories))
+
+    @property
+    def axle_future(self) -> Floats:
+        """(S, 6, 2) recorded rear axle at the steps in the ego frame of the sample, x forward, y left, metres."""
+        return to_local(self.axle_poses[:, 1:, :2], self.axle_poses[:, :1])
+
+    def boxes_in_ego(self, objects: NDArray[np.int64], steps: NDArray[np.int64]) -> Floats:
+        """Boxes in the ego frame of their samples.
+
+        Args:
+            objects: (N,) which objects.
+            steps: (N,) at which of 0..6.
+
+        Returns:
+            (N, 5) boxes, x forward, y left of the rear axle.
+        """
+        boxes = self.boxes[objects, steps]
+        ahead = self.ahead_m[self.sample_of[objects]]
+        center = np.stack([boxes[:, 1] + ahead, -boxes[:, 0]], axis=-1)
+        return np.concatenate([center, boxes[:, 2:4], boxes[:, 4:] - np.pi / 2], axis=-1)
 
 
 def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
@@ -75,7 +105,26 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
         ego_future=np.array([truth.ego_future for truth in truths], np.float64).reshape(-1, PLAN_STEPS, 3),
         ego_future_valid=np.array([truth.ego_future_valid for truth in truths], np.bool_).reshape(-1, PLAN_STEPS),
         adversarial=np.array([name in truth.adversaries for truth in truths for name in truth.instances], np.bool_),
+        seen_before=np.concatenate(
+            [empty[:, 0], *(t.annotated[:, 0] if t.seen_before is None else t.seen_before for t in truths)]
+        ),
+        axle_poses=np.array([_axle_poses(truth) for truth in truths], np.float64).reshape(-1, _KEYFRAMES, 3),
+        ahead_m=np.array([truth.lidar_ahead_m for truth in truths], np.float64),
+        keyframes_before=np.array([truth.index for truth in truths], np.int64),
+        roads=tuple(truth.roads for truth in truths),
     )
+
+
+def _axle_poses(truth: SampleTruth) -> Floats:
+    """(7, 3) rear axle now and at the steps; from the lidar's poses where a sample does not have them itself."""
+    if truth.axle_poses is not None:
+        return truth.axle_poses
+    now = np.array([[0.0, 0.0, np.pi / 2]])
+    local = np.concatenate([now, truth.ego_future])
+    yaw = wrap_angle(local[:, 2] - np.pi / 2 + truth.lidar_pose[2])
+    lidar = to_global(np.stack([local[:, 1], -local[:, 0]], axis=-1), truth.lidar_pose)
+    axle = lidar - truth.lidar_ahead_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    return np.concatenate([axle, yaw[:, None]], axis=-1)
 
 
 def displacement(plans_lidar: Floats, truths: StackedTruths) -> Floats:

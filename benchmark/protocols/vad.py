@@ -2,9 +2,10 @@
 
 Definition:
 
-* Objects are those annotated *now* with a lidar or radar point on them, less than 15 m to the side and 30 m ahead or
-  behind, of the ten detection classes, and in VAD's list of category *indices*; each is followed until the first
-  keyframe at which it is not annotated, with the size it has now.
+* Objects are those annotated *now* with a lidar point on them (``use_valid_flag``, which would count radar points too,
+  is set for training alone), less than 15 m to the side and 30 m ahead or behind, of the ten detection classes, and in
+  VAD's list of category *indices*; each is followed until the first keyframe at which it is not annotated, with the
+  size it has now.
 * They are drawn on a grid of 200 x 200 half-metre cells whose first row is far ahead, corners rounded to the nearest
   node. The ego is a block of 8 x 4 cells that is never turned, rounded towards zero and squeezed into the grid.
 * ``before_mask``, ``recorded`` and ``collision`` (``obj_box_col``) as for ``uniad``. ``obj_col`` asks for one cell.
@@ -15,6 +16,8 @@ The indices mean what the data set's ``category.json`` lists at them. With the t
 lidarseg) they are all pedestrians and all vehicles: this is ``vad``. With the first table of 23 entries they are cars,
 police officers, construction workers, construction vehicles, trailers, barriers and cones: this is ``vad-23``. Nobody
 can tell from the code which one the published numbers used.
+
+Version 1 counted objects with nothing but radar points on them too.
 
 Known faults: a car that is farther than 30 m now, or that appears later, cannot be hit. The ego stands about 0.5 m too
 far left of what it is compared with. A turning ego is not turned. ``obj_col`` looks 25 m ahead and 25 m to the left of
@@ -72,7 +75,7 @@ class VAD(RasterProtocol):
         categories: Which categories count.
     """
 
-    version = 1
+    version = 2
     counts_incomplete = False
     first_row_ahead = True
 
@@ -89,7 +92,7 @@ class VAD(RasterProtocol):
             (M, 6) verdicts.
         """
         now = truths.boxes[:, 0]
-        near = (np.abs(now[:, 0]) < SIDE_M) & (np.abs(now[:, 1]) < AHEAD_M) & truths.has_points[:, 0]
+        near = (np.abs(now[:, 0]) < SIDE_M) & (np.abs(now[:, 1]) < AHEAD_M) & truths.has_lidar_points[:, 0]
         followed = np.logical_and.accumulate(truths.annotated, axis=1)[:, 1:]
         return np.asarray(followed & (near & truths.of_categories(self.categories))[:, None])
 

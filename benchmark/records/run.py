@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import rates
-from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.driving import summarise_driving
 from benchmark.records.run_schema import (
@@ -96,8 +96,8 @@ class RunRecord:
 
     @property
     def missing_protocols(self) -> tuple[str, ...]:
-        """Known protocols that never judged the rows."""
-        return tuple(name for name in PROTOCOLS if name not in self.run.protocols)
+        """Protocols that every run is judged by and that never judged the rows."""
+        return tuple(name for name in STANDARD if name not in self.run.protocols)
 
 
 def protocol_of(record: RunRecord, name: str) -> str:

@@ -292,7 +292,7 @@ def object_sets(truth: SampleTruth) -> dict[str, Bools]:
         sets["uniad"][row] = truth.annotated[row] & (name in slow.UNIAD_NAMES)
         sets["sd"][row] = truth.annotated[row] & truth.has_lidar_points[row]
         x, y = truth.boxes[row, 0, :2]
-        near = name in slow.COUNTED_BY_VAD and truth.has_points[row, 0] and abs(x) < 15.0 and abs(y) < 30.0
+        near = name in slow.COUNTED_BY_VAD and truth.has_lidar_points[row, 0] and abs(x) < 15.0 and abs(y) < 30.0
         for step in range(7):
             sets["vad"][row, step] = near and truth.annotated[row, : step + 1].all()
     found = {}

@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Final
 
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
+from benchmark.protocols.verification.aggregate_file import FurtherAggregates
 from benchmark.protocols.verification.aggregates import Aggregates
-from benchmark.protocols.verification.golden_set import golden_inputs, read_golden_scene, remarks
+from benchmark.protocols.verification.golden_set import GoldenScene, golden_inputs, read_golden_scene, remarks
 from benchmark.protocols.verification.official import compare_official
+from benchmark.protocols.verification.official_more import compare_further, judged_further
 from benchmark.protocols.verification.polygons import compare_polygons
 from benchmark.verification.checks import Check, Comparison
 
@@ -14,11 +16,13 @@ __all__ = ["BUILT_IN", "verify_protocols"]
 
 BUILT_IN: Final = Path(__file__).parent / "golden" / "protocols"
 """The golden set in the package, in the same form as any other."""
-_COMPARED: Final = ("exact", "uniad", "vad", "vad-23", "sparsedrive", "diffusiondrive")
 
 
 def verify_protocols(golden: Path | None = None) -> list[Check]:
     """Compare every protocol with a golden set: each sample, plan and step, and the rates over all of them.
+
+    A set is of one of two forms, which may be mixed: with verdicts of the protocols that every run is judged by, or
+    with roads and the past beside the boxes and verdicts of the further ones.
 
     Args:
         golden: Directory of golden numbers; the built-in set by default. Scenes may lack the verdicts of exact polygons
@@ -31,23 +35,32 @@ def verify_protocols(golden: Path | None = None) -> list[Check]:
         InputError: If the set cannot be used.
     """
     paths = golden_inputs(BUILT_IN if golden is None else golden)
-    comparison, aggregates = Comparison(), Aggregates()
+    comparison, aggregates, further = Comparison(), Aggregates(), FurtherAggregates()
+    with_roads: set[str] = set()
     for path in paths:
         scene = read_golden_scene(path)
-        outcomes = {
-            name: [
-                PROTOCOLS[name].evaluate(scene.truths, scene.plans[:, plan]) for plan in range(len(scene.plan_names))
-            ]
-            for name in _COMPARED
-        }
-        compare_official(comparison, scene, outcomes)
-        if scene.exact is not None:
-            compare_polygons(comparison, scene, outcomes["exact"])
-        aggregates.add(scene, outcomes)
+        if scene.with_roads:
+            outcomes = judged_further(scene)
+            compare_further(comparison, scene, outcomes)
+            further.add(scene, outcomes)
+            with_roads.add(scene.name)
+        else:
+            outcomes = _judged(scene)
+            compare_official(comparison, scene, outcomes)
+            if scene.exact is not None:
+                compare_polygons(comparison, scene, outcomes["exact"])
+            aggregates.add(scene, outcomes)
     aggregates.compare(comparison)
-    for text in remarks(paths):
-        comparison.note("samples that count", text)
+    further.compare(comparison, paths[0].parent)
+    for text in remarks(paths, with_roads):
+        comparison.note(comparison.checks()[0].quantity, text)
     for check in comparison.checks():
-        if check.quantity.endswith("(m)"):
+        if check.quantity.endswith("(m)") and check.quantity.split()[0] in STANDARD:
             comparison.note(check.quantity, "the golden numbers are single precision")
     return comparison.checks()
+
+
+def _judged(scene: GoldenScene) -> dict[str, list[Outcomes]]:
+    """Verdicts on each plan of the protocols that every run is judged by."""
+    plans = [scene.plans[:, plan] for plan in range(len(scene.plan_names))]
+    return {name: [PROTOCOLS[name].evaluate(scene.truths, each) for each in plans] for name in STANDARD}

@@ -1,7 +1,7 @@
 """Golden files of the protocols: scenes as plain arrays, plans, and what the official code says about them."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,11 +14,16 @@ from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import file_sha256, read_json
 from benchmark.planning import Command
 from benchmark.protocols.raster import CELLS
+from benchmark.protocols.verification.given_roads import read_roads
 from benchmark.report.words import counted
 from benchmark.truth import SampleTruth
 from benchmark.verification.golden import GoldenArrays, golden_directory
 
 _KEYFRAMES: Final = PLAN_STEPS + 1
+PAST: Final = "past_frames"
+"""Array that tells the two forms of inputs apart."""
+_VISIBLE: Final = 1
+"""Annotated there and more than 40 % visible; 0 is hidden, -1 not annotated."""
 _OFFICIAL, _EXACT, _MANIFEST = "_official", "_exact", "manifest.json"
 
 
@@ -45,10 +50,15 @@ class ProtocolArrays(GoldenArrays):
         Raises:
             InputError: If it is absent, of another shape or does not hold bytes.
         """
-        packed = self.integers(name, samples, PLAN_STEPS, CELLS * CELLS // 8)
+        packed = self.packed(name, samples, PLAN_STEPS, CELLS * CELLS // 8)
+        return np.unpackbits(packed, axis=-1).reshape(samples, PLAN_STEPS, CELLS, CELLS)
+
+    def packed(self, name: str, *shape: int | None) -> NDArray[np.uint8]:
+        """Bytes that hold eight cells each; arguments and errors as in `floats`."""
+        packed = self.integers(name, *shape)
         if packed.min(initial=0) < 0 or packed.max(initial=0) > 255:
             raise InputError(f"array {name} in {self.path} holds numbers that are no bytes; make the file again")
-        return np.unpackbits(packed.astype(np.uint8), axis=-1).reshape(samples, PLAN_STEPS, CELLS, CELLS)
+        return packed.astype(np.uint8)
 
     def labels(self, name: str, length: int | None = None) -> list[str]:
         """Names; arguments and errors as in `floats`."""
@@ -65,15 +75,20 @@ class GoldenScene:
         plans: (S, P, 6, 2) waypoints in the lidar frame, metres.
         plan_names: P names.
         official: What the official code says.
+        inputs: What the samples were made from.
+        official: What the official code says.
         exact: What exact polygons say, if the set has that.
+        with_roads: Whether it is of the form that has roads and the past, with the verdicts of further protocols.
     """
 
     name: str
     truths: tuple[SampleTruth, ...]
     plans: Floats
     plan_names: tuple[str, ...]
+    inputs: ProtocolArrays
     official: ProtocolArrays
     exact: ProtocolArrays | None
+    with_roads: bool
 
 
 def golden_inputs(golden: Path) -> list[Path]:
@@ -122,21 +137,58 @@ def read_golden_scene(path: Path) -> GoldenScene:
     if len(set(names)) < len(names):
         raise InputError(f"plan_names in {path} has a name twice; give each plan its own")
     exact = path.with_stem(path.stem + _EXACT)
+    with_roads = PAST in stored.names
+    truths = truths_of(stored, len(plans))
     return GoldenScene(
         name=path.stem,
-        truths=tuple(truths_of(stored, len(plans))),
+        truths=tuple(_with_past_and_roads(stored, truths) if with_roads else truths),
         plans=plans,
         plan_names=tuple(names),
+        inputs=stored,
         official=ProtocolArrays.read(path.with_stem(path.stem + _OFFICIAL)),
         exact=ProtocolArrays.read(exact) if exact.is_file() else None,
+        with_roads=with_roads,
     )
 
 
-def remarks(paths: Iterable[Path]) -> list[str]:
+def _with_past_and_roads(stored: ProtocolArrays, truths: list[SampleTruth]) -> list[SampleTruth]:
+    """Samples with what the further protocols ask for beside boxes: poses, who was seen before, and roads.
+
+    Raises:
+        InputError: If an array is absent, damaged, or does not fit the others.
+    """
+    samples = len(truths)
+    before = stored.integers(PAST, samples)
+    now = stored.floats("ego_pose", samples, 3)
+    poses = stored.floats("ego_pose_fut", samples, PLAN_STEPS, 3)
+    visibility = stored.integers("obj_past_visibility", sum(len(truth.instances) for truth in truths), PLAN_STEPS // 2)
+    seen = (visibility == _VISIBLE).any(axis=-1)
+    ends = np.cumsum([0, *(len(truth.instances) for truth in truths)])
+    roads = read_roads(stored, samples)
+    return [
+        replace(
+            truth,
+            index=int(before[index]),
+            axle_poses=np.concatenate([now[index : index + 1], _held(now[index], poses[index], truth)]),
+            seen_before=seen[ends[index] : ends[index + 1]],
+            roads=roads[index],
+        )
+        for index, truth in enumerate(truths)
+    ]
+
+
+def _held(now: Floats, poses: Floats, truth: SampleTruth) -> Floats:
+    """(6, 3) poses at the steps, the last recorded one after the end of the scene."""
+    last = int(truth.ego_future_valid.sum())
+    return np.where(truth.ego_future_valid[:, None], poses, poses[last - 1] if last else now)
+
+
+def remarks(paths: Iterable[Path], with_roads: Collection[str] = ()) -> list[str]:
     """What a reader should know about the files of a set.
 
     Args:
         paths: All of `golden_inputs`.
+        with_roads: Names of those of the form that has no exact verdicts.
 
     Returns:
         Short texts: files without exact verdicts, files that the manifest lists and the folder lacks, files that are
@@ -148,6 +200,7 @@ def remarks(paths: Iterable[Path]) -> list[str]:
     scenes = list(paths)
     found = [counted(len(scenes), "file")]
     without = [path.stem for path in scenes if not path.with_stem(path.stem + _EXACT).is_file()]
+    without = [name for name in without if name not in with_roads]
     if without:
         found.append(f"no exact verdicts for {', '.join(without)}")
     folder = scenes[0].parent

@@ -3,11 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from hypothesis import strategies as st
 
 from benchmark.constants import CATEGORIES
+from benchmark.datasets.roads_around import RoadsAround, RoadSurfaces
 from benchmark.geometry import Floats
 from benchmark.planning import Command
+from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.truth import SampleTruth
 
 PLANS = ("drive", "still", "jitter", "reverse", "turn back", "leave", "recorded")
@@ -66,10 +69,11 @@ def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
     annotated = rng.random((count, 7)) < 0.85
     annotated[:, 1:] &= valid
     points = annotated & (rng.random((count, 7)) < 0.85)
+    rng_past = np.random.default_rng([kind.seed, 3])
     return SampleTruth(
         scene="scene-0001",
         sample_token=name,
-        index=0,
+        index=int(kind.seed % 5),
         timestamp_us=0,
         lidar_pose=np.zeros(3),
         lidar_ahead_m=0.94,
@@ -82,7 +86,21 @@ def sample_of(kind: Traits, name: str = "s") -> SampleTruth:
         annotated=annotated,
         has_points=points,
         has_lidar_points=points & (rng.random((count, 7)) < 0.9),
+        seen_before=rng_past.random(count) < 0.8,
+        roads=roads_of(rng_past) if kind.seed % 4 else None,
     )
+
+
+def roads_of(rng: np.random.Generator) -> RoadsAround:
+    """A road ahead with a crossing road and an island in it, seen from somewhere on it."""
+    width = rng.uniform(5.0, 9.0)
+    ahead = shapely.box(-80.0, -width, 120.0, width)
+    across = shapely.affinity.rotate(shapely.box(20.0, -90.0, 20.0 + 2 * width, 90.0), rng.uniform(-40, 40))
+    island = shapely.Point(rng.uniform(5.0, 40.0), rng.uniform(-3.0, 3.0)).buffer(rng.uniform(0.5, 2.0), quad_segs=4)
+    surface = as_multipolygon(shapely.union_all([ahead, across]).difference(island))
+    segments = {str(number): polygon for number, polygon in enumerate(surface.geoms)}
+    road_map = RoadMap("made-up", surface, road_segments=segments)
+    return RoadsAround(RoadSurfaces(road_map), np.array([rng.uniform(-9.0, 9.0), *rng.normal(0.0, [1.0, 0.05])]))
 
 
 def plan_of(kind: Traits) -> Floats:

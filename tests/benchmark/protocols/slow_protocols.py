@@ -131,7 +131,7 @@ def slow_vad(sample: SampleTruth, plan: Floats, names: Collection[str] = COUNTED
     rasters = np.zeros((6, 200, 200), np.uint8)
     for row, name in enumerate(sample.categories):
         x, y, length, width, _ = sample.boxes[row, 0]
-        seen = sample.annotated[row, 0] and sample.has_points[row, 0] and abs(x) < 15.0 and abs(y) < 30.0
+        seen = sample.annotated[row, 0] and sample.has_lidar_points[row, 0] and abs(x) < 15.0 and abs(y) < 30.0
         if name not in names or not seen:
             continue
         for step in range(6):

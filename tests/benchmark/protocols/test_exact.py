@@ -102,7 +102,7 @@ def test_rows_and_arrays_are_the_same(name: str) -> None:
     back = Outcomes.from_rows(outcomes.as_rows())
     assert back.as_rows() == outcomes.as_rows()
     before, after = (PROTOCOLS[name].sample_values(one) for one in (outcomes, back))
-    assert all((before[column] == after[column]).all() for column in before)
+    assert all(np.array_equal(before[column], after[column], equal_nan=True) for column in before)
     assert len(Outcomes.from_rows([])) == 0
 
 

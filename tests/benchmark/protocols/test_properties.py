@@ -22,6 +22,7 @@ from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of,
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 from tests.hand_made import Car, scene_on_straight_road
 
+PARTS = ("boxes", "annotated", "has_points", "has_lidar_points", "seen_before")
 Box = tuple[float, float, float, float, float]
 BOXES = st.tuples(
     st.floats(-8, 8), st.floats(-8, 8), st.floats(0.05, 12), st.floats(0.05, 4), st.floats(-10, 10, allow_nan=False)
@@ -77,7 +78,7 @@ def test_order_of_objects_changes_nothing(name: str, kind: Traits, data: st.Data
         sample,
         instances=tuple(sample.instances[row] for row in order),
         categories=tuple(sample.categories[row] for row in order),
-        **{part: getattr(sample, part)[rows] for part in ("boxes", "annotated", "has_points", "has_lidar_points")},
+        **{part: getattr(sample, part)[rows] for part in PARTS},
     )
     assert verdicts(name, [mixed], plan[None]) == verdicts(name, [sample], plan[None])
 

@@ -1,0 +1,139 @@
+"""The roads around a sample from a scene's map: kerb lines and drivable cells, drawn when a protocol asks for them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from benchmark.geometry import Bools, Floats, to_global
+from benchmark.road_map import RoadMap, as_multipolygon
+
+PATCH_M: Final = (102.4, 50.0)
+"""Length and width of the patch around the rear axle in which road edges are looked for."""
+_TRIM_M: Final = 0.2
+"""Edges this close to the border of the patch are the patch's own."""
+LINE_POINTS: Final = 20
+DRIVABLE_CELLS: Final = 1000
+DRIVABLE_HALF_M: Final = 50.0
+_CELLS_PER_M: Final = 10.0
+
+
+class RoadSurfaces:
+    """What the samples of a scene share: surfaces of its map, put together once and when they are asked for.
+
+    Attributes:
+        road_map: The map.
+    """
+
+    def __init__(self, road_map: RoadMap) -> None:
+        self.road_map = road_map
+
+    @cached_property
+    def roads(self) -> shapely.Geometry:
+        """Road segments and lanes as one surface, global."""
+        lanes = [lane.polygon for lane in self.road_map.lanes.values() if lane.polygon is not None]
+        return shapely.union_all([*self.road_map.road_segments.values(), *lanes])
+
+    @cached_property
+    def drivable(self) -> shapely.MultiPolygon:
+        """The drivable area, prepared for many questions."""
+        shapely.prepare(self.road_map.drivable_area)
+        return self.road_map.drivable_area
+
+    @cached_property
+    def edges(self) -> shapely.Geometry:
+        """Borders of the drivable area, prepared for many questions."""
+        edges = self.road_map.drivable_area.boundary
+        shapely.prepare(edges)
+        return edges
+
+
+@dataclass(frozen=True, slots=True)
+class RoadsAround:
+    """`benchmark.truth.Roads` of one sample.
+
+    Attributes:
+        surfaces: Of the scene.
+        axle_pose: (3,) global x, y, yaw of the rear axle.
+    """
+
+    surfaces: RoadSurfaces
+    axle_pose: Floats
+
+    def kerb_lines(self) -> NDArray[np.float32]:
+        """Edges of the union of road segments and lanes in a patch of 102.4 m x 50 m around the rear axle.
+
+        Returns:
+            (N, 20, 2) points at equal distances along each edge, ego frame, metres.
+        """
+        half = 0.5 * np.array(PATCH_M)
+        corners = to_global(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half, self.axle_pose)
+        surface = self._in_ego(shapely.intersection(self.surfaces.roads, shapely.Polygon(corners)))
+        inner = shapely.box(*(_TRIM_M - half), *(half - _TRIM_M))
+        lines = [
+            shapely.get_coordinates(shapely.line_interpolate_point(line, np.linspace(0.0, line.length, LINE_POINTS)))
+            for polygon in as_multipolygon(surface).geoms
+            for ring in _rings(polygon)
+            for line in _pieces(ring.intersection(inner))
+        ]
+        return np.array(lines, np.float32).reshape(-1, LINE_POINTS, 2)
+
+    def drivable_cells(self) -> NDArray[np.uint8]:
+        """The drivable area, each polygon's outline filled and then its holes emptied, vertices on the nearest node.
+
+        Returns:
+            (1000, 1000) ones where drivable: row is y, column is x, cells of 0.1 m from -50 m.
+        """
+        half = DRIVABLE_HALF_M
+        corners = to_global(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half, self.axle_pose)
+        nearby = self._in_ego(shapely.intersection(self.surfaces.drivable, shapely.Polygon(corners)))
+        grid = np.zeros((DRIVABLE_CELLS, DRIVABLE_CELLS), np.uint8)
+        for polygon in as_multipolygon(nearby).geoms:
+            cv2.fillPoly(grid, [_nodes(polygon.exterior)], (1,))
+            cv2.fillPoly(grid, [_nodes(hole) for hole in polygon.interiors], (0,))
+        return grid
+
+    def surely_drivable(self, points: Floats, margin_m: float) -> Bools:
+        """Whether everything around points is drivable, without drawing it.
+
+        Args:
+            points: (K, 2) ego frame, metres.
+            margin_m: How far around each.
+
+        Returns:
+            (K,) verdicts; False within the margin of a border, and for what is not on the grid.
+        """
+        there = shapely.points(to_global(points, self.axle_pose))
+        clear = shapely.contains(self.surfaces.drivable, there) & ~shapely.dwithin(self.surfaces.edges, there, margin_m)
+        return np.asarray(clear & (np.abs(points).max(axis=-1) + margin_m < DRIVABLE_HALF_M), np.bool_)
+
+    def _in_ego(self, shape: shapely.Geometry) -> shapely.Geometry:
+        x, y, yaw = self.axle_pose
+        cos, sin = np.cos(yaw), np.sin(yaw)
+
+        def moved(points: Floats) -> Floats:
+            offset = points - [x, y]
+            along, across = offset @ [cos, sin], offset @ [-sin, cos]
+            return np.stack([along, across], axis=-1)
+
+        return shapely.transform(shape, moved)
+
+
+def _rings(polygon: shapely.Polygon) -> list[shapely.LinearRing]:
+    """Outline clockwise, holes counter-clockwise: the surface is on the right of every edge."""
+    turned = shapely.geometry.polygon.orient(polygon, -1.0)
+    return [turned.exterior, *turned.interiors]
+
+
+def _pieces(shape: shapely.Geometry) -> list[shapely.LineString]:
+    """Lines of what is left of a ring, joined where they meet."""
+    lines = [part for part in shapely.get_parts(shape) if isinstance(part, shapely.LineString) and part.length > 0]
+    return list(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(lines))))
+
+
+def _nodes(ring: shapely.LinearRing) -> NDArray[np.int32]:
+    return np.asarray(np.round((shapely.get_coordinates(ring) + DRIVABLE_HALF_M) * _CELLS_PER_M), np.int32)

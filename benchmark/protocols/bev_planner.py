@@ -1,0 +1,204 @@
+"""The ``bev-planner`` protocol: collision, contact with the kerb and L2 as BEV-Planner's own evaluation counts them.
+
+Definition:
+
+* Everything is in the ego frame, x forward, y left. A waypoint is the displacement of the *lidar* along these axes.
+* Objects are those annotated at the future keyframe of the step with a lidar or radar point on them there, of the seven
+  vehicle classes among the ten of detection (`benchmark.protocols.uniad.VEHICLES`). They are drawn on a grid of 1000 x
+  1000 cells of 0.1 m, corners cut off to the cell below.
+* The kerb is the edge of the union of road segments and lanes of the present map, each edge as 20 points at equal
+  distances joined by lines one cell wide; the same at all six steps.
+* The ego is a rectangle of 4.084 m x 1.85 m, 1.486 m ahead of the waypoint, turned by the direction of the step that
+  ends there, or not at all if that is shorter than 1 m (`benchmark.protocols.fine_grid`).
+* ``before_mask``, ``recorded`` and ``collision`` as for ``uniad``, and ``kerb_before_mask``, ``kerb_recorded`` and
+  ``kerb`` the same with the kerb. ``obj_col`` and ``kerb_point`` ask for the single cell below the waypoint, and
+  exclude by the rectangle of the recorded ego.
+* Values at 1, 2 and 3 s: for ``collision``, ``obj_col`` and ``kerb`` the *maximum* over the steps up to there, that is,
+  any contact; for ``kerb_point`` and L2 the *mean*. Samples without six recorded future keyframes do not count; nor do
+  samples without a map at the kerb. The official tables also split the samples by command, which ours do not.
+
+Known faults: a maximum is not to be compared with the means of ``vad`` or ``stp3``. Displacements of the lidar are
+taken for those of the rear axle, so that a turning car is off by up to 0.94 m. A standing car keeps the heading of the
+present, one that creeps on in a curve too. The turned cells are rounded one by one, so the footprint has holes. A kerb
+is a line 0.1 m wide: a plan that is wholly beyond it at the waypoints is clean. The distance between two of the 20
+points can be metres. Pedestrians cannot be hit. The official command says "right" for a recorded path that ends 2 m to
+the left.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Bools, Floats
+from benchmark.protocols.averages import any_up_to, means_up_to
+from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.fine_grid import (
+    CELL_M,
+    CELLS,
+    FIRST_CELL_M,
+    MOVING_M,
+    Points,
+    TurnedFootprint,
+    fill,
+    outline,
+    step_headings,
+    touched,
+)
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.uniad import VEHICLES
+from benchmark.truth import Roads, SampleTruth
+
+
+class BEVPlanner:
+    """Vehicles and kerbs on a fine grid, with maxima over the steps; the module's docstring says all."""
+
+    name = "bev-planner"
+    version = 1
+    counts_incomplete = False
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Vehicles with a point on them at the step.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        recorded = truths.ego_future_valid[truths.sample_of]
+        there = truths.annotated[:, 1:] & truths.has_points[:, 1:] & recorded
+        return np.asarray(there & truths.of_categories(VEHICLES)[:, None])
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Direction of each step of at least a metre, else straight ahead.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return step_headings(forward_left(plans_lidar), moving_m=MOVING_M) + np.pi / 2
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the columns ``before_mask``, ``recorded``, ``obj_col``, ``kerb_before_mask``,
+            ``kerb_recorded``, ``kerb`` and ``kerb_point``, and the fact ``map`` (whether the sample has one).
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        stacked = stack(truths)
+        paths = [forward_left(path) for path in (plans, stacked.ego_future[..., :2])]
+        plan, recorded, below = footprint(paths[0]), footprint(paths[1]), Points(paths[0].reshape(-1, 2), np.float32)
+        found = touched((plan, recorded, below), *drawn_polygons(self, stacked), fill)
+        on_plan, on_recorded, at_point = (hit.reshape(-1, PLAN_STEPS) for hit in found)
+        kerb, kerb_recorded, kerb_point = at_kerbs(stacked, *paths)
+        return Outcomes(
+            collision=on_plan & ~on_recorded,
+            l2=displacement(plans, stacked),
+            valid=stacked.ego_future_valid,
+            counted=stacked.ego_future_valid.all(axis=-1),
+            steps={
+                "before_mask": on_plan,
+                "recorded": on_recorded,
+                "obj_col": at_point & ~on_recorded,
+                "kerb_before_mask": kerb,
+                "kerb_recorded": kerb_recorded,
+                "kerb": kerb & ~kerb_recorded,
+                "kerb_point": kerb_point & ~kerb_recorded,
+            },
+            facts={"map": tuple(roads is not None for roads in stacked.roads)},
+        )
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """Maxima over the steps up to each horizon, means of L2 and of ``kerb_point``.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision``, ``collision_before_mask``, ``obj_col``, ``l2``, ``kerb``, ``kerb_before_mask`` and
+            ``kerb_point``, each (S, 3); those of the kerb are NaN for samples without a map.
+        """
+        mapped = np.array(outcomes.facts.get("map", ()), np.bool_)[:, None]
+        return {
+            "collision": any_up_to(outcomes.collision),
+            "collision_before_mask": any_up_to(outcomes.step("before_mask")),
+            "obj_col": any_up_to(outcomes.step("obj_col")),
+            "l2": means_up_to(outcomes.l2),
+            "kerb": np.where(mapped, any_up_to(outcomes.step("kerb")), np.nan),
+            "kerb_before_mask": np.where(mapped, any_up_to(outcomes.step("kerb_before_mask")), np.nan),
+            "kerb_point": np.where(mapped, means_up_to(outcomes.step("kerb_point")), np.nan),
+        }
+
+
+def forward_left(waypoints_lidar: Floats) -> Floats:
+    """(..., 2) x right, y forward as x forward, y left: the axes are turned, the point is not moved."""
+    return np.stack([waypoints_lidar[..., 1], -waypoints_lidar[..., 0]], axis=-1)
+
+
+def footprint(path: Floats) -> TurnedFootprint:
+    """The ego along (S, 6, 2) waypoints, x forward, y left, in single precision."""
+    heading = step_headings(path, moving_m=MOVING_M)
+    return TurnedFootprint(path.reshape(-1, 2), heading.reshape(-1), np.float32)
+
+
+def drawn_polygons(definition: BEVPlanner, truths: StackedTruths) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Corners of counted objects on the grid, in single precision throughout.
+
+    Args:
+        definition: Says which objects count.
+        truths: S samples.
+
+    Returns:
+        (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
+    """
+    objects, steps = np.nonzero(definition.counted_objects(truths))
+    single = truths.boxes_in_ego(objects, steps + 1).astype(np.float32)
+    cos, sin = np.cos(single[:, 4]), np.sin(single[:, 4])
+    corners = np.empty((len(single), 4, 2), np.float32)
+    for index, (ahead, left) in enumerate(((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))):
+        along, across = np.float32(ahead) * single[:, 2], np.float32(left) * single[:, 3]
+        corners[:, index, 0] = (along * cos - across * sin) + single[:, 0]
+        corners[:, index, 1] = (along * sin + across * cos) + single[:, 1]
+    cells = np.trunc((corners - np.float32(FIRST_CELL_M)) / np.float32(CELL_M)).astype(np.int32)
+    return cells, truths.sample_of[objects] * PLAN_STEPS + steps
+
+
+def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Bools]:
+    """Contacts with the kerb, sample by sample, so that no more than one sample's lines are ever held.
+
+    Args:
+        truths: S samples; those without a map have no kerb.
+        plans: (S, 6, 2) waypoints, x forward, y left.
+        recorded: (S, 6, 2) those of the recorded ego.
+
+    Returns:
+        (S, 6) of the plan's rectangle, of the recorded ego's, and of the points below the plan's waypoints.
+    """
+    found = [np.zeros(plans.shape[:2], dtype=np.bool_) for _ in range(3)]
+    for sample, roads in enumerate(truths.roads):
+        if roads is None:
+            continue
+        lines = kerb_cells(roads)
+        place_of = np.repeat(np.arange(PLAN_STEPS), len(lines))
+        looked_at = (footprint(plans[sample]), footprint(recorded[sample]), Points(plans[sample], np.float32))
+        hits = touched(looked_at, np.tile(lines, (PLAN_STEPS, 1, 1)), place_of, outline)
+        for verdicts, hit in zip(found, hits):
+            verdicts[sample] = hit
+    return found
+
+
+def kerb_cells(roads: Roads) -> NDArray[np.int32]:
+    """(N, 2, 2) column and row of both ends of every line of the kerb; what is off the grid is squeezed onto it."""
+    points = roads.kerb_lines().astype(np.float32)
+    cells = (points - np.float32(FIRST_CELL_M)) / np.float32(CELL_M)
+    whole = np.trunc(np.clip(cells, 0, CELLS - 1)).astype(np.int32)
+    return np.asarray(np.stack([whole[:, :-1], whole[:, 1:]], axis=2).reshape(-1, 2, 2))

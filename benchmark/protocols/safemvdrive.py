@@ -1,0 +1,184 @@
+"""The protocols ``safemvdrive``, ``safemvdrive-box`` and ``safemvdrive-box-all``: SafeMVDrive's evaluations.
+
+``safemvdrive`` is its public snapshot, on UniAD's rasters:
+
+* Objects, cells and block are those of ``uniad``. A sample whose *recorded* ego collides at the first step, or has no
+  first step, counts for nothing. In the others nothing is excluded: ``at_step`` is UniAD's flag before the mask, and
+  ``collision`` is *latched*: from the first flag on all later steps collide. ``obj_col`` is UniAD's, with its
+  exclusion, not latched.
+* Values at 1, 2 and 3 s are those of the step, which for the latched flags means any contact up to there. Incomplete
+  samples count.
+
+``safemvdrive-box`` is the later metric file:
+
+* Boxes and headings are those of ``sparsedrive``. A sample counts if its recording goes on for 3 s and the ego does not
+  touch a box *now*. ``at_step`` and ``collision`` as above. ``safemvdrive-box-all`` takes boxes without lidar points
+  too, which is what its own data set comes to, whichever way it does it.
+* The official program prints the sum of the latched flags twice: over the samples, which is ``collision`` here, and
+  over 41, the number of scenes that it was written for, which is no rate and not computed here.
+
+Known faults: those of ``uniad`` or ``sparsedrive``; without an exclusion every error of annotation counts, and latched
+to the end. Latched flags are never to be compared with values at a step or with means. Officially the displacements of
+left-out samples stay in the sum of L2 while the samples leave the denominator, so that it comes out a little too large;
+here they leave both.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
+from benchmark.protocols.averages import at_steps
+from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.sparsedrive import SparseDrive, waypoint_contacts
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.protocols.uniad import UniAD
+from benchmark.truth import SampleTruth
+
+
+class SafeMVDrive:
+    """UniAD's flags, latched; the module's docstring says all."""
+
+    name = "safemvdrive"
+    version = 1
+    counts_incomplete = True
+
+    def __init__(self) -> None:
+        self._uniad = UniAD()
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Those of ``uniad``.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        return self._uniad.counted_objects(truths)
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Straight ahead at every step.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return self._uniad.headings(plans_lidar)
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the columns ``at_step`` and ``obj_col``.
+        """
+        judged = self._uniad.evaluate(truths, plans_lidar)
+        counted = judged.valid[:, 0] & ~judged.step("recorded").reshape(-1, PLAN_STEPS)[:, 0]
+        columns = {"at_step": judged.step("before_mask"), "obj_col": judged.step("obj_col")}
+        return _latched(columns, judged.l2, judged.valid, counted)
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """The latched flag at each horizon.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision``, ``obj_col`` and ``l2``, each (S, 3).
+        """
+        return {
+            "collision": at_steps(outcomes.collision),
+            "obj_col": at_steps(outcomes.step("obj_col")),
+            "l2": at_steps(outcomes.l2),
+        }
+
+
+class SafeMVDriveBox:
+    """SparseDrive's polygons without an exclusion, latched; the module's docstring says all.
+
+    Attributes:
+        name: ``safemvdrive-box`` or ``safemvdrive-box-all``.
+        needs_points: Whether boxes without lidar points are left out.
+    """
+
+    version = 1
+    counts_incomplete = False
+
+    def __init__(self, name: str, *, needs_points: bool) -> None:
+        self.name, self.needs_points = name, needs_points
+        self._sparsedrive = SparseDrive()
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """Everything that is annotated at the step, with a lidar point on it where those are asked for.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        return self._there(truths)[:, 1:]
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Those of ``sparsedrive``.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return self._sparsedrive.headings(plans_lidar)
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the column ``at_step``.
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        stacked = stack(truths)
+        flags = waypoint_contacts(stacked, self.counted_objects(stacked), plans, self.headings(plans))
+        valid = stacked.ego_future_valid
+        counted = valid.all(axis=-1) & ~self._touched_now(stacked)
+        return _latched({"at_step": flags & valid}, displacement(plans, stacked), valid, counted)
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """The latched flag at each horizon.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision`` and ``l2``, each (S, 3).
+        """
+        return {"collision": at_steps(outcomes.collision), "l2": at_steps(outcomes.l2)}
+
+    def _there(self, truths: StackedTruths) -> Bools:
+        """(M, 7) which objects are there now and at the steps."""
+        return truths.annotated & truths.has_lidar_points if self.needs_points else truths.annotated
+
+    def _touched_now(self, truths: StackedTruths) -> Bools:
+        """(S,) whether the ego touches a box now, straight ahead at the origin."""
+        ego = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
+        there = np.flatnonzero(self._there(truths)[:, 0])
+        touched = np.zeros(len(truths.ego_future), dtype=np.bool_)
+        touched[truths.sample_of[there[boxes_overlap(ego, truths.boxes[there, 0])]]] = True
+        return touched
+
+
+def _latched(columns: dict[str, Bools], l2: Floats, valid: Bools, counted: Bools) -> Outcomes:
+    """Verdicts in which every step after the first flag collides; samples that do not count have none."""
+    collision = np.logical_or.accumulate(columns["at_step"].reshape(-1, PLAN_STEPS), axis=1) & counted[:, None]
+    return Outcomes(collision=collision, l2=l2, valid=valid, counted=counted, steps=columns)

@@ -1,0 +1,257 @@
+"""The ``stp3`` protocol: collision and L2 as ST-P3's own evaluation counts them.
+
+It is not what other papers call "ST-P3 metric"; that is VAD's (`benchmark.protocols.vad`).
+
+Definition:
+
+* A sample counts if its scene has two keyframes before it and six after it.
+* Objects are those annotated at the future keyframe of the step whose category is of people or vehicles (strollers,
+  police cars and ambulances too; no cones, barriers, animals), if the same instance was annotated now, half a second or
+  a second ago and more than 40 % visible there. No sensor points are asked for, and there is no range.
+* Each future keyframe is drawn in its *own* flat ego frame on a grid of 200 x 200 half-metre cells, corners rounded to
+  the nearest node, and the picture is then warped into the present (nearest cell, nothing outside) by the motion
+  between the two, taken from single-precision poses.
+* The ego is a block of 8 x 4 cells at the waypoint of the *lidar*, never turned, rounded towards zero and squeezed into
+  the grid. ``before_mask``, ``recorded`` and ``collision`` (``obj_box_col``) as for ``uniad``; ``obj_col`` asks for the
+  cell below the waypoint and excludes by the block of the recorded ego.
+* Values at 1, 2 and 3 s are means over the steps up to there.
+
+Known faults: objects are drawn relative to the rear axle and the ego relative to the lidar, so that the ego is tested
+0.94 m too far back. The warp does not turn its translation and shifts sideways the wrong way, so that in turns objects
+lie beside their place (by up to 5.7 m at 3 s). Corners go to nodes, ego cells are cut off: half a cell. A turning ego
+is not turned. Who appears later cannot be hit. A collision is forgotten at the next step.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Bools, Floats, box_corners, to_global, to_local
+from benchmark.protocols.averages import means_up_to
+from benchmark.protocols.contract import Outcomes
+from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, ego_cells, occupied, truncated
+from benchmark.protocols.stacked import StackedTruths, displacement, stack
+from benchmark.truth import SampleTruth
+
+KEYFRAMES_BEFORE: Final = 2
+"""Earlier keyframes that a sample needs."""
+Singles = NDArray[np.float32]
+
+
+class STP3:
+    """People and vehicles that were seen before, drawn in their own frames and warped; the module's docstring."""
+
+    name = "stp3"
+    version = 1
+    counts_incomplete = False
+
+    def counted_objects(self, truths: StackedTruths) -> Bools:
+        """People and vehicles of the step that were seen now or in the second before.
+
+        Args:
+            truths: S samples with M objects.
+
+        Returns:
+            (M, 6) verdicts.
+        """
+        kind = [name.startswith(("human.", "vehicle.")) for name in truths.categories]
+        seen = truths.seen_before & np.array(kind, np.bool_)
+        recorded = truths.ego_future_valid[truths.sample_of]
+        return np.asarray(truths.annotated[:, 1:] & seen[:, None] & recorded)
+
+    def headings(self, plans_lidar: Floats) -> Floats:
+        """Straight ahead at every step.
+
+        Args:
+            plans_lidar: (S, 6, 2) waypoints.
+
+        Returns:
+            (S, 6) radians.
+        """
+        return np.full(plans_lidar.shape[:-1], np.pi / 2)
+
+    def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
+        """Judge plans.
+
+        Args:
+            truths: S samples.
+            plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+        Returns:
+            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
+        """
+        plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        stacked = stack(truths)
+        point = _point_cells(plans)
+        inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
+        blocks = [_ego_block(plans), _ego_block(stacked.ego_future[..., :2]), truncated(point)[..., None, :]]
+        sources = [_before_warp(cells, *warps(stacked.axle_poses)) for cells in blocks]
+        groups = [np.clip(cells, 0, CELLS - 1).reshape(-1, cells.shape[-2], 2) for cells in sources]
+        on_grid = [((cells >= 0) & (cells < CELLS)).all(axis=-1) for cells in sources]
+        polygons, place_of = drawn_polygons(self, stacked)
+        found = occupied(polygons, place_of, groups)
+        on_plan, on_recorded, at_point = (
+            (hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(found, on_grid)
+        )
+        return Outcomes(
+            collision=on_plan & ~on_recorded,
+            l2=displacement(plans, stacked),
+            valid=stacked.ego_future_valid,
+            counted=stacked.ego_future_valid.all(axis=-1) & (stacked.keyframes_before >= KEYFRAMES_BEFORE),
+            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
+        )
+
+    def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
+        """Means over the steps up to each horizon.
+
+        Args:
+            outcomes: S verdicts.
+
+        Returns:
+            ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
+        """
+        return {
+            "collision": means_up_to(outcomes.collision),
+            "collision_before_mask": means_up_to(outcomes.step("before_mask")),
+            "obj_col": means_up_to(outcomes.step("obj_col")),
+            "l2": means_up_to(outcomes.l2),
+        }
+
+
+def drawn_polygons(definition: STP3, truths: StackedTruths) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Corners of counted objects on the grids of their own frames.
+
+    Args:
+        definition: Says which objects count.
+        truths: S samples.
+
+    Returns:
+        (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
+    """
+    objects, steps = np.nonzero(definition.counted_objects(truths))
+    samples = truths.sample_of[objects]
+    boxes = truths.boxes_in_ego(objects, steps + 1)
+    now, then = truths.axle_poses[samples, 0], truths.axle_poses[samples, steps + 1]
+    boxes[:, :2] = to_local(to_global(boxes[:, :2], now), then)
+    boxes[:, 4] += now[:, 2] - then[:, 2]
+    nodes = np.round((box_corners(boxes) + EXTENT_M) / CELL_M)[..., ::-1]
+    return np.ascontiguousarray(nodes, np.int32), samples * PLAN_STEPS + steps
+
+
+def warps(axle_poses: Floats) -> tuple[Singles, Singles, Singles]:
+    """The motion that warps each future picture into the present, in single precision as the official code has it.
+
+    Each step between neighbouring keyframes is a motion backwards, made of two single-precision poses, reduced to
+    translation and angle, turned round, and then chained.
+
+    Args:
+        axle_poses: (S, 7, 3) global x, y, yaw now and at the steps.
+
+    Returns:
+        (S, 6) metres forward, metres to the left, and radians of the motion from each future frame.
+    """
+    poses = _matrices(axle_poses)
+    chained = np.broadcast_to(np.eye(3, dtype=np.float32), (len(poses), 3, 3))
+    found = np.empty((3, len(poses), PLAN_STEPS), np.float32)
+    for step in range(PLAN_STEPS):
+        back = _product(_inverse(poses[:, step + 1]), poses[:, step])
+        reduced = np.stack([back[:, 0, 2], back[:, 1, 2], _angle(back)], axis=-1)
+        chained = _product(chained, _inverse(_matrices(reduced)))
+        found[:, :, step] = chained[:, 0, 2], chained[:, 1, 2], _angle(chained)
+    return found[0], found[1], found[2]
+
+
+def before_warp(rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Singles) -> tuple[Cells, Cells]:
+    """Which cell of the picture in its own frame a cell of the warped one is taken from.
+
+    Args:
+        rows: Rows (forward); ``columns`` (left), ``tx``, ``ty`` and ``angle`` broadcast against them.
+        columns: Columns.
+        tx: Metres forward.
+        ty: Metres to the left.
+        angle: Radians.
+
+    Returns:
+        Rows and columns, possibly outside the grid.
+    """
+    cos, sin = _single_trigonometry(angle)
+    u, v = _CENTRES[columns], _CENTRES[rows]
+    half = np.float32(EXTENT_M)
+    across = cos * u - sin * v + ty / half
+    along = sin * u + cos * v - tx / half
+    row, column = (
+        ((place + np.float32(1)) * np.float32(CELLS) - np.float32(1)) / np.float32(2) for place in (along, across)
+    )
+    return np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
+
+
+def _before_warp(cells: Cells, tx: Singles, ty: Singles, angle: Singles) -> Cells:
+    """`before_warp` of (S, 6, C, 2) cells by (S, 6) motions."""
+    rows, columns = before_warp(cells[..., 0], cells[..., 1], tx[..., None], ty[..., None], angle[..., None])
+    return np.stack([rows, columns], axis=-1)
+
+
+def _centres() -> Singles:
+    """Cell centres between -1 and 1 as PyTorch's `affine_grid` makes them: from both ends, in single precision."""
+    step = np.float64(np.float32(2) / np.float32(CELLS - 1))
+    count = np.arange(CELLS // 2)
+    line = np.concatenate([-1.0 + step * count, (1.0 - step * count)[::-1]]).astype(np.float32)
+    return np.asarray(line * np.float32(CELLS - 1) / np.float32(CELLS), np.float32)
+
+
+_CENTRES: Final = _centres()
+
+
+def _single_trigonometry(angle: Singles) -> tuple[Singles, Singles]:
+    """Cosine and sine, rounded once."""
+    exact = angle.astype(np.float64)
+    return np.cos(exact).astype(np.float32), np.sin(exact).astype(np.float32)
+
+
+def _matrices(poses: Floats | Singles) -> Singles:
+    """(..., 3) x, y, yaw as (..., 3, 3) motions in single precision."""
+    found = np.zeros((*poses.shape[:-1], 3, 3), np.float32)
+    cos, sin = np.cos(poses[..., 2].astype(np.float64)), np.sin(poses[..., 2].astype(np.float64))
+    found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = cos, -sin, sin, cos
+    found[..., :2, 2], found[..., 2, 2] = poses[..., :2], 1.0
+    return found
+
+
+def _inverse(motions: Singles) -> Singles:
+    """Transposed rotation, and the translation turned by it."""
+    found = motions.copy()
+    turn = np.swapaxes(motions[..., :2, :2], -1, -2)
+    found[..., :2, :2] = turn
+    found[..., :2, 2] = -(turn[..., 0] * motions[..., 0, 2, None] + turn[..., 1] * motions[..., 1, 2, None])
+    return found
+
+
+def _product(first: Singles, second: Singles) -> Singles:
+    """Matrix product with one rounding for each further term, as fused multiplication and addition has it.
+
+    A hundred micrometres decide about a cell somewhere, so the roundings are those of the libraries that the official
+    code calls: fused for products of matrices, not for a matrix and a vector.
+    """
+    left, right = first.astype(np.float64), second.astype(np.float64)
+    total = np.zeros((*left.shape[:-1], right.shape[-1]), np.float32)
+    for term in range(left.shape[-1]):
+        total = (left[..., :, term, None] * right[..., None, term, :] + total).astype(np.float32)
+    return total
+
+
+def _angle(motions: Singles) -> Singles:
+    return np.arctan2(-motions[..., 0, 1].astype(np.float64), motions[..., 0, 0].astype(np.float64)).astype(np.float32)
+
+
+def _ego_block(waypoints_lidar: Floats) -> Cells:
+    """(..., 32, 2) rows (forward) and columns (left) of the ego's block."""
+    return truncated(ego_cells(waypoints_lidar * [-1.0, 1.0]))
+
+
+def _point_cells(waypoints_lidar: Floats) -> Floats:
+    """The cell below each waypoint, rounded towards zero."""
+    forward_left = waypoints_lidar[..., ::-1] * [1.0, -1.0]
+    return np.asarray(np.trunc((forward_left + (EXTENT_M - 0.5 * CELL_M)) / CELL_M))
