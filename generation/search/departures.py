@@ -55,6 +55,12 @@ _MODEL: Final = Departure(
     "the weights are not free to pass on; --denoiser FILE takes them",
 )
 
+_CLEAN: Final = Departure(
+    "a kept adversary is one that collides with nobody",
+    "the recorded ego must also be clear of it in the eyes of the four native protocols (touches-under-...)",
+    "a step at which it is not is masked: whatever a planner does there counts as clean",
+)
+
 PAPER: Final[tuple[Departure, ...]] = (
     _MODEL,
     Departure(
@@ -67,6 +73,7 @@ PAPER: Final[tuple[Departure, ...]] = (
         "one that is recorded reversing starts from a stand",
         "the tracker follows headings and never reverses",
     ),
+    _CLEAN,
     Departure(
         "surviving scenes are ranked by their adversarial challenge score (appendix Adv-nuSc)",
         "they are ranked by how closely and how urgently the moving ego is pressed",
@@ -136,6 +143,7 @@ REFERENCE: Final[tuple[Departure, ...]] = (
         "it is not",
         "the code's array is zero before the launch, so that its rule never fires",
     ),
+    _CLEAN,
     Departure(
         "a bad scene is planned to its end and then dropped",
         "planning ends where the reason shows",
