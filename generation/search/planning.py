@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmark.constants import FRAMES_PER_KEYFRAME
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.records.attempts import PlanningFrame
@@ -52,7 +52,7 @@ class Planning:
         start: Frame of the launch.
         hyper: Settings.
         diversify: Spread of the initial batch.
-        model: Physics, with limits.
+        model: Physics.
         rng: Source of every random number.
         stages: Seconds of physics and scoring are added here.
         keep_rounds: Whether the candidates of every round are kept; no result depends on it.
@@ -184,18 +184,22 @@ class Planning:
     def _previous(self, frame: int, state: VehicleState, track: Floats) -> Floats:
         """Own pose (3,) half a second ago in the local frame: recorded before the launch, executed after.
 
-        Of the rear axle; the reference code takes the box centre four frames ago.
+        Of the rear axle; the reference code takes the box centre four frames ago. A vehicle that was not there yet had
+        its present speed.
         """
         if self.hyper.motion is Motion.REFERENCE:
             return reference_previous(self._pose(frame - STEP_FRAMES, track), self._pose(frame, track))
-        center = self._pose(frame - FRAMES_PER_KEYFRAME, track)
+        past = frame - FRAMES_PER_KEYFRAME
+        if past < self.start and not (past >= 0 and self.scene.agents.valid[self.agent, past]):
+            return np.array([-state.speed * FRAMES_PER_KEYFRAME / FRAME_HZ, 0.0, 0.0])
+        center = self._pose(past, track)
         axle = rear_axle(center, float(self.scene.agents.size[self.agent, 0]))
         turn = wrap_angle(axle[2:] - state.pose[2])
         return np.concatenate([to_local(axle[:2], state.pose), turn])
 
     def _pose(self, frame: int, track: Floats) -> Floats:
         """Pose (3,) of the box centre: recorded before the launch, executed from then on."""
-        return track[frame - self.start] if frame >= self.start else self._recorded_pose(max(frame, 0))
+        return track[frame - self.start] if frame >= self.start else self._recorded_pose(frame)
 
     def _recorded_pose(self, frame: int) -> Floats:
         agents = self.scene.agents

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmark.geometry import Floats
 from benchmark.scene import Scene
 from generation.search.adversary import Searched
 from generation.search.candidates import NotTried, launch_frame, unfit
@@ -146,3 +147,16 @@ def test_both_presets_execute_what_they_chose_to_the_end_of_the_scene() -> None:
         frames = [plan.frame for plan in kept.attempt.plans]
         assert frames == list(range(start, len(kept.scene.timestamps_us) - 1, hyper.executed_frames))
         assert {plan.round for plan in kept.attempt.plans} == {hyper.rounds}
+
+
+def test_a_vehicle_that_takes_over_at_its_first_frame_is_told_to_have_had_its_speed() -> None:
+    class Listening(DrivingPrior):
+        def sample(self, count: int, previous: Floats, rng: np.random.Generator) -> Floats:
+            told.append(previous)
+            return super().sample(count, previous, rng)
+
+    for scene in (scene_of(NEAR), absent(scene_of(NEAR), 0, *range(30))):
+        told: list[Floats] = []
+        found = attempt(scene, 0, 0, replace(PAPER, candidates=16), Listening())
+        assert found.attempt.launch_frame in (0, 30)
+        np.testing.assert_allclose(told[0], [-4.0, 0.0, 0.0], atol=1e-6)
