@@ -126,8 +126,8 @@ def attempt_seconds(search: Search, scene: Scene, unit: Unit) -> float:
     offsets = tuple(offset for offset in hyper.scored_frames if start + offset < len(scene.timestamps_us))
     state, size = initial_state(scene, unit.agent, start, model.limits), scene.agents.size[unit.agent, :2]
     raster = DrivableRaster.around(scene.road_map, scene.ego.pose[start], half_extent_m=hyper.half_extent_m)
-    frames = tuple(start + offset for offset in offsets)
-    around = surroundings(scene, unit.agent, frames, raster, raster_ego=hyper.raster_ego)
+    scored = tuple(start + offset for offset in offsets)
+    around = surroundings(scene, unit.agent, scored, raster, raster_ego=hyper.raster_ego)
     rng = np.random.default_rng(0)
     waypoints = prior.answer([Sampling(hyper.candidates, _PREVIOUS, rng)])[0]
 
