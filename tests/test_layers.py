@@ -17,6 +17,7 @@ ALLOWED = {
 LEADERBOARD_MAY_READ = (
     "benchmark.records",
     "benchmark.metrics",
+    "benchmark.pdm.definition",
     "benchmark.report",
     "benchmark.drawing",
     "benchmark.published",
