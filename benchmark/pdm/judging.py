@@ -69,12 +69,14 @@ def judge_scene(scene: Scene, plans: Sequence[Plan | None]) -> list[DrivenPlan |
         plans: One for each of its K samples in time order, ``None`` where the planner failed.
 
     Returns:
-        K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map says nothing of roads.
+        K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map there has no
+        road or no lanes.
     """
     found: list[DrivenPlan | None] = [None] * len(plans)
     recorded = RecordedScene(scene)
     samples = np.flatnonzero(recorded.complete & np.array([plan is not None for plan in plans], np.bool_))
-    if not recorded.road.drivable or not len(samples):
+    # Without lanes every plan would be on the wrong side of the road.
+    if not (recorded.road.drivable and recorded.road.lanes and len(samples)):
         return found
     ahead_m = float(scene.lidar.translation[0])
     judged_plans = [plan for plan, sample in zip(plans, recorded.complete, strict=True) if sample and plan is not None]

@@ -199,8 +199,8 @@ class SampleRow(Stored):
         diagnosis: Why the plan collides, or null where it does not under ``exact``.
         disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
             (`benchmark.metrics.disagreement`).
-        driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or the data set
-            has no map; null in records of schema 1 and 2.
+        driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or there is no
+            map with lanes; null in records of schema 1 and 2.
     """
 
     scene: str

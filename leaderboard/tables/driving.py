@@ -49,7 +49,7 @@ def driving_table(data_name: str, records: Sequence[RunRecord]) -> Table:
         *(f"filtered {_HEADS[name]}" for name in _FILTERED),
         *("samples", "scenes"),
     )
-    notes = (NOTE, WORDS_NOTE, *_run_notes(records))
+    notes = (f"{NOTE}.", WORDS_NOTE, *_run_notes(records))
     return table_of(
         PDM,
         title,

@@ -53,8 +53,9 @@ def test_samples_without_plan_or_future_have_no_verdict_and_nothing_to_agree_wit
 
 
 def test_a_map_that_says_nothing_gives_no_verdicts() -> None:
-    scene = replace(EMPTY, road_map=RoadMap("boston-seaport", MultiPolygon()))
-    assert judge_scene(scene, plans(scene)) == [None] * 16
+    for road_map in (RoadMap("boston-seaport", MultiPolygon()), replace(EMPTY.road_map, lanes={})):
+        scene = replace(EMPTY, road_map=road_map)
+        assert judge_scene(scene, plans(scene)) == [None] * 16
 
 
 def test_running_into_a_standing_car_costs_everything_and_a_standing_thing_half() -> None:
@@ -110,3 +111,12 @@ def test_batches_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judging, "AT_ONCE", 3)
     assert judge_scene(scene, plans(scene, across=2.0)) == whole
     assert isinstance(whole[0], DrivenPlan)
+
+
+@pytest.mark.parametrize("metres", [1e4, 1e3, 1e-3, 1e-9])
+@pytest.mark.parametrize("frame", list(PlanFrame))
+def test_no_plan_is_too_far_or_too_small(metres: float, frame: PlanFrame) -> None:
+    rng = np.random.default_rng(7)
+    given: list[Plan | None] = [Plan(metres * rng.uniform(-1, 1, (6, 2)), frame) for _ in EMPTY.keyframes]
+    for verdict in verdicts(EMPTY, given):
+        assert all(0.0 <= verdict[name] <= 1.0 for name in ONES) and np.isfinite(verdict["progress_m"])

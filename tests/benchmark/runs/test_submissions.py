@@ -96,6 +96,38 @@ def test_a_verdict_that_the_plan_does_not_have_is_found(folder: Path) -> None:
     assert "other verdicts than its plans have on 1 of" in checked(folder)[1][0].sentence
 
 
+def test_driving_scores_that_the_plans_do_not_have_are_found(folder: Path) -> None:
+    def better(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        next(row for row in rows if row["driving"] is not None)["driving"]["ep"] = 0.123
+
+    edited(folder, better)
+    _, (error,) = checked(folder)
+    assert "claims other driving scores than its plans give, first on sample" in error.sentence
+
+
+def test_flattering_and_left_out_driving_scores_are_found(folder: Path, tmp_path: Path) -> None:
+    def flatter(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["driving"]["columns"]["score"]["mean"]["value"] = 1.0
+
+    def leave_out(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["driving"] = None
+
+    def of_another_version(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        summary["driving"]["version"] = 0
+
+    for number, (change, says) in enumerate(
+        (
+            (flatter, "claims other driving scores than its plans give; run"),
+            (leave_out, "has no driving scores"),
+            (of_another_version, "another version of nuscenes-pdm"),
+        )
+    ):
+        changed = Path(shutil.copytree(folder, tmp_path / f"changed-{number}"))
+        edited(changed, change)
+        _, (error,) = checked(changed)
+        assert says in error.sentence
+
+
 def test_a_moved_plan_is_found_by_its_verdicts(folder: Path) -> None:
     def move(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
         rows[0]["plan"]["waypoints"] = [[x + 30.0, y] for x, y in rows[0]["plan"]["waypoints"]]
