@@ -4,7 +4,7 @@
 
 1. ``between waypoints``: only the six waypoints are looked at;
 2. ``class not counted``: objects of some categories cannot be hit;
-3. ``not annotated now or since``: nor can those that appear later or have a gap;
+3. ``not annotated now or since``: nor can those that appear later, have a gap, or were not seen before;
 4. ``out of range now``: nor those that are far away;
 5. ``no sensor points``: nor those on which no sensor point was counted;
 6. ``heading``: the ego is turned by the protocol's own rule, or not at all;
@@ -143,7 +143,8 @@ def objects_by_filter(definition: CollisionProtocol, truths: StackedTruths) -> l
     at_hand = truths.boxes.copy()
     at_hand[..., :2] = 0.0
     pointed = replace(truths, has_points=everywhere, has_lidar_points=everywhere)
-    by_class = definition.counted_objects(replace(pointed, boxes=at_hand, annotated=everywhere))
+    unseen = replace(pointed, boxes=at_hand, annotated=everywhere, seen_before=everywhere[:, 0])
+    by_class = definition.counted_objects(unseen)
     by_annotation = definition.counted_objects(replace(pointed, boxes=at_hand))
     by_range = definition.counted_objects(pointed)
     there = truths.annotated[:, 1:]

@@ -1,7 +1,6 @@
 """VAD keeps boxes with lidar points: radar points alone do not make an object in its evaluation."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +16,8 @@ def parked_ahead(lidar_points: int, radar_points: int) -> SampleTruth:
     """A car parked on the recorded path, with so many points on it at every keyframe."""
     scene = scene_on_straight_road((Car(x=75.0, y=200.0, speed=0.0),), seconds=5.0)
     known = scene.annotations
-    counts = {"num_lidar_pts": lidar_points, "num_radar_pts": radar_points}
-    given: dict[str, Any] = {name: np.full_like(known.num_lidar_pts, count) for name, count in counts.items()}
-    annotations = replace(known, **given)
+    lidar, radar = (np.full_like(known.num_lidar_pts, count) for count in (lidar_points, radar_points))
+    annotations = replace(known, num_lidar_pts=lidar, num_radar_pts=radar)
     tokens = [str(index) for index in range(len(scene.keyframes))]
     return truth_of_scene(replace(scene, annotations=annotations), tokens)[0]
 

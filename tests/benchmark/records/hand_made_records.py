@@ -11,6 +11,8 @@ from tests.benchmark.records.test_run import row
 CLEAN, HIT, LATE = "......", "xxxxxx", ".....x"
 FAILED = None
 """A sample that the planner raised on."""
+_NEVER = ("recorded", "obj_col", "kerb", "kerb_before_mask", "kerb_point", "off_road")
+"""Columns of protocols that say no at every step."""
 UNCOUNTED = "-"
 """A sample whose recording ends before 3 s, clean."""
 
@@ -64,7 +66,7 @@ def _row(scene: str, index: int, flags: str | None, protocols: Sequence[str]) ->
         collision=steps,
         l2=plain.outcomes["exact"].l2,
         counted=counted,
-        steps={"waypoint_collision": steps, "before_mask": steps, "recorded": [False] * 6, "obj_col": [False] * 6},
-        facts={},
+        steps={"waypoint_collision": steps, "before_mask": steps, **dict.fromkeys(_NEVER, [False] * 6)},
+        facts={"map": True, "on_road_now": 1.0},
     )
     return plain.model_copy(update={"outcomes": dict.fromkeys(protocols, outcome)})

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.records.run import find_records, load_record, protocol_of, scene_failures, summarise
 from benchmark.records.run_schema import CAUSES, DiagnosisRow, SampleRow, SceneFacts
 from tests.benchmark.fake_data import town_of_two
@@ -64,7 +64,7 @@ def test_a_record_of_schema_1_has_unknowns_where_schema_2_has_facts() -> None:
     assert len(record.rows) == 32 and record.summary.failed == 2
     collision = record.summary.protocols["exact"].columns["collision"]["3s"]
     assert (collision.numerator, collision.denominator) == (8.0, 18)
-    assert record.missing_protocols == tuple(name for name in PROTOCOLS if name != "exact")
+    assert record.missing_protocols == STANDARD[1:]
     assert record.run.scene_facts == {} and record.run.rescored is None
     assert all(row.diagnosis is None and row.disagreements == {} for row in record.rows)
 

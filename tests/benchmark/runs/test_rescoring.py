@@ -11,7 +11,7 @@ import pytest
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import only_writer
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.protocols.exact import Exact
 from benchmark.records.run import RunRecord, load_record
 from benchmark.records.store import replace_files, settle
@@ -57,9 +57,9 @@ def all_of(root: Path, data: FakeData = DATA) -> dict[str, tuple[str, bool]]:
 
 
 def test_rescoring_gives_the_record_that_a_run_with_all_protocols_gives(directory: Path, tmp_path: Path) -> None:
-    assert load_record(directory).missing_protocols == ALL[1:]
+    assert load_record(directory).missing_protocols == STANDARD[1:]
     rescored = rescore(directory, DATA, protocols=ALL)
-    new = evaluate(DATA, "val", Failing(), tmp_path / "new")
+    new = evaluate(DATA, "val", Failing(), tmp_path / "new", EvalSettings(protocols=ALL))
     assert rescored.rows == new.rows and rescored.summary == new.summary
     for name in ("samples.jsonl", "summary.json"):
         assert (directory / name).read_bytes() == (new.directory / name).read_bytes()
@@ -96,8 +96,23 @@ def test_doing_it_again_writes_nothing(directory: Path, monkeypatch: pytest.Monk
 def test_a_run_that_is_current_is_left_as_it_is(tmp_path: Path) -> None:
     record = evaluate(DATA, "val", Straight(), tmp_path)
     before = contents(record.directory)
-    assert rescore(record.directory, DATA, protocols=ALL).run.rescored is None
+    assert rescore(record.directory, DATA, protocols=STANDARD).run.rescored is None
     assert contents(record.directory) == before
+
+
+def test_rescoring_brings_the_further_protocols_to_a_run_without_its_planner(tmp_path: Path) -> None:
+    record = evaluate(DATA, "val", Straight(), tmp_path)
+    assert tuple(record.run.protocols) == STANDARD and record.missing_protocols == ()
+    after = rescore(record.directory, DATA)
+    assert tuple(after.run.protocols) == ALL and set(ALL) > set(STANDARD)
+    assert [row.plan for row in after.rows] == [row.plan for row in record.rows]
+    for name in STANDARD:
+        assert after.summary.protocols[name] == record.summary.protocols[name]
+    for name in set(ALL) - set(STANDARD):
+        assert after.summary.protocols[name].columns["collision"]["3s"].value is not None
+    # The made-up data set has no map: the kerb is in no denominator.
+    off_road = after.summary.protocols["omnidrive"].columns["off_road"]["3s"]
+    assert (off_road.value, off_road.denominator) == (None, 0)
 
 
 def test_a_changed_protocol_makes_records_stale_until_they_are_rescored(
@@ -121,7 +136,7 @@ def test_fewer_protocols_leave_no_verdict_of_the_others(directory: Path) -> None
 def test_records_of_schema_1_are_rescored(tmp_path: Path) -> None:
     directory = Path(shutil.copytree(GOLDEN / "schema-1", tmp_path / "old"))
     old = load_record(directory)
-    assert old.missing_protocols == ALL[1:] and old.stale_protocols == ()
+    assert old.missing_protocols == STANDARD[1:] and old.stale_protocols == ()
     assert old.summary.protocols["exact"].mask_removed_steps is None and old.run.scene_facts == {}
     new = rescore(directory, DATA, protocols=ALL)
     assert run_json(directory)["schema"] == 3 and set(new.run.scene_facts) == set(new.run.scenes)
@@ -220,7 +235,7 @@ def test_one_damaged_record_does_not_stop_the_others(directory: Path, tmp_path: 
     assert [failed for _, failed in found.values()] == [False, False, False, True, True]
     assert found["current"][0] == "current" and found["fake/val/failing"][0] == "rescored"
     assert "of the data set another" in found["foreign"][0] and "fingerprints differ" in found["moved"][0]
-    assert load_record(root / "foreign").missing_protocols == ALL[1:]
+    assert load_record(root / "foreign").missing_protocols == STANDARD[1:]
     with pytest.raises(InputError, match="no folder"):
         all_of(root / "nowhere")
 
