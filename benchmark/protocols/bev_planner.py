@@ -189,20 +189,30 @@ def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Boo
     found = [np.zeros(plans.shape[:2], dtype=np.bool_) for _ in range(3)]
     for start in range(0, len(plans), _SAMPLES_AT_ONCE):
         some = slice(start, start + _SAMPLES_AT_ONCE)
-        lines, place_of = _kerbs_of(truths.roads[some])
         path = plans[some]
         looked_at = (footprint(path), footprint(recorded[some]), Points(path.reshape(-1, 2), np.float32))
+        lines, place_of = _kerbs_of(truths.roads[some], looked_at)
         for verdicts, hit in zip(found, touched(looked_at, lines, place_of, outline)):
             verdicts[some] = hit.reshape(-1, PLAN_STEPS)
     return found
 
 
-def _kerbs_of(roads: Sequence[Roads | None]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Lines of the kerbs around samples at each of the six steps, (N, 2, 2), and (N,) the place of each."""
-    lines = [np.zeros((0, 2, 2), np.int32) if around is None else kerb_cells(around) for around in roads]
-    steps = np.arange(PLAN_STEPS)
-    places = [(sample * PLAN_STEPS + steps).repeat(len(part)) for sample, part in enumerate(lines)]
-    return np.concatenate([np.tile(part, (PLAN_STEPS, 1, 1)) for part in lines]), np.concatenate(places)
+def _kerbs_of(
+    roads: Sequence[Roads | None], looked_at: Sequence[TurnedFootprint | Points]
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Lines of the kerbs around samples at each of the six steps, (N, 2, 2), and (N,) the place of each.
+
+    Those that nothing comes near at any step are left out.
+    """
+    bounds = [tuple(bound.reshape(-1, PLAN_STEPS, 2) for bound in one.bounds()) for one in looked_at]
+    low = np.min([first.min(axis=1) for first, _ in bounds], axis=0) - 1
+    high = np.max([last.max(axis=1) for _, last in bounds], axis=0) + 1
+    parts = [np.zeros((0, 2, 2), np.int32) if around is None else kerb_cells(around) for around in roads]
+    lines, sample_of = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    first, last = (turn(lines[:, 0], lines[:, 1])[:, ::-1] for turn in (np.minimum, np.maximum))
+    near = ((first <= high[sample_of]) & (last >= low[sample_of])).all(axis=-1)
+    places = sample_of[near] * PLAN_STEPS + np.arange(PLAN_STEPS)[:, None]
+    return np.tile(lines[near], (PLAN_STEPS, 1, 1)), places.reshape(-1)
 
 
 def kerb_cells(roads: Roads) -> NDArray[np.int32]:
