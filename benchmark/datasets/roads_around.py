@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely.geometry.polygon import orient
 
 from benchmark.geometry import Bools, Floats, to_global
 from benchmark.road_map import RoadMap, as_multipolygon
@@ -16,10 +17,13 @@ PATCH_M: Final = (102.4, 50.0)
 """Length and width of the patch around the rear axle in which road edges are looked for."""
 _TRIM_M: Final = 0.2
 """Edges this close to the border of the patch are the patch's own."""
+_NEIGHBOURHOOD_M: Final = 100.0
 LINE_POINTS: Final = 20
 DRIVABLE_CELLS: Final = 1000
 DRIVABLE_HALF_M: Final = 50.0
 _CELLS_PER_M: Final = 10.0
+_LINE: Final = 1
+"""Shapely's number of the type of lines."""
 
 
 class RoadSurfaces:
@@ -31,12 +35,31 @@ class RoadSurfaces:
 
     def __init__(self, road_map: RoadMap) -> None:
         self.road_map = road_map
+        self._near: tuple[Floats, shapely.Geometry, shapely.MultiPolygon] | None = None
 
     @cached_property
-    def roads(self) -> shapely.Geometry:
-        """Road segments and lanes as one surface, global."""
+    def road_edges(self) -> shapely.MultiLineString:
+        """Outlines (clockwise) and holes (counter-clockwise) of road segments and lanes as one surface, global."""
         lanes = [lane.polygon for lane in self.road_map.lanes.values() if lane.polygon is not None]
-        return shapely.union_all([*self.road_map.road_segments.values(), *lanes])
+        surface = as_multipolygon(shapely.union_all([*self.road_map.road_segments.values(), *lanes]))
+        turned = [orient(polygon, -1.0) for polygon in surface.geoms]
+        return shapely.MultiLineString([ring for part in turned for ring in (part.exterior, *part.interiors)])
+
+    def near(self, place: Floats) -> tuple[shapely.Geometry, shapely.MultiPolygon]:
+        """Road edges and drivable area of a neighbourhood that the next samples share: no city is searched for each.
+
+        Args:
+            place: (2,) global, metres.
+
+        Returns:
+            Lines and polygons that hold all within 100 m.
+        """
+        if self._near is None or float(np.abs(self._near[0] - place).max()) > _NEIGHBOURHOOD_M:
+            (x, y), half = place, 2.0 * _NEIGHBOURHOOD_M
+            window = (x - half, y - half, x + half, y + half)
+            drivable = as_multipolygon(shapely.intersection(self.road_map.drivable_area, shapely.box(*window)))
+            self._near = place, shapely.clip_by_rect(self.road_edges, *window), drivable
+        return self._near[1:]
 
     @cached_property
     def drivable(self) -> shapely.MultiPolygon:
@@ -70,17 +93,13 @@ class RoadsAround:
         Returns:
             (N, 20, 2) points at equal distances along each edge, ego frame, metres.
         """
-        half = 0.5 * np.array(PATCH_M)
-        corners = to_global(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half, self.axle_pose)
-        surface = self._in_ego(shapely.intersection(self.surfaces.roads, shapely.Polygon(corners)))
-        inner = shapely.box(*(_TRIM_M - half), *(half - _TRIM_M))
-        lines = [
-            shapely.get_coordinates(shapely.line_interpolate_point(line, np.linspace(0.0, line.length, LINE_POINTS)))
-            for polygon in as_multipolygon(surface).geoms
-            for ring in _rings(polygon)
-            for line in _pieces(ring.intersection(inner))
-        ]
-        return np.array(lines, np.float32).reshape(-1, LINE_POINTS, 2)
+        # The border of the patch itself is trimmed away, so what is left are the edges within.
+        half_x, half_y = 0.5 * PATCH_M[0] - _TRIM_M, 0.5 * PATCH_M[1] - _TRIM_M
+        edges = self._in_ego(self.surfaces.near(self.axle_pose[:2])[0])
+        pieces = shapely.get_parts(shapely.line_merge(shapely.clip_by_rect(edges, -half_x, -half_y, half_x, half_y)))
+        lines = pieces[(shapely.get_type_id(pieces) == _LINE) & (shapely.length(pieces) > 0.0)]
+        points = shapely.line_interpolate_point(lines[:, None], np.linspace(0.0, 1.0, LINE_POINTS), normalized=True)
+        return np.asarray(shapely.get_coordinates(points).reshape(-1, LINE_POINTS, 2), np.float32)
 
     def drivable_cells(self) -> NDArray[np.uint8]:
         """The drivable area, each polygon's outline filled and then its holes emptied, vertices on the nearest node.
@@ -89,8 +108,7 @@ class RoadsAround:
             (1000, 1000) ones where drivable: row is y, column is x, cells of 0.1 m from -50 m.
         """
         half = DRIVABLE_HALF_M
-        corners = to_global(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half, self.axle_pose)
-        nearby = self._in_ego(shapely.intersection(self.surfaces.drivable, shapely.Polygon(corners)))
+        nearby = shapely.clip_by_rect(self._in_ego(self.surfaces.near(self.axle_pose[:2])[1]), -half, -half, half, half)
         grid = np.zeros((DRIVABLE_CELLS, DRIVABLE_CELLS), np.uint8)
         for polygon in as_multipolygon(nearby).geoms:
             cv2.fillPoly(grid, [_nodes(polygon.exterior)], (1,))
@@ -121,18 +139,6 @@ class RoadsAround:
             return np.stack([along, across], axis=-1)
 
         return shapely.transform(shape, moved)
-
-
-def _rings(polygon: shapely.Polygon) -> list[shapely.LinearRing]:
-    """Outline clockwise, holes counter-clockwise: the surface is on the right of every edge."""
-    turned = shapely.geometry.polygon.orient(polygon, -1.0)
-    return [turned.exterior, *turned.interiors]
-
-
-def _pieces(shape: shapely.Geometry) -> list[shapely.LineString]:
-    """Lines of what is left of a ring, joined where they meet."""
-    lines = [part for part in shapely.get_parts(shape) if isinstance(part, shapely.LineString) and part.length > 0]
-    return list(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(lines))))
 
 
 def _nodes(ring: shapely.LinearRing) -> NDArray[np.int32]:

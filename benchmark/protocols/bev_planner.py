@@ -50,6 +50,9 @@ from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.protocols.uniad import VEHICLES
 from benchmark.truth import Roads, SampleTruth
 
+_SAMPLES_AT_ONCE = 64
+"""Samples whose kerbs are held at the same time."""
+
 
 class BEVPlanner:
     """Vehicles and kerbs on a fine grid, with maxima over the steps; the module's docstring says all."""
@@ -173,7 +176,7 @@ def drawn_polygons(definition: BEVPlanner, truths: StackedTruths) -> tuple[NDArr
 
 
 def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Bools]:
-    """Contacts with the kerb, sample by sample, so that no more than one sample's lines are ever held.
+    """Contacts with the kerb, some samples at a time, so that never all lines are held.
 
     Args:
         truths: S samples; those without a map have no kerb.
@@ -184,16 +187,32 @@ def at_kerbs(truths: StackedTruths, plans: Floats, recorded: Floats) -> list[Boo
         (S, 6) of the plan's rectangle, of the recorded ego's, and of the points below the plan's waypoints.
     """
     found = [np.zeros(plans.shape[:2], dtype=np.bool_) for _ in range(3)]
-    for sample, roads in enumerate(truths.roads):
-        if roads is None:
-            continue
-        lines = kerb_cells(roads)
-        place_of = np.repeat(np.arange(PLAN_STEPS), len(lines))
-        looked_at = (footprint(plans[sample]), footprint(recorded[sample]), Points(plans[sample], np.float32))
-        hits = touched(looked_at, np.tile(lines, (PLAN_STEPS, 1, 1)), place_of, outline)
-        for verdicts, hit in zip(found, hits):
-            verdicts[sample] = hit
+    for start in range(0, len(plans), _SAMPLES_AT_ONCE):
+        some = slice(start, start + _SAMPLES_AT_ONCE)
+        path = plans[some]
+        looked_at = (footprint(path), footprint(recorded[some]), Points(path.reshape(-1, 2), np.float32))
+        lines, place_of = _kerbs_of(truths.roads[some], looked_at)
+        for verdicts, hit in zip(found, touched(looked_at, lines, place_of, outline)):
+            verdicts[some] = hit.reshape(-1, PLAN_STEPS)
     return found
+
+
+def _kerbs_of(
+    roads: Sequence[Roads | None], looked_at: Sequence[TurnedFootprint | Points]
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Lines of the kerbs around samples at each of the six steps, (N, 2, 2), and (N,) the place of each.
+
+    Those that nothing comes near at any step are left out.
+    """
+    bounds = [tuple(bound.reshape(-1, PLAN_STEPS, 2) for bound in one.bounds()) for one in looked_at]
+    low = np.min([first.min(axis=1) for first, _ in bounds], axis=0) - 1
+    high = np.max([last.max(axis=1) for _, last in bounds], axis=0) + 1
+    parts = [np.zeros((0, 2, 2), np.int32) if around is None else kerb_cells(around) for around in roads]
+    lines, sample_of = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    first, last = (turn(lines[:, 0], lines[:, 1])[:, ::-1] for turn in (np.minimum, np.maximum))
+    near = ((first <= high[sample_of]) & (last >= low[sample_of])).all(axis=-1)
+    places = sample_of[near] * PLAN_STEPS + np.arange(PLAN_STEPS)[:, None]
+    return np.tile(lines[near], (PLAN_STEPS, 1, 1)), places.reshape(-1)
 
 
 def kerb_cells(roads: Roads) -> NDArray[np.int32]:

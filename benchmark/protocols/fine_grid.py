@@ -7,6 +7,7 @@ Only what may be touched is drawn, one place (a sample at a step) at a time into
 """
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import Any, Final
 
 import cv2
@@ -25,6 +26,8 @@ CENTER_AHEAD_M: Final = EGO_BOX_FROM_LIDAR_M + 0.985793
 """Centre of the ego's rectangle ahead of the origin of the waypoints, as both repositories have it."""
 MOVING_M: Final = 1.0
 """A step shorter than this has the heading of the present."""
+_PLACES_AT_ONCE: Final = 256
+"""Bounds the memory of cells."""
 _ORIGIN: Final = -FIRST_CELL_M / CELL_M
 
 
@@ -68,23 +71,24 @@ class TurnedFootprint:
     def __init__(self, waypoints: Floats, heading_rad: Floats, kind: type[np.floating[Any]]) -> None:
         self.waypoints, self.heading_rad, self.kind = waypoints, heading_rad, kind
 
-    def cells(self, place: int) -> Cells:
-        """Cells at one place.
+    def cells(self, places: NDArray[np.int64]) -> tuple[Cells, Bools]:
+        """Cells at some places.
 
         Args:
-            place: Which.
+            places: (n,) which.
 
         Returns:
-            (738, 2) rows and columns, squeezed into the grid.
+            (n, 738, 2) rows and columns, squeezed into the grid, and (n, 738) that all of them count.
         """
-        cos, sin = (np.float32(turn(self.heading_rad[place])) for turn in (np.cos, np.sin))
-        centred = (FOOTPRINT - _ORIGIN).astype(self.kind)
-        along = cos * centred[:, 1] - sin * centred[:, 0]
-        across = sin * centred[:, 1] + cos * centred[:, 0]
-        turned = np.round(np.stack([across, along], axis=-1) + self.kind(_ORIGIN))
+        heading = self.heading_rad[places, None]
+        cos, sin = (turn(heading).astype(np.float32).astype(self.kind) for turn in (np.cos, np.sin))
+        across, along = (FOOTPRINT - _ORIGIN).astype(self.kind).T
+        turned = np.stack([sin * along + cos * across, cos * along - sin * across], axis=-1)
         # The official cell size is single precision even where waypoints are not: 18.2 m is a cell less than 182.
-        moved = turned + self.waypoints[place, ::-1].astype(self.kind) / self.kind(np.float32(CELL_M))
-        return np.asarray(np.clip(np.trunc(moved), 0, CELLS - 1), np.int64)
+        shift = self.waypoints[places, None, ::-1].astype(self.kind) / self.kind(np.float32(CELL_M))
+        moved = np.round(turned + self.kind(_ORIGIN)) + shift
+        cells = np.clip(np.trunc(moved), 0, CELLS - 1).astype(np.int64)
+        return cells, np.ones(cells.shape[:2], dtype=np.bool_)
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Where the cells of each place lie, at least.
@@ -113,9 +117,9 @@ class Points:
         self.inside = ((place >= 0) & (place < CELLS)).all(axis=-1)
         self.cell = np.clip(place, 0, CELLS - 1).astype(np.int64)
 
-    def cells(self, place: int) -> Cells:
-        """(1, 2) or (0, 2) rows and columns at one place."""
-        return np.asarray(self.cell[place : place + 1] if self.inside[place] else self.cell[:0])
+    def cells(self, places: NDArray[np.int64]) -> tuple[Cells, Bools]:
+        """(n, 1, 2) rows and columns at some places, and (n, 1) whether they lie in the grid."""
+        return self.cell[places, None], self.inside[places, None]
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Lowest and highest row and column of each place, which are the same."""
@@ -139,22 +143,27 @@ def touched(
     Returns:
         (P,) verdicts for each that covers cells.
     """
-    bounds = [one.bounds() for one in looked_at]
-    verdicts = [np.zeros(len(low), dtype=np.bool_) for low, _ in bounds]
-    first, last = polygons.min(axis=1)[:, ::-1] - 1, polygons.max(axis=1)[:, ::-1] + 1
-    reached = [((low[place_of] <= last) & (high[place_of] >= first)).all(axis=-1) for low, high in bounds]
-    near = np.flatnonzero(np.logical_or.reduce(reached))
+    verdicts = [np.zeros(len(one.bounds()[0]), dtype=np.bool_) for one in looked_at]
+    corners = [polygons[:, point, ::-1] for point in range(polygons.shape[1])]
+    first, last = reduce(np.minimum, corners) - 1, reduce(np.maximum, corners) + 1
+    reached = np.zeros(len(polygons), dtype=np.bool_)
+    for one in looked_at:
+        low, high = one.bounds()
+        reached |= ((low[place_of] <= last) & (high[place_of] >= first)).all(axis=-1)
+    near = np.flatnonzero(reached)
     near = near[np.argsort(place_of[near], kind="stable")]
     places, starts = np.unique(place_of[near], return_index=True)
+    rows_of = np.split(near, starts[1:])
     grid = np.zeros((CELLS, CELLS), np.uint8)
-    for place, rows in zip(places.tolist(), np.split(near, starts[1:])):
-        draw(grid, polygons[rows])
-        for one, found, reach in zip(looked_at, verdicts, reached):
-            if reach[rows].any():
-                cells = one.cells(place)
-                found[place] = grid[cells[:, 0], cells[:, 1]].any()
-        (top, left), (bottom, right) = np.maximum(first[rows].min(axis=0), 0), np.maximum(last[rows].max(axis=0), 0)
-        grid[top : bottom + 1, left : right + 1] = 0
+    for start in range(0, len(places), _PLACES_AT_ONCE):
+        some = slice(start, start + _PLACES_AT_ONCE)
+        covered = [one.cells(places[some]) for one in looked_at]
+        for index, (place, rows) in enumerate(zip(places[some].tolist(), rows_of[some])):
+            draw(grid, polygons[rows])
+            for found, (cells, there) in zip(verdicts, covered):
+                found[place] = (grid[cells[index, :, 0], cells[index, :, 1]] & there[index]).any()
+            (top, left), (bottom, right) = first[rows].min(axis=0), last[rows].max(axis=0)
+            grid[max(top, 0) : bottom + 1, max(left, 0) : right + 1] = 0
     return verdicts
 
 

@@ -219,25 +219,28 @@ def leaving(truths: StackedTruths, path: Floats) -> tuple[Bools, tuple[float | N
     size = np.broadcast_to([KERB_LENGTH_M, EGO_WIDTH_M], center.shape)
     boxes = np.concatenate([center, size, poses[..., 2:]], axis=-1)
     off_road = np.zeros(path.shape[:2], dtype=np.bool_)
+    grid = np.zeros((CELLS, CELLS), np.uint8)
     now: list[float | None] = []
     for sample, roads in enumerate(truths.roads):
         if roads is None:
             now.append(None)
             continue
-        off = _off_road(roads, boxes[sample])
+        off = _off_road(roads, boxes[sample], grid)
         off_road[sample] = off[1:]
         now.append(float(not off[0]))
     return off_road, tuple(now)
 
 
-def _off_road(roads: Roads, boxes: Floats) -> Bools:
-    """(K,) whether boxes in the ego frame have a cell that is not drivable; drawn only where that is in doubt."""
+def _off_road(roads: Roads, boxes: Floats, grid: NDArray[np.uint8]) -> Bools:
+    """(K,) whether boxes in the ego frame have a cell that is not drivable; drawn only where that is in doubt.
+
+    ``grid`` is empty, and is so again afterwards.
+    """
     doubt = np.flatnonzero(~roads.surely_drivable(boxes[:, :2], _REACH_M))
     off = np.zeros(len(boxes), dtype=np.bool_)
     if not len(doubt):
         return off
     drivable = roads.drivable_cells()
-    grid = np.zeros((CELLS, CELLS), np.uint8)
     for place, corners in zip(doubt.tolist(), _nodes(boxes[doubt])):
         cv2.fillPoly(grid, [corners], (1,))
         (left, top), (right, bottom) = np.maximum(corners.min(axis=0), 0), np.maximum(corners.max(axis=0) + 1, 0)

@@ -114,7 +114,8 @@ def test_provenance_names_the_split_and_describes_the_scenes_anew(built: Path, s
         found, was = entry["report"], searched["scenes"][name]["report"]
         assert (found["agent"], found["launch_frame"]) == (was["agent"], was["launch_frame"])
         assert found["labels"]["manoeuvre"] == was["labels"]["manoeuvre"]
-        assert found["challenge"] == pytest.approx(was["challenge"], abs=1e-2)
+        # A millimetre may take a frame or two of about eighty over the border of what is a threat.
+        assert found["challenge"] == pytest.approx(was["challenge"], abs=2e-2)
 
 
 def test_tokens_do_not_depend_on_the_last_bit_of_a_recording(
