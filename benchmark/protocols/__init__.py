@@ -16,13 +16,16 @@ from benchmark.protocols.stp3 import STP3
 from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
 
-__all__ = ["PROTOCOLS", "STANDARD", "CollisionProtocol", "Outcomes", "protocol", "register"]
+__all__ = ["MAXIMA", "PROTOCOLS", "STANDARD", "CollisionProtocol", "Outcomes", "protocol", "register"]
 
 PROTOCOLS: dict[str, CollisionProtocol] = {}
 """Every known protocol, in the order of their columns."""
 
 STANDARD: Final = ("exact", "uniad", "vad", "vad-23", "sparsedrive", "diffusiondrive")
 """Those that every run is judged by; the others judge on request, and stored plans whenever they are judged anew."""
+
+MAXIMA: Final = frozenset({"bev-planner", "omnidrive", "safemvdrive", "safemvdrive-box", "safemvdrive-box-all"})
+"""Official protocols whose collision rate is a maximum over the steps, or latched: no column of means may hold them."""
 
 
 def register(definition: CollisionProtocol) -> None:
