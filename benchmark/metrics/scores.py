@@ -8,7 +8,7 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import MAXIMA, PROTOCOLS
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
 
 
@@ -52,6 +52,11 @@ class Scored:
 def registered_version(protocol: str) -> int | None:
     """Version of a protocol as it is now, ``None`` if there is none of this name."""
     return PROTOCOLS[protocol].version if protocol in PROTOCOLS else None
+
+
+def takes_maxima(protocol: str) -> bool:
+    """Whether an official protocol's collision rate is any contact up to the horizon: no mean, no value at a step."""
+    return protocol in MAXIMA
 
 
 def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:

@@ -17,6 +17,7 @@ from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
 
 __all__ = [
+    "MAXIMA",
     "NATIVE_PROTOCOLS",
     "PROTOCOLS",
     "STANDARD",
@@ -35,6 +36,9 @@ NATIVE_PROTOCOLS: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
 
 STANDARD: Final = ("exact", "uniad", "vad", "vad-23", "sparsedrive", "diffusiondrive")
 """Those that every run is judged by; the others judge on request, and stored plans whenever they are judged anew."""
+
+MAXIMA: Final = frozenset({"bev-planner", "omnidrive", "safemvdrive", "safemvdrive-box", "safemvdrive-box-all"})
+"""Official protocols whose collision rate is a maximum over the steps, or latched: no column of means may hold them."""
 
 
 def register(definition: CollisionProtocol) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
+from benchmark.metrics.scores import takes_maxima
 from benchmark.pdm.definition import PDM
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.run import NATIVE, RunRecord
@@ -11,6 +12,7 @@ from benchmark.records.run_schema import ProtocolSummary
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.driving import driving_table
+from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.published import is_variant, published_cells, published_rate
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
@@ -59,8 +61,10 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
 
     Returns:
         One row per planner and split that says whose protocol it is; planners without one of their own come after the
-        others, under ``exact``.
+        others, under ``exact``. Planners whose own protocol takes maxima or latches stand in its own table alone.
     """
+    maxima = [record for record in records if takes_maxima(record.native_protocol)]
+    records = [record for record in records if not takes_maxima(record.native_protocol)]
     ordered = sorted(in_table_order(records), key=lambda record: record.run.planner.native_protocol is None)
     without = any(record.run.planner.native_protocol is None for record in records)
     said = " The last rows, under exact, are planners without a repository of their own." if without else ""
@@ -72,6 +76,11 @@ def native_table(data_name: str, records: Sequence[RunRecord]) -> Table:
         notes=(
             "As in the paper, each row quotes the protocol of the planner's own repository: rows of different "
             f"protocols are not comparable.{said}",
+            *(
+                f"{record.planner} on {record.run.split}: {record.native_protocol} says whether there is any contact "
+                "up to the horizon, which shares no column with values at a step or means; see its own table."
+                for record in in_table_order(maxima)
+            ),
         ),
         names_protocol=True,
     )
@@ -95,12 +104,15 @@ def run_tables(
     shown = records if allow_partial else [record for record in records if record.complete]
     own = any(record.run.planner.native_protocol for record in shown)
     names = protocols or ((EXACT, NATIVE) if own else (EXACT,))
-    known = {NATIVE: native_table, PDM: driving_table}
-    return [
-        known[name](data_name, shown) if name in known else collision_table(data_name, name, shown)
+    by_name = {NATIVE: native_table, PDM: driving_table}
+    tables = [
+        (by_name[name](data_name, shown), None)
+        if name in by_name
+        else (collision_table(data_name, name, shown), further_table(data_name, name, shown))
         for name in names
         if shown
     ]
+    return [table for both in tables for table in both if table is not None]
 
 
 def increase_over(baseline: float | None, rate: float | None) -> float | None:

@@ -14,9 +14,11 @@ from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
+from leaderboard.tables.consistency import consistency_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.driving import driving_table
+from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
 from leaderboard.tables.runtime import runtime_tables
@@ -78,6 +80,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
             matrix, of_transfer = _transfer_tables(data_name, split, name, records)
             front += of_transfer
             matrices |= {} if matrix is None else {of_transfer[0].name: matrix}
+    front.append(consistency_table(data_name, records))
     if EXACT in protocols:
         front += diagnosis_tables(data_name, records)
         disagreements = (disagreement_table(data_name, split, records) for split in splits)
@@ -112,6 +115,7 @@ def _tables_under(
 ) -> tuple[Table, ...]:
     tables = [
         collision_table(data_name, protocol, records),
+        further_table(data_name, protocol, records),
         seed_spread_table(data_name, protocol, records),
         split_table(data_name, protocol, records, verdicts),
     ]

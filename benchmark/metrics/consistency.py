@@ -1,0 +1,97 @@
+"""Plan consistency: how far two consecutive plans of a planner are apart about the same place and time.
+
+The plan at a sample and the one at the next sample, half a second later, speak of the same instants: waypoint j + 1 of
+the first is waypoint j of the second. Both are brought into one frame by the *recorded* motion between the two samples,
+so that what the car itself drove is taken out, and the distance between the two waypoints is what the planner changed
+its mind by. A planner that follows one fixed path at fixed times changes its mind by nothing.
+
+The distance does not say who was right: a planner that learns something new has reason to change its plan, and one that
+never looks is perfectly consistent. It is to be read beside the collision rate.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
+from benchmark.geometry import Floats, to_global
+from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import SampleRow
+from benchmark.waypoints import waypoints_in_lidar
+
+COMMON_STEPS: Final = PLAN_STEPS - 1
+"""Instants that two consecutive plans of 3 s share."""
+INSTANTS: Final = tuple(f"{PLAN_STEP_S * (step + 1):g} s" for step in range(COMMON_STEPS))
+"""Times of these after the second of the two samples."""
+MEAN: Final = "mean"
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """How far consecutive plans of a record are apart.
+
+    Attributes:
+        distances: Metres by instant (`INSTANTS`) and their ``mean``, with 95 % intervals over recorded scenes.
+        pairs: How many pairs of consecutive plans there are.
+        without: Pairs of consecutive samples that are left out because a plan, or the motion between them, is missing.
+    """
+
+    distances: dict[str, Rate]
+    pairs: int
+    without: int
+
+
+def consistency(record: RunRecord) -> Consistency:
+    """Compare each plan of a record with the next one.
+
+    Args:
+        record: The record; only plans and the recorded motion in its rows are used, so old records have it too.
+
+    Returns:
+        The distances.
+    """
+    sources = source_of_scenes(record)
+    pairs = [
+        (first, second)
+        for first, second in pairwise(record.rows)
+        if first.scene == second.scene and second.index == first.index + 1
+    ]
+    found = [
+        (apart(first, second), sources[first.scene])
+        for first, second in pairs
+        if first.plan and second.plan and first.recorded_future[0]
+    ]
+    values = np.array([distances for distances, _ in found], np.float64).reshape(-1, COMMON_STEPS)
+    columns = np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
+    rates = ratios_over_scenes(columns, np.ones_like(columns), [scene for _, scene in found], seed=record.run.seed)
+    return Consistency(dict(zip((*INSTANTS, MEAN), rates, strict=True)), len(found), len(pairs) - len(found))
+
+
+def apart(first: SampleRow, second: SampleRow) -> Floats:
+    """Distances between the plans at a sample and at the next one.
+
+    Args:
+        first: Row of a sample with a plan and a recorded motion to the next one.
+        second: Row of the next sample of its scene, with a plan.
+
+    Returns:
+        (5,) metres at 0.5 to 2.5 s after the second sample.
+    """
+    moved = first.recorded_future[0]
+    assert moved is not None
+    x, y, yaw = moved
+    # Straight ahead is pi/2 in the lidar frame: a pose there looks along its y axis.
+    later = to_global(_waypoints(second)[:COMMON_STEPS], np.array([x, y, yaw - np.pi / 2]))
+    offset = later - _waypoints(first)[1 : COMMON_STEPS + 1]
+    return np.hypot(offset[:, 0], offset[:, 1])
+
+
+def _waypoints(row: SampleRow) -> Floats:
+    """(6, 2) of the lidar origin, x right, y forward."""
+    assert row.plan is not None
+    waypoints = np.array(row.plan.waypoints, np.float64)[:PLAN_STEPS]
+    return waypoints_in_lidar(waypoints, row.plan.frame, row.lidar_ahead_m)
