@@ -12,7 +12,7 @@ import torch
 from generation.diffusion.bank import sample_actions
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
-from generation.diffusion.prior import SamplerSettings, TrajectoryPrior, diversify
+from generation.diffusion.prior import SamplerSettings, Samples, TrajectoryPrior, diversify
 
 BATCH = 256
 PREVIOUS = np.array([-4.0, 0.0, 0.0])
@@ -48,6 +48,11 @@ def full_process(denoiser: TrajectoryDenoiser, calls: int) -> Callable[[], objec
     return lambda: sample_actions(denoiser, BATCH, calls, np.random.default_rng(0))
 
 
+def first_batch(source: Samples) -> Callable[[], object]:
+    prior = TrajectoryPrior.load(None, SamplerSettings(samples=source))
+    return lambda: prior.sample(BATCH, PREVIOUS, np.random.default_rng(0))
+
+
 def planning_step(prior: TrajectoryPrior) -> Callable[[], object]:
     """Initial batch and the five rounds of refinement, without physics and scoring."""
 
@@ -68,9 +73,8 @@ def main() -> None:
         ("denoise call, packaged", denoise_call(packaged), 50),
         ("denoise call, small transformer", denoise_call(TrajectoryDenoiser(SMALL_TRANSFORMER).eval()), 20),
         ("denoise call, reference size", denoise_call(TrajectoryDenoiser().eval()), 2),
-        ("initial batch from the bank", lambda: prior.sample(BATCH, PREVIOUS, np.random.default_rng(0)), 10),
         ("full process, 100 calls, packaged", full_process(packaged, 100), 3),
-        ("full process, 20 calls, packaged", full_process(packaged, 20), 3),
+        *((f"first batch, {source.value}", first_batch(source), 10) for source in Samples),
         ("planning step, packaged", planning_step(prior), 5),
     ]
     for calls in (1, 2, None):

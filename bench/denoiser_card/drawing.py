@@ -54,7 +54,7 @@ def asked(denoiser: TrajectoryDenoiser, process: Process | None = None) -> Sourc
                 return answer
 
             with torch.inference_mode():
-                actions = process(denoise, denoiser.start(normal_noise(rng, len(poses))))
+                actions = process(denoise, denoiser.start(normal_noise(rng, len(poses)), present))
             drawn.append(actions.numpy().astype(np.float64))
         return np.concatenate(drawn)
 

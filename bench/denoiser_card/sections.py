@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from bench.denoiser_card.evaluation import TEST_REPEATS, TEST_SIZES, Report
+from bench.denoiser_card.evaluation import TEST_DRAWS, TEST_REPEATS, TEST_SIZES, Report
 from bench.denoiser_card.feasibility import HORIZONS_S, LIMITED_M, WITHIN_M
 from bench.denoiser_card.sampling_steps import FULL_SAMPLES, FullProcess, StrideError
 from bench.denoiser_card.two_sample import FEATURES, PERMUTATIONS
@@ -46,8 +46,8 @@ TWO_SAMPLE = """\
 Energy distance of {features} features of each trajectory (speeds after 2, 4 and 8 s; mean and spread of acceleration
 and lateral acceleration; spread of the change of acceleration and of the yaw rate; turn), in spreads of held-out
 driving, with {relabellings} relabellings. One window of each of {vehicles} held-out vehicles: some stand for held-out
-driving, what is tested starts where as many others did. The last columns: share of {repeats} tests with samples of that
-size that told the two apart at 5 %.
+driving, what is tested starts where as many others did, and is drawn {draws} times (means are given). The last columns:
+share of {repeats} tests with samples of that size that told the two apart at 5 %.
 
 {rates}
 
@@ -147,6 +147,7 @@ def _two_sample(report: Report) -> str:
         relabellings=PERMUTATIONS,
         vehicles=tested.vehicles,
         repeats=TEST_REPEATS,
+        draws=TEST_DRAWS,
         rates=table(head, rows),
         samples_apart=_apart(report, "samples"),
         replay_apart=_apart(report, "replay"),

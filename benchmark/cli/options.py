@@ -94,6 +94,13 @@ class SampleSource(StrEnum):
     STORED = "stored"
 
 
+class Architecture(StrEnum):
+    """Which trajectory network is trained."""
+
+    PACKAGED = "packaged"
+    PUBLISHED = "published"
+
+
 class Preset(StrEnum):
     """Settings of the search to start from."""
 

@@ -7,7 +7,15 @@ from typing import Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.options import DeviceOption, SeedOption, SplitOption, WorkersOption, name_list, print_json
+from benchmark.cli.options import (
+    Architecture,
+    DeviceOption,
+    SeedOption,
+    SplitOption,
+    WorkersOption,
+    name_list,
+    print_json,
+)
 from benchmark.cli.whole_help import WholeSummaries
 
 app = typer.Typer(cls=WholeSummaries, help="Train the small models that this package carries.", no_args_is_help=True)
@@ -21,21 +29,27 @@ def train_denoiser_command(
     out: Annotated[Path, typer.Option(help="Weights file to write; log and progress lie beside it.")],
     steps: Annotated[int | None, typer.Option(min=1, help="Optimisation steps.")] = None,
     held_out: Annotated[str | None, typer.Option(help="Sources that only check, separated by commas.")] = None,
+    architecture: Annotated[
+        Architecture, typer.Option(help="The package's small network, or the published one, which wants a GPU.")
+    ] = Architecture.PACKAGED,
     seed: SeedOption = 0,
+    device: DeviceOption = "cpu",
 ) -> None:
     """Train the trajectory model and describe it; the same command resumes."""
+    from benchmark.cli.beforehand.names import require_device
     from benchmark.cli.beforehand.places import require_folder, require_output_file
 
+    require_device(device)
     require_folder(tracks, "--tracks")
     require_output_file(out, "--out")
     from generation.diffusion.bank import write_bank
     from generation.diffusion.training.card import write_model_card
     from generation.diffusion.training.loop import TrainingConfig, train_denoiser
 
-    default = TrainingConfig(tracks=tracks, out=out, seed=seed)
+    default = TrainingConfig(tracks=tracks, out=out, seed=seed, device=device).of_architecture(architecture.value)
     checking = default.held_out if held_out is None else name_list(held_out) or ()
     weights = train_denoiser(replace(default, steps=steps or default.steps, held_out=checking))
-    write_bank(weights)
+    write_bank(weights, device=device)
     typer.echo(f"{weights}, {write_model_card(weights, tracks)}")
 
 

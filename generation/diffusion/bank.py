@@ -1,6 +1,5 @@
 """Actions sampled in advance: the model is unconditional, so its samples do not depend on the scene."""
 
-import functools
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +13,7 @@ from benchmark.machine.storage import content_seed, file_sha256
 from benchmark.weights.tensors import read_tensors, write_tensors
 from generation.diffusion.checkpoint import load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
+from generation.diffusion.network_calls import device_of
 from generation.diffusion.schedule import STEPS, reverse, strided_timesteps
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
@@ -41,31 +41,36 @@ def sample_actions(denoiser: TrajectoryDenoiser, count: int, steps: int | None, 
         rng: All chance.
 
     Returns:
-        (count, 16, 3) standardised actions.
+        (count, 16, 3) standardised actions, told nothing of the vehicle.
     """
-    draw = functools.partial(normal_noise, rng, count)
+    device = next(denoiser.parameters()).device
+
+    def draw() -> torch.Tensor:
+        return normal_noise(rng, count).to(device)
+
     with torch.inference_mode():
         actions = reverse(denoiser, denoiser.start(draw()), strided_timesteps(STEPS - 1, steps), draw=draw)
-    return actions.numpy().astype(np.float64)
+    return actions.cpu().numpy().astype(np.float64)
 
 
-def write_bank(weights: Path, *, count: int = BANK_SIZE, seed: int = 0) -> Path:
+def write_bank(weights: Path, *, count: int = BANK_SIZE, seed: int = 0, device: str = "cpu") -> Path:
     """Sample a bank of actions by the full reverse process and write it beside the weights.
 
     Args:
         weights: A file that `load_denoiser` reads.
         count: Trajectories.
         seed: Recorded in the file.
+        device: Where the network runs.
 
     Returns:
         The bank file: float16, with the SHA-256 of the weights that made it.
 
     Raises:
-        InputError: If the weights cannot be read or the bank not be written.
+        InputError: If weights or device cannot be used or the bank not be written.
     """
     if count < 1:
         raise InputError(f"a bank needs at least one trajectory, got {count}")
-    denoiser, digest = load_denoiser(weights), file_sha256(weights)
+    denoiser, digest = load_denoiser(weights).to(device_of(device)), file_sha256(weights)
     sizes = [min(CHUNK, count - start) for start in range(0, count, CHUNK)]
     chunks = (
         sample_actions(denoiser, size, None, np.random.default_rng(content_seed("bank", seed, chunk)))

@@ -67,10 +67,10 @@ class DenoiserConfig:
 
 
 PACKAGED = DenoiserConfig(
-    feature_dim=256,
+    feature_dim=192,
     heads=1,
     layers=3,
-    feedforward_dim=256,
+    feedforward_dim=192,
     history_tokens=0,
     far_logit_bias=0.0,
     noise_level_scale=float(STEPS),
@@ -201,7 +201,7 @@ class TrajectoryDenoiser(nn.Module):
     def __init__(self, config: DenoiserConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or DenoiserConfig()
-        self.preconditioner = GaussianPreconditioner() if config.preconditioned else None
+        self.preconditioner = GaussianPreconditioner(conditioned=config.conditioned) if config.preconditioned else None
         if config.attention:
             self._build_transformer(config)
             return
@@ -236,15 +236,16 @@ class TrajectoryDenoiser(nn.Module):
         Args:
             noisy: (B, 16, 3) noisy standardised actions.
             timesteps: (1,) or (B,) 0..99.
-            present: (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says nothing.
+            present: (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
+                nothing.
 
         Returns:
             (B, 16, 3) predicted standard normal noise.
         """
         if self.preconditioner is None:
             return self.network(noisy, timesteps, present)
-        whitened, guess, left = self.preconditioner.split(noisy, timesteps)
-        return self.preconditioner.join(self.network(whitened, timesteps, present), guess, left)
+        split = self.preconditioner.split(noisy, timesteps, present)
+        return split.join(self.network(split.whitened, timesteps, present))
 
     def network(self, tokens_in: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
         """The network without its preconditioner: (B, 16, 3) to (B, 16, 3)."""
@@ -269,7 +270,7 @@ class TrajectoryDenoiser(nn.Module):
         noise: Tensor = self.decoder_mlp(tokens[:, -WAYPOINTS:])
         return noise
 
-    def start(self, noise: Tensor) -> Tensor:
+    def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
         """Where the full reverse process begins.
 
         The reference begins at standard normal noise although its forward process ends at 0.72 of that; a
@@ -277,8 +278,9 @@ class TrajectoryDenoiser(nn.Module):
 
         Args:
             noise: (B, 16, 3) standard normal.
+            present: As in `forward`.
 
         Returns:
             (B, 16, 3) actions at timestep 99.
         """
-        return noise if self.preconditioner is None else self.preconditioner.start(noise)
+        return noise if self.preconditioner is None else self.preconditioner.start(noise, present)

@@ -74,10 +74,13 @@ def motion(waypoints: Floats, previous: Floats) -> Motion:
     moving = length >= STILL_BELOW_M
     pointing = np.arctan2(step[..., 1], step[..., 0])
     direction = np.zeros_like(length)
-    held = np.zeros(length.shape[:-1])
-    for index in range(length.shape[-1]):
-        held = np.where(moving[..., index], pointing[..., index], held)
-        direction[..., index] = held
+    if moving.all():
+        direction = pointing
+    else:
+        held = np.zeros(length.shape[:-1])
+        for index in range(length.shape[-1]):
+            held = np.where(moving[..., index], pointing[..., index], held)
+            direction[..., index] = held
     turn = (np.diff(direction, axis=-1) + np.pi) % (2 * np.pi) - np.pi
     speed = length / STEP_S
     between = 0.5 * (speed[..., 1:] + speed[..., :-1])

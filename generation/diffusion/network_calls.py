@@ -52,22 +52,26 @@ class NetworkCalls:
         """(B, ...) rows of all requests on the device."""
         return torch.cat(list(parts)).to(self.device)
 
-    def told(self, previous: Sequence[Floats], sizes: Sequence[int]) -> Denoise:
-        """The network, told of every request how its vehicle moves now.
+    def present(self, previous: Sequence[Floats], sizes: Sequence[int]) -> Tensor | None:
+        """What the network is told of every request.
 
         Args:
             previous: (3,) pose half a second ago of each request.
             sizes: Rows of each.
 
         Returns:
-            Predicts the noise in the rows of all requests.
+            (B, 4) `present_features` of the rows of all requests, (1, 4) of a request that is alone, ``None`` if the
+            network is told nothing.
         """
-        present: Tensor | None = None
-        if self._conditioned:
-            poses = [torch.from_numpy(pose.astype(np.float32)) for pose in previous]
-            present = self.put(
-                [present_features(pose).expand(size, -1) for pose, size in zip(poses, sizes, strict=True)]
-            )
+        if not self._conditioned:
+            return None
+        features = [present_features(torch.from_numpy(pose.astype(np.float32)))[None] for pose in previous]
+        if self.block is None and len(features) == 1:
+            return self.put(features)
+        return self.put([row.expand(size, -1) for row, size in zip(features, sizes, strict=True)])
+
+    def told(self, present: Tensor | None) -> Denoise:
+        """The network with what it is told (`present`): predicts the noise in the rows of all requests."""
         return functools.partial(self._predict, present=present)
 
     @contextlib.contextmanager
@@ -84,7 +88,9 @@ class NetworkCalls:
         if self.block is not None:
             noisy, present = _filled(noisy, size), None if present is None else _filled(present, size)
         blocks = torch.split(noisy, size)
-        moving = [None] * len(blocks) if present is None else torch.split(present, size)
+        # One row speaks for all.
+        alone = present is None or len(present) == 1
+        moving = [present] * len(blocks) if present is None or alone else torch.split(present, size)
         return torch.cat([self.denoiser(block, timestep, known) for block, known in zip(blocks, moving, strict=True)])[
             :count
         ]

@@ -1,13 +1,72 @@
-"""What a Gaussian of the training data already knows about the noise, so that a small network learns only the rest."""
+"""What Gaussians of the training data already know about the noise, so that a small network learns only the rest."""
+
+from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 
+from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from generation.diffusion.residual_network import known_speed
 from generation.diffusion.schedule import ALPHA_BARS
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
 
 ACTIONS = WAYPOINTS * CHANNELS
+SPEED_EDGES_M_S: Final = (0.3, 1.0, 2.0, 4.0, 7.0, 12.0)
+"""Present speeds between which vehicles have Gaussians of their own: a standing car cannot brake, nor turn at once."""
+LEAST_VARIANCE: Final = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class _Gaussian:
+    """Of each row, or one for all: mean (..., 48), axes as columns (..., 48, 48), variance along each (..., 48)."""
+
+    mean: Tensor
+    axes: Tensor
+    variances: Tensor
+
+    def along(self, flat: Tensor) -> Tensor:
+        """(B, 48) components along the axes."""
+        return (flat[:, None] @ self.axes)[:, 0] if self.axes.ndim == 3 else flat @ self.axes
+
+    def back(self, components: Tensor) -> Tensor:
+        """(B, 48) from components along the axes."""
+        turned = self.axes.mT
+        return (components[:, None] @ turned)[:, 0] if turned.ndim == 3 else components @ turned
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """What a network is asked and what is known without it.
+
+    Attributes:
+        whitened: (B, 16, 3) input of the network.
+        guess: (B, 48) noise already explained, along the axes.
+        left: (1 or B, 48) standard deviation left to explain along each axis.
+        gaussian: Whose axes they are.
+    """
+
+    whitened: Tensor
+    guess: Tensor
+    left: Tensor
+    gaussian: _Gaussian
+
+    def join(self, answer: Tensor) -> Tensor:
+        """Predicted noise (B, 16, 3) from the network's answer (B, 16, 3) of order one."""
+        along = self.guess + self.left * self.gaussian.along(answer.flatten(1))
+        return self.gaussian.back(along).view_as(answer)
+
+    def residual(self, noise: Tensor) -> Tensor:
+        """What the network should answer to the noise that was added, along the axes: (B, 48), of unit variance.
+
+        The inverse of `join` but for the axes.
+        """
+        return (self.gaussian.along(noise.flatten(1)) - self.guess) / self.left
+
+    def along(self, answer: Tensor) -> Tensor:
+        """(B, 48) the network's answer along the axes, to compare with `residual`."""
+        return self.gaussian.along(answer.flatten(1))
 
 
 class GaussianPreconditioner(nn.Module):
@@ -22,90 +81,116 @@ class GaussianPreconditioner(nn.Module):
         mean: (48,) mean action.
         axes: (48, 48) principal axes as columns.
         variances: (48,) variance along each axis.
+        told_mean: (7, 48) the same of vehicles by present speed (`SPEED_EDGES_M_S`), where it can be told.
+        told_axes: (7, 48, 48).
+        told_variances: (7, 48).
     """
 
     mean: Tensor
     axes: Tensor
     variances: Tensor
     alpha_bars: Tensor
+    edges: Tensor
+    told_mean: Tensor
+    told_axes: Tensor
+    told_variances: Tensor
 
-    def __init__(self) -> None:
+    def __init__(self, *, conditioned: bool = False) -> None:
         super().__init__()
+        self.conditioned = conditioned
         self.register_buffer("mean", torch.zeros(ACTIONS))
         self.register_buffer("axes", torch.eye(ACTIONS))
         self.register_buffer("variances", torch.ones(ACTIONS))
         self.register_buffer("alpha_bars", torch.tensor(ALPHA_BARS, dtype=torch.float32), persistent=False)
+        if conditioned:
+            kinds = len(SPEED_EDGES_M_S) + 1
+            self.register_buffer("told_mean", torch.zeros(kinds, ACTIONS))
+            self.register_buffer("told_axes", torch.eye(ACTIONS).repeat(kinds, 1, 1))
+            self.register_buffer("told_variances", torch.ones(kinds, ACTIONS))
+            self.register_buffer("edges", torch.tensor(SPEED_EDGES_M_S), persistent=False)
 
-    def fit(self, actions: Floats) -> None:
-        """Take mean and covariance from data.
+    def fit(self, actions: Floats, present: Tensor | None = None) -> None:
+        """Take means and covariances from data.
 
         Args:
             actions: (N, 16, 3) standardised training actions.
+            present: (N, 4) `present_features`, which a preconditioner that can be told needs.
+
+        Raises:
+            InputError: If they are needed and not there.
         """
         flat = torch.tensor(actions.reshape(len(actions), ACTIONS), dtype=torch.float64)
-        mean = flat.mean(0)
-        covariance = (flat - mean).T @ (flat - mean) / len(flat)
-        variances, axes = torch.linalg.eigh(covariance)
-        # The sign of an axis is arbitrary; fixing it keeps the file the same on every machine that agrees on the axis.
-        axes = axes * torch.sign(axes.gather(0, axes.abs().argmax(0, keepdim=True)))
-        self.mean.copy_(mean)
-        self.axes.copy_(axes)
-        self.variances.copy_(variances.clamp_min(1e-10))
+        for buffer, value in zip((self.mean, self.axes, self.variances), _moments(flat), strict=True):
+            buffer.copy_(value)
+        if not self.conditioned:
+            return
+        if present is None:
+            raise InputError("a preconditioner that is told the speed is fitted with the speed of every window")
+        speed, _ = known_speed(present)
+        kinds = torch.bucketize(speed, self.edges, right=True)
+        for kind in range(len(SPEED_EDGES_M_S) + 1):
+            part = flat[kinds == kind]
+            # Too few windows of a speed say less of it than all windows do.
+            values = _moments(part if len(part) > 4 * ACTIONS else flat)
+            for buffer, value in zip((self.told_mean, self.told_axes, self.told_variances), values, strict=True):
+                buffer[kind].copy_(value)
 
-    def split(self, noisy: Tensor, timesteps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Network input, noise already explained, and the scale of what is left.
+    def split(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Split:
+        """Take apart what is known.
 
         Args:
             noisy: (B, 16, 3) noisy actions.
             timesteps: (1,) or (B,) 0..99.
+            present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
 
         Returns:
-            (B, 16, 3) whitened input; (B, 48) linear guess along the axes; (1 or B, 48) standard deviation left.
+            Input of the network and what puts its answer together.
         """
-        alpha_bar = self.alpha_bars[timesteps.long()][:, None]
-        variance = alpha_bar * self.variances + (1.0 - alpha_bar)
-        along = (noisy.flatten(1) - alpha_bar.sqrt() * self.mean) @ self.axes
-        whitened = (along * variance.rsqrt()) @ self.axes.T
+        gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[timesteps.long()][:, None]
+        variance = alpha_bar * gaussian.variances + (1.0 - alpha_bar)
+        along = gaussian.along(noisy.flatten(1) - alpha_bar.sqrt() * gaussian.mean)
+        whitened = gaussian.back(along * variance.rsqrt())
         guess = (1.0 - alpha_bar).sqrt() * along / variance
-        left = (alpha_bar * self.variances / variance).sqrt()
-        return whitened.view_as(noisy), guess, left
+        left = (alpha_bar * gaussian.variances / variance).sqrt()
+        return Split(whitened.view_as(noisy), guess, left, gaussian)
 
-    def join(self, answer: Tensor, guess: Tensor, left: Tensor) -> Tensor:
-        """Predicted noise from the network's answer.
-
-        Args:
-            answer: (B, 16, 3) of order one.
-            guess: (B, 48) from `split`.
-            left: (1 or B, 48) from `split`.
-
-        Returns:
-            (B, 16, 3) predicted noise.
-        """
-        return ((guess + left * (answer.flatten(1) @ self.axes)) @ self.axes.T).view_as(answer)
-
-    def residual(self, noise: Tensor, guess: Tensor, left: Tensor) -> Tensor:
-        """What the network should answer, the inverse of `join`; of unit variance along every axis.
-
-        Args:
-            noise: (B, 16, 3) the noise that was added.
-            guess: (B, 48) from `split`.
-            left: (1 or B, 48) from `split`.
-
-        Returns:
-            (B, 16, 3).
-        """
-        return (((noise.flatten(1) @ self.axes - guess) / left) @ self.axes.T).view_as(noise)
-
-    def start(self, noise: Tensor) -> Tensor:
+    def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
         """Draw of the last forward step's distribution, which keeps signal and is far from standard normal.
 
         Args:
             noise: (B, 16, 3) standard normal.
+            present: As in `split`.
 
         Returns:
             (B, 16, 3) actions at timestep 99.
         """
-        alpha_bar = self.alpha_bars[-1]
-        spread = (alpha_bar * self.variances + 1.0 - alpha_bar).sqrt()
-        flat = (noise.flatten(1) * spread) @ self.axes.T + alpha_bar.sqrt() * self.mean
-        return flat.view_as(noise)
+        gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[-1]
+        spread = (alpha_bar * gaussian.variances + 1.0 - alpha_bar).sqrt()
+        return (gaussian.back(noise.flatten(1) * spread) + alpha_bar.sqrt() * gaussian.mean).view_as(noise)
+
+    def _gaussian(self, present: Tensor | None) -> _Gaussian:
+        """Of all vehicles, or of those of each row's speed; of all where a row says nothing."""
+        if present is None or not self.conditioned:
+            return _Gaussian(self.mean, self.axes, self.variances)
+        speed, known = known_speed(present)
+        kinds = torch.bucketize(speed, self.edges, right=True)
+        told = (self.told_mean[kinds], self.told_axes[kinds], self.told_variances[kinds])
+        if len(present) == 1 and bool(known):
+            return _Gaussian(*(part[0] for part in told))
+        everybody = (self.mean, self.axes, self.variances)
+        return _Gaussian(
+            *(
+                torch.where(known.view(-1, *[1] * whole.ndim), part, whole)
+                for part, whole in zip(told, everybody, strict=True)
+            )
+        )
+
+
+def _moments(flat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Mean, principal axes and variances of (N, 48) actions."""
+    mean = flat.mean(0)
+    covariance = (flat - mean).T @ (flat - mean) / len(flat)
+    variances, axes = torch.linalg.eigh(covariance)
+    # The sign of an axis is arbitrary; fixing it keeps the file the same on every machine that agrees on the axis.
+    axes = axes * torch.sign(axes.gather(0, axes.abs().argmax(0, keepdim=True)))
+    return mean, axes, variances.clamp_min(LEAST_VARIANCE)

@@ -219,13 +219,14 @@ class TrajectoryPrior:
         count, previous = _count(request.count), _pose(request.previous)
         waypoints = waypoints_from_actions(bank, previous)
         if self.settings.drivable:
-            waypoints = waypoints[_most_drivable(waypoints, previous, min(count, len(waypoints)))]
+            excess = motion(waypoints, previous).excess
+            waypoints = waypoints[_most_drivable(excess, min(count, len(waypoints)))]
         chosen = request.rng.choice(len(waypoints), size=count, replace=count > len(waypoints))
         return np.asarray(waypoints[chosen])
 
     def _sample_together(self, requests: Sequence[Sampling]) -> list[Floats]:
         """Full reverse processes, repeated for those that have not enough that suit the speed."""
-        drawn = [np.zeros((0, WAYPOINTS, CHANNELS)) for _ in requests]
+        drawn = [_Drawn(np.zeros((0, WAYPOINTS, CHANNELS)), np.zeros(0)) for _ in requests]
         previous = [_pose(request.previous) for request in requests]
         wanted = {index: _count(request.count) for index, request in enumerate(requests)}
         for _ in range(MOST_BATCHES if self.settings.drivable else 1):
@@ -235,25 +236,19 @@ class TrajectoryPrior:
             noise = [normal_noise(rng, count) for rng, count in zip(rngs, wanted.values(), strict=True)]
             actions = self._from_noise(noise, rngs, [previous[index] for index in wanted])
             for index, part in zip(wanted, actions, strict=True):
-                drawn[index] = np.concatenate([drawn[index], waypoints_from_actions(part, previous[index])])
-            wanted = {
-                index: more
-                for index in wanted
-                if (more := _still_wanted(drawn[index], previous[index], requests[index].count))
-            }
+                drawn[index] = drawn[index].and_more(waypoints_from_actions(part, previous[index]), previous[index])
+            wanted = {index: more for index in wanted if (more := drawn[index].missing(requests[index].count))}
         if not self.settings.drivable:
-            return drawn
-        return [
-            np.asarray(found[_most_drivable(found, pose, request.count)[: request.count]])
-            for found, pose, request in zip(drawn, previous, requests, strict=True)
-        ]
+            return [found.waypoints for found in drawn]
+        return [found.best(request.count) for found, request in zip(drawn, requests, strict=True)]
 
     def _from_noise(
         self, noise: Sequence[Tensor], rngs: Sequence[np.random.Generator], previous: Sequence[Floats]
     ) -> list[Floats]:
         """Clean actions of each request, by the process that the settings name."""
         sizes = [len(part) for part in noise]
-        start, denoise = self._network.denoiser.start(self._network.put(noise)), self._network.told(previous, sizes)
+        present = self._network.present(previous, sizes)
+        start, denoise = self._network.denoiser.start(self._network.put(noise), present), self._network.told(present)
         if self.settings.samples is Samples.REFERENCE:
             return self._reverse(denoise, start, strided_timesteps(STEPS - 1, None), rngs, sizes)
         with self._network.asking(rngs):
@@ -272,7 +267,7 @@ class TrajectoryPrior:
         noise = [normal_noise(request.rng, len(start)) for request, start in zip(requests, before, strict=True)]
         noisy = add_noise(self._network.put(actions), self._network.put(noise), timesteps[0])
         rngs, sizes = [request.rng for request in requests], [len(part) for part in noise]
-        clean = self._reverse(self._network.told(previous, sizes), noisy, timesteps, rngs, sizes)
+        clean = self._reverse(self._network.told(self._network.present(previous, sizes)), noisy, timesteps, rngs, sizes)
         return [
             self._kept(start, waypoints_from_actions(part, pose), pose)
             for start, part, pose in zip(before, clean, previous, strict=True)
@@ -282,8 +277,12 @@ class TrajectoryPrior:
         """Changed waypoints, but the old ones where the change made them less drivable."""
         if not self.settings.drivable:
             return after
-        worse = motion(after, previous).excess > motion(before, previous).excess
-        return np.where(worse[:, None, None], before, after)
+        excess = motion(after, previous).excess
+        bad = np.flatnonzero(excess > 0)
+        worse = bad[excess[bad] > motion(before[bad], previous).excess]
+        kept = after.copy()
+        kept[worse] = before[worse]
+        return kept
 
     def _reverse(
         self,
@@ -319,12 +318,28 @@ def _stored(weights: Path, settings: SamplerSettings) -> Floats:
     return read_bank(beside, weights)
 
 
-def _still_wanted(drawn: Floats, previous: Floats, count: int) -> int:
-    """How many more to draw so that ``count`` are drivable, by the share that was so far; 0 where there are enough."""
-    drivable = int((motion(drawn, previous).excess == 0).sum())
-    if drivable >= count:
-        return 0
-    return min(count, math.ceil(1.2 * (count - drivable) * len(drawn) / max(drivable, 1)) + REDRAWN_BESIDE)
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """What was drawn for one request so far: (N, 16, 3) waypoints and how far beyond drivable each is."""
+
+    waypoints: Floats
+    excess: Floats
+
+    def and_more(self, waypoints: Floats, previous: Floats) -> _Drawn:
+        """With further waypoints."""
+        excess = motion(waypoints, previous).excess
+        return _Drawn(np.concatenate([self.waypoints, waypoints]), np.concatenate([self.excess, excess]))
+
+    def missing(self, count: int) -> int:
+        """How many more to draw so that ``count`` are drivable, by the share that was so far; 0 if there are enough."""
+        drivable = int((self.excess == 0).sum())
+        if drivable >= count:
+            return 0
+        return min(count, math.ceil(1.2 * (count - drivable) * len(self.excess) / max(drivable, 1)) + REDRAWN_BESIDE)
+
+    def best(self, count: int) -> Floats:
+        """The first drivable ones; the least bad ones fill up where there are not enough."""
+        return np.asarray(self.waypoints[_most_drivable(self.excess, count)[:count]])
 
 
 def _continuous(waypoints: Floats) -> Floats:
@@ -333,6 +348,8 @@ def _continuous(waypoints: Floats) -> Floats:
     if waypoints.ndim != 3 or waypoints.shape[1:] != (WAYPOINTS, CHANNELS) or not np.isfinite(waypoints).all():
         raise InputError(f"candidates must be finite (B, {WAYPOINTS}, {CHANNELS}) waypoints, got {waypoints.shape}")
     start = waypoints.copy()
+    if np.abs(np.diff(start[..., 2], axis=1, prepend=0.0)).max(initial=0.0) < np.pi:
+        return start
     start[..., 2] = np.unwrap(np.concatenate([np.zeros((len(start), 1)), start[..., 2]], axis=1), axis=1)[:, 1:]
     return start
 
@@ -343,9 +360,8 @@ def _count(count: int) -> int:
     return count
 
 
-def _most_drivable(waypoints: Floats, previous: Floats, at_least: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _most_drivable(excess: Floats, at_least: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Indices of the drivable trajectories; the least bad ones fill up where there are not enough."""
-    excess = motion(waypoints, previous).excess
     order = np.argsort(excess, kind="stable")
     chosen = order[: max(int((excess == 0).sum()), at_least)]
     return np.asarray(chosen, dtype=np.int64)

@@ -35,6 +35,18 @@ def present_features(previous: Tensor) -> Tensor:
     return torch.stack([speed / 10.0, torch.exp(-0.5 * speed), 5.0 * turn, torch.ones_like(speed)], dim=-1)
 
 
+def known_speed(present: Tensor) -> tuple[Tensor, Tensor]:
+    """Speed out of `present_features`.
+
+    Args:
+        present: (B, 4).
+
+    Returns:
+        (B,) m/s; (B,) whether it is known.
+    """
+    return 10.0 * present[:, 0], present[:, 3] > 0.5
+
+
 class ResidualBlock(nn.Module):
     """Normalise, one hidden layer shifted by the noise level, add; silent before training."""
 
@@ -91,15 +103,15 @@ class ResidualNetwork(nn.Module):
         Args:
             noisy: (B, 16, 3).
             level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
-            present: (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
+            present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
 
         Returns:
             (B, 16, 3) of order one; zero before training.
         """
         known = noisy.flatten(1)
         if self.conditioned:
-            silent = noisy.new_zeros(len(noisy), PRESENT_FEATURES) if present is None else present
-            known = torch.cat([known, silent], dim=1)
+            said = noisy.new_zeros(1, PRESENT_FEATURES) if present is None else present
+            known = torch.cat([known, said.expand(len(noisy), -1)], dim=1)
         features, level = self.encoder(known), self.level_encoder(level)
         for block in self.blocks:
             features = block(features, level)

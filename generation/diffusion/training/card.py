@@ -43,11 +43,12 @@ motion planner: it sees neither road nor traffic{knowing}.
 Network: {shape}; {parameters:,} parameters.
 {carried}
 Trained by `challenger-bench train denoiser --tracks DIR --out FILE --seed {seed} --steps {steps}`:
-{batch} windows a step, averaged weights, {levels}, stored in half precision.{best}
-The same command gives the same weights up to rounding on another machine. The state that is shipped, the length of
-training and the scaling of windows were chosen by the held-out loss; else held-out sources only measure. The bank holds
-{count} samples of the full 100-step process, told nothing of the vehicle, seed {bank_seed}, float16; a search uses it
-only where stored samples are asked for (`generate --samples stored`).
+{batch} windows a step, averaged weights, {levels}, stored in half precision.
+{best}The same command gives the same weights up to rounding on another machine. The state that is kept, the size of the
+network and the scaling of windows were chosen by the held-out loss; else held-out sources, cleaned as the others, only
+measure.
+The bank holds {count} samples of the full 100-step process, told nothing of the vehicle, seed {bank_seed}, float16; a
+search uses it only where stored samples are asked for (`generate --samples stored`).
 
 ## Data and licence
 
@@ -65,6 +66,9 @@ are evened out to the power of {evening:g} across sources.
 TOLD: Final = "; of the vehicle it is told the present speed and turn, if anything"
 UNTOLD: Final = ", nor the vehicle's own speed"
 CARRIED: Final = "A Gaussian of the training data carries the linear part of the prediction."
+CARRIED_BY_SPEED: Final = (
+    "Gaussians of the training data, one for each of seven present speeds and one of all, carry the linear part."
+)
 PLAIN: Final = "Without the packaged network's preconditioning, as published."
 SHARE_ALIKE: Final = """\
 Several sources are for non-commercial use, share alike (CC BY-NC-SA), so **the weights and the bank are too: CC
@@ -142,10 +146,10 @@ def _introduction(weights: Path, tensors: dict[str, Tensor], facts: dict[str, An
         files=table(("file", "SHA-256", "bytes"), files),
         knowing=TOLD if network.get("conditioned") else UNTOLD,
         shape=_shape(network),
-        carried=CARRIED if network.get("preconditioned") else PLAIN,
+        carried=_carried(network),
         parameters=sum(tensor.numel() for tensor in learnt),
         levels=_levels(facts.get("level_power", 1.0)),
-        best=f" The state after step {best:,} was the best." if best and best < facts["steps"] else "",
+        best=f"The state after step {best:,} was the best on held-out windows and is this one.\n" if best else "",
         count=bank_facts["count"],
         bank_seed=bank_facts["seed"],
         jitter=facts.get("size_jitter", 0.1),
@@ -163,6 +167,12 @@ def _shape(network: dict[str, Any]) -> str:
     if network.get("attention", True):
         return f"transformer, width {width}, {layers} layers, {network['heads']} heads, feed-forward {hidden}"
     return f"{layers} residual blocks on all 48 numbers at once, width {width}, hidden width {hidden}"
+
+
+def _carried(network: dict[str, Any]) -> str:
+    if not network.get("preconditioned"):
+        return PLAIN
+    return CARRIED_BY_SPEED if network.get("conditioned") else CARRIED
 
 
 def _levels(power: float) -> str:

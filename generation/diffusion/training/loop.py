@@ -16,6 +16,7 @@ from benchmark.machine.storage import content_key, content_seed, write_json_line
 from benchmark.weights.training_run import TrainingRun, read_run, write_run
 from generation.diffusion.checkpoint import save_denoiser
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.network_calls import device_of
 from generation.diffusion.residual_network import present_features
 from generation.diffusion.schedule import ALPHA_BARS, STEPS
 from generation.diffusion.training.track_sources import find_track_sources
@@ -32,6 +33,7 @@ HELD_OUT_SOURCES: Final = (
 """Sources whose terms do not let weights made from them be passed on; they only check what was learnt."""
 BETAS_ADAM: Final = (0.9, 0.99)
 CHECKED_WINDOWS: Final = 4096
+FITTED_WINDOWS: Final = 60_000
 LEVELS_OF_ROUNDS: Final = 5
 """Noise levels that refinement uses."""
 Architecture = Literal["packaged", "published"]
@@ -102,16 +104,18 @@ def train_denoiser(config: TrainingConfig) -> Path:
     """Train a trajectory denoiser; the same command resumes.
 
     Noise prediction (paper, Diffusion Trajectory Generator), averaged weights, stored in half precision. Every step
-    draws from a generator of its own, so an interrupted run ends with the same bytes as an undisturbed one.
+    draws from a generator of its own, so an interrupted run ends with the same bytes as an undisturbed one. The weights
+    file is written whenever a state is the best so far on held-out windows, so a run can be left at any time.
 
     Args:
         config: Recordings, weights to write, settings.
 
     Returns:
-        The weights file. Beside it: ``.progress.safetensors`` while unfinished, ``.log.jsonl``.
+        The weights file: the best state, or the last where nothing is held out. Beside it:
+        ``.progress.safetensors`` while unfinished, ``.log.jsonl``.
 
     Raises:
-        InputError: If the tracks cannot be used, or the progress file belongs to another run.
+        InputError: If tracks or device cannot be used, or the progress file belongs to another run.
     """
     data = load_track_data(config.tracks, config.held_out, config.stride_s)
     pool, checking = WindowPool.of(data.training), Windows.joined(list(data.held_out.values()))
@@ -180,8 +184,9 @@ def _start(config: TrainingConfig, pool: WindowPool) -> _Run:
     denoiser = TrajectoryDenoiser(config.denoiser)
     if denoiser.preconditioner is not None:
         draw = np.random.default_rng(content_seed("denoiser gaussian", config.seed))
-        denoiser.preconditioner.fit(pool.draw(40_000, config.size_jitter, draw).actions)
-    denoiser.to(config.device)
+        drawn = pool.draw(FITTED_WINDOWS, config.size_jitter, draw)
+        denoiser.preconditioner.fit(drawn.actions, present_features(torch.from_numpy(drawn.previous)))
+    denoiser.to(device_of(config.device))
     optimiser = torch.optim.AdamW(
         denoiser.parameters(), lr=config.learning_rate, betas=BETAS_ADAM, weight_decay=config.weight_decay
     )
@@ -202,11 +207,10 @@ def _loss(denoiser: TrajectoryDenoiser, drawn: Drawn, noise: Floats, timesteps: 
     present = present_features(previous) * known[:, None]
     if denoiser.preconditioner is None:
         return torch.nn.functional.mse_loss(denoiser(noisy, at, present), eps)
-    whitened, guess, left = denoiser.preconditioner.split(noisy, at)
-    error = denoiser.preconditioner.residual(eps, guess, left) - denoiser.network(whitened, at, present)
-    along = error.flatten(1) @ denoiser.preconditioner.axes
-    weight = left / left.amax(dim=1, keepdim=True)
-    return (weight * along.square()).sum() / weight.sum()
+    split = denoiser.preconditioner.split(noisy, at, present)
+    error = split.residual(eps) - split.along(denoiser.network(split.whitened, at, present))
+    weight = split.left / split.left.amax(dim=1, keepdim=True)
+    return (weight * error.square()).sum() / weight.sum()
 
 
 def _take_step(run: _Run, config: TrainingConfig, pool: WindowPool, step: int) -> float:

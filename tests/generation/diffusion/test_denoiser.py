@@ -12,6 +12,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from generation.diffusion import schedule
 from generation.diffusion.denoiser import PACKAGED, DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.residual_network import present_features
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 OWN_GOLDEN = GOLDEN / "denoiser" / "small.npz"
@@ -143,7 +144,8 @@ def test_far_tokens_are_not_hidden_but_favoured() -> None:
 def test_one_noise_level_for_all_equals_one_for_each() -> None:
     denoiser = synthetic(TrajectoryDenoiser(PACKAGED))
     assert denoiser.preconditioner is not None
-    denoiser.preconditioner.fit(np.random.default_rng(0).standard_normal((100, 16, 3)))
+    standing = present_features(torch.zeros(100, 3))
+    denoiser.preconditioner.fit(np.random.default_rng(0).standard_normal((100, 16, 3)), standing)
     noisy = torch.from_numpy(small_input()).float()
     with torch.inference_mode():
         together = denoiser(noisy, torch.tensor([7.0]))
@@ -166,6 +168,11 @@ def test_impossible_shapes_are_refused(fields: dict[str, int]) -> None:
         DenoiserConfig(**fields)  # type: ignore[arg-type]
 
 
+def test_only_a_network_without_attention_can_be_told_the_speed() -> None:
+    with pytest.raises(InputError, match="without attention"):
+        DenoiserConfig(conditioned=True)
+
+
 def test_gaussian_knows_all_about_gaussian_data() -> None:
     """The network is silent before training: the preconditioner alone is the exact posterior mean of Gaussian data."""
     rng = np.random.default_rng(3)
@@ -173,7 +180,8 @@ def test_gaussian_knows_all_about_gaussian_data() -> None:
     clean = (rng.standard_normal((20_000, 48)) @ mix.T + 0.05).reshape(-1, 16, 3)
     denoiser = TrajectoryDenoiser(PACKAGED).eval()
     assert denoiser.preconditioner is not None
-    denoiser.preconditioner.fit(clean)
+    standing = torch.zeros(len(clean), 3)
+    denoiser.preconditioner.fit(clean, present_features(standing))
     covariance, mean = np.cov(clean.reshape(-1, 48).T, ddof=0), clean.reshape(-1, 48).mean(0)
     for timestep in (0, 30, 99):
         noise = rng.standard_normal((64, 16, 3))
@@ -184,15 +192,3 @@ def test_gaussian_knows_all_about_gaussian_data() -> None:
         with torch.inference_mode():
             answer = denoiser(noisy, torch.tensor([float(timestep)])).numpy().reshape(64, 48)
         assert np.abs(answer - expected).max() < 2e-3 * np.abs(expected).max()
-
-
-def test_preconditioner_join_undoes_residual() -> None:
-    denoiser = TrajectoryDenoiser(PACKAGED)
-    preconditioner = denoiser.preconditioner
-    assert preconditioner is not None
-    rng = np.random.default_rng(5)
-    preconditioner.fit(0.1 * rng.standard_normal((500, 16, 3)))
-    noise = torch.from_numpy(rng.standard_normal((4, 16, 3))).float()
-    _, guess, left = preconditioner.split(0.3 * noise, torch.tensor([20.0, 1.0, 50.0, 99.0]))
-    back = preconditioner.join(preconditioner.residual(noise, guess, left), guess, left)
-    assert (back - noise).abs().max() < 1e-4

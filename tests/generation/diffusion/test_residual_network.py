@@ -1,9 +1,18 @@
 """The small noise predictor."""
 
+import math
+
+import pytest
 import torch
 from torch import nn
 
-from generation.diffusion.residual_network import LEVEL_FEATURES, ResidualNetwork
+from generation.diffusion.residual_network import (
+    LEVEL_FEATURES,
+    PRESENT_FEATURES,
+    ResidualNetwork,
+    known_speed,
+    present_features,
+)
 
 
 class Repeated(nn.Module):
@@ -48,6 +57,30 @@ def test_one_level_for_all_is_the_same_as_one_each() -> None:
     assert torch.allclose(together, each, atol=1e-5)
     assert torch.allclose(together, alone, atol=1e-5)
     assert not torch.allclose(together, other, atol=1e-2)
+
+
+def test_speed_and_turn_are_told_in_numbers_of_order_one() -> None:
+    previous = torch.tensor([[0.0, 0.0, 0.0], [-6.0, 0.1, -0.2], [-90.0, 0.0, 3.0], [4.0, 0.0, 0.0]])
+    features = present_features(previous)
+    speed, known = known_speed(features)
+    assert speed.tolist() == pytest.approx([0.0, 12.0, 40.0, 0.0])
+    assert known.all()
+    assert features[0].tolist() == pytest.approx([0.0, 1.0, 0.0, 1.0])
+    assert features[1].tolist() == pytest.approx([1.2, math.exp(-6.0), 1.0, 1.0])
+    assert features.abs().max() < 5
+
+
+def test_what_is_told_changes_the_answer_and_saying_nothing_is_zeros() -> None:
+    torch.manual_seed(0)
+    made = trained(ResidualNetwork(24, 16, 2, 0.0, Repeated(), conditioned=True)).eval()
+    noisy, level = torch.randn(5, 16, 3), torch.tensor([0.3])
+    said = present_features(torch.tensor([[-4.0, 0.0, 0.0]]))
+    with torch.inference_mode():
+        told, each = made(noisy, level, said), made(noisy, level, said.expand(5, -1))
+        nothing, zeros = made(noisy, level), made(noisy, level, torch.zeros(5, PRESENT_FEATURES))
+    assert torch.equal(told, each)
+    assert torch.equal(nothing, zeros)
+    assert not torch.allclose(told, nothing, atol=1e-2)
 
 
 def test_dropout_is_off_when_asked_to_answer() -> None:
