@@ -10,8 +10,8 @@ from urllib.parse import quote
 from benchmark.drawing.plots import DARK, page_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes, writing_to
-from benchmark.pdm.definition import PDM
 from benchmark.records.ablation import AblationReport
+from benchmark.records.driving import PDM
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import NO_SHEETS, Sheets

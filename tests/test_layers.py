@@ -17,7 +17,6 @@ ALLOWED = {
 LEADERBOARD_MAY_READ = (
     "benchmark.records",
     "benchmark.metrics",
-    "benchmark.pdm.definition",
     "benchmark.report",
     "benchmark.drawing",
     "benchmark.published",

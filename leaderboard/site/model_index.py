@@ -4,8 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from benchmark.pdm.definition import VERSION
-from benchmark.records.driving import SUB_SCORES, TOTALS
+from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary, ProtocolSummary, RateRow
 from leaderboard.tables.rows import in_table_order, recordings

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import takes_maxima
-from benchmark.pdm.definition import PDM
 from benchmark.published import TABLE_1_SOURCE
+from benchmark.records.driving import PDM
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import ProtocolSummary
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from benchmark.pdm.definition import DEFINITION, NOTE, PDM, VERSION
-from benchmark.records.driving import SUB_SCORES, TOTALS
+from benchmark.records.driving import DEFINITION, NOTE, PDM, SUB_SCORES, TOTALS, VERSION
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary
 from benchmark.report.cells import Origin, Shown, origin_of
