@@ -140,7 +140,7 @@ def stale_demo(to: Path = RESULTS) -> list[str]:
 
 
 def _results_from() -> dict[str, Any]:
-    """What the measured results depend on: weights, town, frozen split, search and protocols."""
+    """What the measured results depend on: weights, town, frozen split, renderer, search and protocols."""
     from adapters.models import miniatures
     from benchmark.machine.storage import file_sha256
     from benchmark.protocols import PROTOCOLS, STANDARD
@@ -150,12 +150,13 @@ def _results_from() -> dict[str, Any]:
     from generation.sources.mini import TownSettings
     from generation.splits.packaged import newest_split
 
-    newest = newest_split("mini")
+    newest, renderer = newest_split("mini"), api.schematic_renderer()
     return {
         "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
         "town": TownSettings().folder_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_VEHICLES],
+        "renderer": [renderer.name, renderer.version],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
         "protocols": {name: PROTOCOLS[name].version for name in STANDARD},
     }
