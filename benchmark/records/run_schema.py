@@ -146,6 +146,18 @@ class DiagnosisRow(Stored):
     first_contact_s: float
 
 
+class LongerRow(Stored):
+    """What ``exact`` says of a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
+
+    Attributes:
+        collision: Contact at each step.
+        l2: Displacement from the recorded ego, metres; null past the end of the scene.
+    """
+
+    collision: list[bool]
+    l2: list[float | None]
+
+
 class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
@@ -166,6 +178,7 @@ class SampleRow(Stored):
         diagnosis: Why the plan collides, or null where it does not under ``exact``.
         disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
             (`benchmark.metrics.disagreement`).
+        longer: Verdicts beyond 3 s, or null where the plan ends there.
     """
 
     scene: str
@@ -183,6 +196,7 @@ class SampleRow(Stored):
     outcomes: dict[str, OutcomeRow]
     diagnosis: DiagnosisRow | None = None
     disagreements: dict[str, str] = Field(default_factory=dict)
+    longer: LongerRow | None = None
 
 
 class RateRow(Stored):
