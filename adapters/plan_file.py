@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adapters.models import published_as
-from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
+from benchmark.constants import FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.foreign.files import one_line
@@ -39,7 +39,9 @@ from benchmark.truth import SampleTruth
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
-WAYPOINT_COLUMNS = tuple(f"{axis}{step}" for step in range(1, PLAN_STEPS + 1) for axis in "xy")
+LONGEST_COLUMNS = tuple(f"{axis}{step}" for step in range(1, LONGEST_PLAN_STEPS + 1) for axis in "xy")
+WAYPOINT_COLUMNS = LONGEST_COLUMNS[: 2 * PLAN_STEPS]
+"""Those that every plan file has; the others may follow, one step after the other."""
 _BY_TOKEN, _BY_TIME = ("sample_token",), ("scene", "timestamp")
 _SHOWN = 3
 
@@ -53,7 +55,7 @@ class PlanFile:
         by_token: Whether rows are named by token, else by scene and timestamp.
         keys: R row names, ``(token,)`` or ``(scene, timestamp)``.
         frames: R frames.
-        waypoints: (R, 6, 2) metres.
+        waypoints: (R, N, 2) metres, 6 to 16 steps.
     """
 
     path: Path
@@ -257,7 +259,8 @@ def _read_table(path: Path) -> Any:
 
 
 def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...]) -> None:
-    wanted = (*key_columns, "frame", *WAYPOINT_COLUMNS)
+    steps = _waypoint_columns(columns)
+    wanted = (*key_columns, "frame", *steps)
     missing = [column for column in wanted if column not in columns]
     if missing:
         hint = "; rows are named by sample_token, or by scene and timestamp" if key_columns == _BY_TIME else ""
@@ -265,6 +268,12 @@ def _require_columns(path: Path, columns: list[str], key_columns: tuple[str, ...
     unknown = [column for column in columns if column not in (*wanted, *_BY_TOKEN, *_BY_TIME)]
     if unknown:
         raise InputError(f"{path} has unknown columns {', '.join(unknown[:_SHOWN])}; columns are {', '.join(wanted)}")
+
+
+def _waypoint_columns(columns: Sequence[str]) -> tuple[str, ...]:
+    """Columns of waypoints, without gaps up to the last step that the file has."""
+    last = max((place for place, name in enumerate(LONGEST_COLUMNS) if name in columns), default=0)
+    return LONGEST_COLUMNS[: max(2 * (last // 2 + 1), len(WAYPOINT_COLUMNS))]
 
 
 def _row_key(path: Path, columns: tuple[str, ...], values: tuple[Any, ...]) -> tuple[Hashable, ...]:
@@ -285,11 +294,12 @@ def _numbers(path: Path, table: Any, keys: tuple[tuple[Hashable, ...], ...]) -> 
     import pandas as pd
 
     # Else they would count as 1 and 0 metres.
-    truths = [column for column in WAYPOINT_COLUMNS if table[column].map(lambda value: isinstance(value, bool)).any()]
+    names = _waypoint_columns(list(table.columns))
+    truths = [column for column in names if table[column].map(lambda value: isinstance(value, bool)).any()]
     if truths:
         raise InputError(f"{path} has true or false in column {', '.join(truths[:_SHOWN])}; waypoints are metres")
-    columns = [pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64) for column in WAYPOINT_COLUMNS]
-    waypoints: Floats = np.column_stack(columns).reshape(-1, PLAN_STEPS, 2)
+    columns = [pd.to_numeric(table[column], errors="coerce").to_numpy(np.float64) for column in names]
+    waypoints: Floats = np.column_stack(columns).reshape(-1, len(names) // 2, 2)
     bad = np.flatnonzero(~np.isfinite(waypoints).all(axis=(1, 2)))
     if len(bad):
         raise InputError(f"{path} has waypoints that are not finite numbers for {_listed([keys[row] for row in bad])}")

@@ -14,13 +14,17 @@ FRAME_HZ: Final = 12
 FRAMES_PER_KEYFRAME: Final = FRAME_HZ // KEYFRAME_HZ
 
 PLAN_STEPS: Final = 6
-"""Waypoints of a plan."""
+"""Waypoints of a plan that every plan has and every protocol judges."""
+LONGEST_PLAN_STEPS: Final = 16
+"""Waypoints that a plan may have at most; records keep them all, protocols judge the first six."""
 PLAN_STEP_S: Final = 0.5
-"""Time between waypoints; the last waypoint is 3 s ahead."""
+"""Time between waypoints; the last one that protocols judge is 3 s ahead."""
 FARTHEST_WAYPOINT_M: Final = 1e4
 """A waypoint farther than this is a mistake of units or frame (or of arithmetic), not a plan."""
 HORIZON_STEPS: Final = {"1s": 2, "2s": 4, "3s": 6}
 """Number of waypoints up to each reported horizon."""
+LONGER_HORIZON_STEPS: Final = {"4s": 8, "5s": 10, "6s": 12}
+"""The same for horizons that are reported of plans that reach so far."""
 
 EGO_LENGTH_M: Final = 4.084
 EGO_WIDTH_M: Final = 1.85

@@ -1,7 +1,7 @@
 """The contract of a planner under test: observation in, three-second plan out."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
@@ -9,7 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
+from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, LONGEST_PLAN_STEPS, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.scene import Camera, LidarMount, Scene
@@ -132,14 +132,14 @@ class Plan:
     """Where a planner wants to be.
 
     Attributes:
-        waypoints: (6, 2) metres at 0.5 s steps to 3 s, in ``frame`` at the sample's time.
+        waypoints: (N, 2) metres at 0.5 s steps, 6 (3 s) to 16 (8 s) of them, in ``frame`` at the sample's time.
         frame: See `PlanFrame`.
-        modes: (M, 6, 2) all alternatives, or ``None``.
+        modes: (M, 6, 2) or (M, N, 2) all alternatives, or ``None``.
         mode_scores: (M,) their scores, or ``None``.
         forecasts: Expected motion of others, or ``None``.
 
     Raises:
-        InputError: If the waypoints are not (6, 2) finite numbers within 10 km.
+        InputError: If the waypoints are not (6 to 16, 2) finite numbers within 10 km.
     """
 
     waypoints: Floats
@@ -149,8 +149,11 @@ class Plan:
     forecasts: Forecasts | None = None
 
     def __post_init__(self) -> None:
-        if self.waypoints.shape != (PLAN_STEPS, 2):
-            raise InputError(f"a plan needs {PLAN_STEPS} waypoints of x and y, this one has {self.waypoints.shape}")
+        shape = self.waypoints.shape
+        if len(shape) != 2 or shape[1] != 2 or not PLAN_STEPS <= shape[0] <= LONGEST_PLAN_STEPS:
+            raise InputError(
+                f"a plan needs {PLAN_STEPS} to {LONGEST_PLAN_STEPS} waypoints of x and y, this one has {shape}"
+            )
         if not np.isfinite(self.waypoints).all():
             raise InputError("a plan's waypoints must be finite numbers, this one has NaN or infinity")
         if np.abs(self.waypoints).max() > FARTHEST_WAYPOINT_M:
@@ -159,6 +162,14 @@ class Plan:
                 "global coordinates are no plan"
             )
 
+    @property
+    def judged(self) -> "Plan":
+        """Its first 3 s, which protocols judge: a plan that goes on gets the verdicts of one that ends there."""
+        if len(self.waypoints) == PLAN_STEPS:
+            return self
+        modes = None if self.modes is None else self.modes[:, :PLAN_STEPS]
+        return replace(self, waypoints=self.waypoints[:PLAN_STEPS], modes=modes)
+
     def waypoints_in_lidar(self, lidar_ahead_m: float = LIDAR_FROM_REAR_AXLE_M) -> Floats:
         """The waypoints as positions of the lidar origin, x right, y forward: what every protocol reads.
 
@@ -166,7 +177,7 @@ class Plan:
             lidar_ahead_m: Lidar origin ahead of the rear axle.
 
         Returns:
-            (6, 2) metres.
+            (N, 2) metres.
         """
         return waypoints_in_lidar(self.waypoints, self.frame, lidar_ahead_m)
 
@@ -199,7 +210,7 @@ class Planner(Protocol):
         """Forget the previous scene."""
 
     def plan(self, observation: Observation) -> Plan:
-        """Plan the next three seconds.
+        """Plan the next three seconds, or up to eight.
 
         An exception is recorded as a failure of this sample with its traceback, never as a zero.
         """

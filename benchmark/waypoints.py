@@ -12,7 +12,7 @@ def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float) -> F
     turns with the car.
 
     Args:
-        waypoints: (..., 6, 2) metres.
+        waypoints: (..., N, 2) metres.
         frame: ``lidar`` or ``ego`` (`benchmark.planning.PlanFrame`).
         lidar_ahead_m: Lidar origin ahead of the rear axle.
 

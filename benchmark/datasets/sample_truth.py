@@ -19,12 +19,13 @@ KEYFRAMES_BEFORE = 2
 """Keyframes before the present in which an object may have been seen: the last second."""
 
 
-def truth_of_scene(scene: Scene, sample_tokens: Sequence[str]) -> tuple[SampleTruth, ...]:
+def truth_of_scene(scene: Scene, sample_tokens: Sequence[str], steps: int = PLAN_STEPS) -> tuple[SampleTruth, ...]:
     """What really happened around each sample, for protocols.
 
     Args:
         scene: The scene; its annotations are used as they are, never the interpolated tracks.
         sample_tokens: K tokens.
+        steps: How many steps ahead; six are what protocols take.
 
     Returns:
         One truth a sample, in time order.
@@ -33,7 +34,8 @@ def truth_of_scene(scene: Scene, sample_tokens: Sequence[str]) -> tuple[SampleTr
     boxes_yaw = yaw_of_quaternion(scene.annotations.rotation)
     surfaces = None if scene.road_map.drivable_area.is_empty else RoadSurfaces(scene.road_map)
     return tuple(
-        _truth(scene, token, index, lidar_poses, boxes_yaw, surfaces) for index, token in enumerate(sample_tokens)
+        _truth(scene, token, index, lidar_poses, boxes_yaw, surfaces, steps)
+        for index, token in enumerate(sample_tokens)
     )
 
 
@@ -70,17 +72,18 @@ def command_of(future: Floats, valid: Bools) -> Command:
     return Command.LEFT if lateral_m <= -COMMAND_LATERAL_M else Command.STRAIGHT
 
 
-def ego_future(lidar_poses: Floats, index: int) -> tuple[Floats, Bools]:
-    """Recorded lidar poses at the six plan steps, in the lidar frame of a keyframe.
+def ego_future(lidar_poses: Floats, index: int, count: int = PLAN_STEPS) -> tuple[Floats, Bools]:
+    """Recorded lidar poses at the plan's steps, in the lidar frame of a keyframe.
 
     Args:
         lidar_poses: (K, 3) global poses at the keyframes.
         index: The keyframe.
+        count: How many steps ahead.
 
     Returns:
-        (6, 3) x right, y forward, yaw (held past the end) and (6,) whether the keyframe exists.
+        (N, 3) x right, y forward, yaw (held past the end) and (N,) whether the keyframe exists.
     """
-    steps = index + 1 + np.arange(PLAN_STEPS)
+    steps = index + 1 + np.arange(count)
     valid = steps < len(lidar_poses)
     return _in_lidar(lidar_poses[np.minimum(steps, len(lidar_poses) - 1)], lidar_poses[index]), valid
 
@@ -93,21 +96,27 @@ def _in_lidar(poses: Floats, frame: Floats) -> Floats:
 
 
 def _truth(
-    scene: Scene, token: str, index: int, lidar_poses: Floats, boxes_yaw: Floats, surfaces: RoadSurfaces | None
+    scene: Scene,
+    token: str,
+    index: int,
+    lidar_poses: Floats,
+    boxes_yaw: Floats,
+    surfaces: RoadSurfaces | None,
+    count: int,
 ) -> SampleTruth:
     known = scene.annotations
     axle_poses = scene.ego.pose[scene.keyframes]
-    steps = index + np.arange(PLAN_STEPS + 1)
+    steps = index + np.arange(count + 1)
     exists = steps < len(scene.keyframes)
     steps = np.minimum(steps, len(scene.keyframes) - 1)
     seen = np.flatnonzero((known.valid[:, steps] & exists).any(axis=-1))
     annotated: NDArray[np.bool_] = known.valid[seen][:, steps] & exists
-    rows, columns = seen[:, None], steps[nearest_valid(annotated)] if len(seen) else np.zeros((0, 7), np.int64)
+    rows, columns = seen[:, None], steps[nearest_valid(annotated)] if len(seen) else np.zeros((0, count + 1), np.int64)
     poses = np.concatenate([known.position[rows, columns, :2], boxes_yaw[rows, columns][..., None]], axis=-1)
     local = _in_lidar(poses, lidar_poses[index])
     boxes = np.concatenate([local[..., :2], known.size[rows, columns, :2], local[..., 2:]], axis=-1)
     lidar_points, radar_points = known.num_lidar_pts[rows, columns], known.num_radar_pts[rows, columns]
-    future, future_valid = ego_future(lidar_poses, index)
+    future, future_valid = ego_future(lidar_poses, index, count)
     past = slice(max(index - KEYFRAMES_BEFORE, 0), index + 1)
     return SampleTruth(
         scene=scene.name,

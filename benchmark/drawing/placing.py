@@ -123,8 +123,9 @@ def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
     # The lidar frame's first axis points to the right.
     lidar = np.array([*(axle[:2] + ahead * heading), axle[2] - np.pi / 2])
     try:
-        waypoints = waypoints_in_lidar(np.array(plan.waypoints, np.float64).reshape(PLAN_STEPS, 2), plan.frame, ahead)
-        modes = np.array(plan.modes or [], np.float64).reshape(-1, PLAN_STEPS, 2)
+        judged = np.array(plan.waypoints[:PLAN_STEPS], np.float64).reshape(PLAN_STEPS, 2)
+        waypoints = waypoints_in_lidar(judged, plan.frame, ahead)
+        modes = np.array([mode[:PLAN_STEPS] for mode in plan.modes or []], np.float64).reshape(-1, PLAN_STEPS, 2)
         forecasts = None if plan.forecasts is None else _forecasts(row, lidar)
     except (ValueError, IndexError) as error:
         raise InputError(

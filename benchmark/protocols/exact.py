@@ -110,14 +110,31 @@ class Exact:
         }
 
 
-def ego_boxes(plans_lidar: Floats) -> Floats:
-    """The ego's rectangle at the 30 instants 0.1, 0.2, ... 3.0 s of a plan.
+def judged_longer(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[Bools, Floats]:
+    """Plans of any number of steps, by the same definition.
 
     Args:
-        plans_lidar: (..., 6, 2) waypoints of the lidar origin, x right, y forward, metres.
+        truths: S samples with as many steps (`benchmark.datasets.sample_truth.truth_of_scene`).
+        plans_lidar: (S, N, 2) waypoints of the lidar origin, x right, y forward, metres.
 
     Returns:
-        (..., 30, 5) boxes.
+        (S, N) contact at each step and (S, N) displacement, NaN where the recorded ego does not exist.
+    """
+    contact, _ = contacts(ego_boxes(plans_lidar), truths)
+    offset = plans_lidar - np.array([truth.ego_future for truth in truths])[..., :2]
+    valid = np.array([truth.ego_future_valid for truth in truths])
+    l2 = np.where(valid, np.hypot(offset[..., 0], offset[..., 1]), np.nan)
+    return contact.reshape(*plans_lidar.shape[:2], INSTANTS_PER_STEP).any(axis=-1), l2
+
+
+def ego_boxes(plans_lidar: Floats) -> Floats:
+    """The ego's rectangle at the instants 0.1, 0.2, ... s of a plan: 30 of them for 3 s.
+
+    Args:
+        plans_lidar: (..., N, 2) waypoints of the lidar origin, x right, y forward, metres.
+
+    Returns:
+        (..., 5 N, 5) boxes.
     """
     plans = np.asarray(plans_lidar, np.float64)
     heading = chord_headings(plans, start_heading_rad=np.pi / 2)
@@ -125,7 +142,7 @@ def ego_boxes(plans_lidar: Floats) -> Floats:
     start = np.broadcast_to([0.0, 0.0, np.pi / 2], (*poses.shape[:-2], 1, 3))
     before = np.concatenate([start, poses[..., :-1, :]], axis=-2)
     boxes = footprints_between(before, poses)
-    return boxes.reshape(*poses.shape[:-2], PLAN_STEPS * INSTANTS_PER_STEP, 5)
+    return boxes.reshape(*poses.shape[:-2], poses.shape[-2] * INSTANTS_PER_STEP, 5)
 
 
 def footprints_between(first: Floats, second: Floats) -> Floats:

@@ -179,6 +179,18 @@ class DrivingRow(Stored):
     ttc_s: float | None
 
 
+class LongerRow(Stored):
+    """What ``exact`` says of a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
+
+    Attributes:
+        collision: Contact at each step.
+        l2: Displacement from the recorded ego, metres; null past the end of the scene.
+    """
+
+    collision: list[bool]
+    l2: list[float | None]
+
+
 class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
@@ -201,6 +213,7 @@ class SampleRow(Stored):
             (`benchmark.metrics.disagreement`).
         driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or there is no
             map with lanes; null in records of schema 1 and 2.
+        longer: Verdicts beyond 3 s, or null where the plan ends there.
     """
 
     scene: str
@@ -219,6 +232,7 @@ class SampleRow(Stored):
     diagnosis: DiagnosisRow | None = None
     disagreements: dict[str, str] = Field(default_factory=dict)
     driving: DrivingRow | None = None
+    longer: LongerRow | None = None
 
 
 class RateRow(Stored):

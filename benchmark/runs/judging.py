@@ -3,12 +3,14 @@
 The verdict on a sample depends on that sample alone, so a scene judged today gives the bytes that it gave in the run.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmark.constants import PLAN_STEPS
+from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
+from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.diagnosis import diagnose
@@ -16,12 +18,16 @@ from benchmark.metrics.disagreement import EXACT, disagreements
 from benchmark.pdm.judging import judge_scene
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
+from benchmark.protocols.exact import judged_longer
 from benchmark.records.run_schema import SampleRow
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+
+LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
+"""Steps of a plan that anything is said about."""
 
 
 def judge(
@@ -30,6 +36,7 @@ def judge(
     protocols: Sequence[str],
     *,
     scene: Scene | None = None,
+    longer: Callable[[int], Sequence[SampleTruth]] | None = None,
 ) -> list[SampleRow]:
     """Put what really happened and the verdicts beside the plans.
 
@@ -38,6 +45,8 @@ def judge(
         truths: One for each sample, in the same order.
         protocols: Who judges.
         scene: The scene with its map, for driving scores; without it there are none.
+        longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
+            said beyond 3 s.
 
     Returns:
         One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is
@@ -50,7 +59,8 @@ def judge(
     if [row["sample_token"] for row in rows] != [truth.sample_token for truth in truths]:
         raise ValueError(f"plans and truth of {rows[0]['scene'] if rows else 'a scene'} do not have the same samples")
     planned = [index for index, row in enumerate(rows) if row["plan"] is not None]
-    happened, plans = [truths[index] for index in planned], [plan_of(rows[index]["plan"]) for index in planned]
+    happened, whole = [truths[index] for index in planned], [plan_of(rows[index]["plan"]) for index in planned]
+    plans = [plan.judged for plan in whole]
     in_lidar = np.array([plan.waypoints_in_lidar(truth.lidar_ahead_m) for plan, truth in zip(plans, happened)]).reshape(
         -1, PLAN_STEPS, 2
     )
@@ -59,9 +69,11 @@ def judge(
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
     driven = _driven(scene, dict(zip(planned, plans)), len(rows))
+    beyond = longer_verdicts(dict(zip(planned, whole)), longer) if EXACT in outcomes else {}
     for place, index in enumerate(planned):
         findings[index] = {
             "driving": driven[index],
+            "longer": beyond.get(index),
             "outcomes": {name: found[place] for name, found in verdicts.items()},
             "diagnosis": causes[place],
             "disagreements": differences[place],
@@ -93,6 +105,53 @@ def _driven(scene: Scene | None, plans: Mapping[int, Plan], count: int) -> list[
         return [None] * count
     verdicts = judge_scene(scene, [plans.get(index) for index in range(count)])
     return [None if verdict is None else verdict.as_json() for verdict in verdicts]
+
+
+def longer_truth(data: "DataSet", scene: str, steps: int) -> tuple[SampleTruth, ...]:
+    """What really happened around each sample of a scene, for more steps than protocols need.
+
+    Args:
+        data: The data set.
+        scene: Scene name.
+        steps: How many.
+
+    Returns:
+        One truth a sample, in time order.
+
+    Raises:
+        InputError: If the scene is unknown or broken.
+    """
+    return truth_of_scene(data.scene(scene), [truth.sample_token for truth in data.truth(scene)], steps)
+
+
+def longer_verdicts(
+    plans: Mapping[int, Plan], longer: Callable[[int], Sequence[SampleTruth]] | None
+) -> dict[int, dict[str, Any]]:
+    """What ``exact`` says of plans that go on beyond 3 s, up to 6 s.
+
+    Args:
+        plans: By number of the sample.
+        longer: The truths of all samples with so many steps.
+
+    Returns:
+        For each plan that goes on, contact at each step of the whole plan and its displacement, null past the scene.
+    """
+    steps_of = {index: min(len(plan.waypoints), LONGEST_JUDGED) for index, plan in plans.items()}
+    found: dict[int, dict[str, Any]] = {}
+    for steps in sorted(set(steps_of.values()) - {PLAN_STEPS}) if longer is not None else ():
+        assert longer is not None
+        truths = longer(steps)
+        chosen = [index for index in plans if steps_of[index] == steps]
+        waypoints = [
+            replace(plans[index], waypoints=plans[index].waypoints[:steps]).waypoints_in_lidar(
+                truths[index].lidar_ahead_m
+            )
+            for index in chosen
+        ]
+        collision, l2 = judged_longer([truths[index] for index in chosen], np.array(waypoints))
+        for index, hits, metres in zip(chosen, collision.tolist(), l2.tolist()):
+            found[index] = {"collision": hits, "l2": [None if np.isnan(one) else one for one in metres]}
+    return found
 
 
 def plan_of(row: Mapping[str, Any]) -> Plan:

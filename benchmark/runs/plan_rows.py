@@ -247,10 +247,17 @@ def _plan_json(plan: Plan) -> dict[str, Any]:
     return {
         "frame": plan.frame.value,
         "waypoints": np.asarray(plan.waypoints, float).tolist(),
-        "modes": None if modes is None else _numbers(modes, (len(modes), PLAN_STEPS, 2), "modes"),
+        "modes": None if modes is None else _numbers(modes, (len(modes), _mode_steps(plan), 2), "modes"),
         "mode_scores": None if scores is None else _numbers(scores, (count,), "mode scores"),
         "forecasts": None if forecasts is None else _forecasts_json(forecasts),
     }
+
+
+def _mode_steps(plan: Plan) -> int:
+    """How many steps modes may have: those of the plan, or of a plan of 3 s."""
+    assert plan.modes is not None
+    given, own = np.shape(plan.modes), len(plan.waypoints)
+    return own if len(given) == 3 and given[1] == own else PLAN_STEPS
 
 
 def _forecasts_json(forecasts: Forecasts) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
 from benchmark.records.run_schema import SCHEMA, SampleRow
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
-from benchmark.runs.judging import judge, scene_with_map
+from benchmark.runs.judging import judge, longer_truth, scene_with_map
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -166,7 +167,7 @@ def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple
     truths = data.truth(scene)
     if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in truths]:
         raise InputError(f"{record.directory} does not hold the samples of {scene}; run challenger-bench eval again")
-    return judge(plans, truths, protocols, scene=scene_with_map(data, scene))
+    return judge(plans, truths, protocols, scene=scene_with_map(data, scene), longer=partial(longer_truth, data, scene))
 
 
 def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: list[SampleRow], versions: dict[str, int]) -> bool:

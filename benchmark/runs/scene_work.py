@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts, SampleRow
-from benchmark.runs.judging import judge, scene_with_map
+from benchmark.runs.judging import judge, longer_truth, scene_with_map
 from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key
 
 if TYPE_CHECKING:
@@ -68,7 +69,13 @@ def work_here(run: Run, data: "DataSet", planner: Planner, scene: str) -> SceneR
     """
     key = scene_key(run.fingerprint, run.split, scene, run.planner)
     planned = plan_scene(planner, data, scene, rows_path(run.directory, scene), key, fresh=run.fresh)
-    judged = judge(planned.rows, data.truth(scene), run.protocols, scene=scene_with_map(data, scene))
+    judged = judge(
+        planned.rows,
+        data.truth(scene),
+        run.protocols,
+        scene=scene_with_map(data, scene),
+        longer=partial(longer_truth, data, scene),
+    )
     return SceneResult(scene, judged, planned.seconds)
 
 

@@ -13,6 +13,7 @@ from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, re
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.further_columns import further_table
+from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.published import is_variant, published_cells, published_rate
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes
 
@@ -99,7 +100,8 @@ def run_tables(
         allow_partial: Whether runs count in which the planner failed on samples; their rates leave those out.
 
     Returns:
-        One table for each protocol; none if there are no runs to show.
+        One table for each protocol, one more for its further rates where it has some, and unasked one for plans that go
+        on beyond 3 s; none if there are no runs to show.
     """
     shown = records if allow_partial else [record for record in records if record.complete]
     own = any(record.run.planner.native_protocol for record in shown)
@@ -112,7 +114,8 @@ def run_tables(
         for name in names
         if shown
     ]
-    return [table for both in tables for table in both if table is not None]
+    beyond = longer_table(data_name, shown) if protocols is None else None
+    return [table for table in (*(table for both in tables for table in both), beyond) if table is not None]
 
 
 def increase_over(baseline: float | None, rate: float | None) -> float | None:

@@ -19,6 +19,7 @@ from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.further_columns import further_table
+from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
 from leaderboard.tables.runtime import runtime_tables
@@ -80,7 +81,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
             matrix, of_transfer = _transfer_tables(data_name, split, name, records)
             front += of_transfer
             matrices |= {} if matrix is None else {of_transfer[0].name: matrix}
-    front.append(consistency_table(data_name, records))
+    front += [longer_table(data_name, records), consistency_table(data_name, records)]
     if EXACT in protocols:
         front += diagnosis_tables(data_name, records)
         disagreements = (disagreement_table(data_name, split, records) for split in splits)

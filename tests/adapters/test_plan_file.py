@@ -165,3 +165,21 @@ def test_times_are_whole_microseconds(tmp_path: Path) -> None:
 def test_lidar_plans_stay_lidar_plans(tmp_path: Path) -> None:
     rows = [{**row, "frame": "lidar"} for row in rows_for(town_of_two())]
     assert set(read_plan_file(write(tmp_path / "plans.csv", rows)).frames) == {PlanFrame.LIDAR}
+
+
+def test_a_file_of_longer_plans(tmp_path: Path) -> None:
+    data = town_of_two()
+    rows = rows_for(data)
+    for one in rows:
+        one.update({f"{axis}{step}": 4.0 * step if axis == "x" else 0.25 for step in range(7, 13) for axis in "xy"})
+    record = evaluate(data, "val", plan_file_factory(write(tmp_path / "far.csv", rows), data, "val"), tmp_path / "out")
+    assert all(row.plan is not None and len(row.plan.waypoints) == 12 for row in record.rows)
+    del rows[0]["y9"]
+    for one in rows[1:]:
+        del one["y9"]
+    with pytest.raises(InputError, match="has no column y9"):
+        read_plan_file(write(tmp_path / "gap.csv", rows))
+    for one in rows:
+        one.update({"y9": 0.25, "x17": 1.0})
+    with pytest.raises(InputError, match="unknown columns x17"):
+        read_plan_file(write(tmp_path / "too-far.csv", rows))

@@ -1,0 +1,59 @@
+"""Collision and L2 at 4, 5 and 6 s, of plans that reach so far: by the definition of ``exact``, from rows alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.constants import LONGER_HORIZON_STEPS
+from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.run import RunRecord
+
+HORIZONS = tuple(LONGER_HORIZON_STEPS)
+
+
+@dataclass(frozen=True, slots=True)
+class LongerRates:
+    """Rates of a record beyond 3 s.
+
+    Attributes:
+        collision: By horizon, any contact up to there; the denominator are the samples whose plan and whose recording
+            both reach the horizon.
+        l2: By horizon, displacement there, metres.
+    """
+
+    collision: dict[str, Rate]
+    l2: dict[str, Rate]
+
+
+def longer_rates(record: RunRecord) -> LongerRates | None:
+    """Rates at 4, 5 and 6 s.
+
+    Args:
+        record: The record.
+
+    Returns:
+        The rates, or ``None`` where no plan reaches 4 s.
+    """
+    sources = source_of_scenes(record)
+    nearest = min(LONGER_HORIZON_STEPS.values())
+    rows = [row for row in record.rows if row.longer is not None and len(row.longer.collision) >= nearest]
+    if not rows:
+        return None
+    values = np.zeros((2, len(rows), len(HORIZONS)))
+    counted = np.zeros((len(rows), len(HORIZONS)))
+    for place, row in enumerate(rows):
+        assert row.longer is not None
+        for column, steps in enumerate(LONGER_HORIZON_STEPS.values()):
+            metres = row.longer.l2[:steps]
+            last = metres[-1]
+            if len(metres) < steps or None in metres or last is None:
+                continue
+            counted[place, column] = 1.0
+            values[:, place, column] = any(row.longer.collision[:steps]), last
+    scenes = [sources[row.scene] for row in rows]
+    collision, l2 = (
+        dict(zip(HORIZONS, ratios_over_scenes(part, counted, scenes, seed=record.run.seed), strict=True))
+        for part in values
+    )
+    return LongerRates(collision, l2)
