@@ -143,7 +143,6 @@ REFERENCE: Final[tuple[Departure, ...]] = (
         "it is not",
         "the code's array is zero before the launch, so that its rule never fires",
     ),
-    _CLEAN,
     Departure(
         "a bad scene is planned to its end and then dropped",
         "planning ends where the reason shows",
