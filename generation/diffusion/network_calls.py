@@ -15,7 +15,7 @@ from generation.diffusion.denoiser import TrajectoryDenoiser
 from generation.diffusion.residual_network import present_features
 from generation.diffusion.schedule import Denoise
 
-PROCESSOR_ROWS: Final = 256
+PROCESSOR_ROWS: Final = 320
 """Trajectories of one network call on a processor: their features fit into its cache."""
 ACCELERATOR_ROWS: Final = 4096
 """Trajectories of one network call on an accelerator. Fixed, and filled up where there are fewer, because a matrix

@@ -19,6 +19,7 @@ from benchmark.machine.storage import content_key, file_sha256
 from generation.diffusion.bank import bank_beside, normal_noise, read_bank
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser
 from generation.diffusion.denoiser import TrajectoryDenoiser
+from generation.diffusion.drivable_draws import DRAWN_FIRST, Draws, most_drivable
 from generation.diffusion.fast_sampling import solve, solver_timesteps
 from generation.diffusion.kinematics import motion
 from generation.diffusion.network_calls import ACCELERATOR_ROWS, NetworkCalls, device_of
@@ -30,8 +31,6 @@ MOST_BATCHES: Final = 8
 """Batches that are drawn at most in search of drivable trajectories."""
 SOLVER_CALLS: Final = 8
 """Network calls of a fast full process; the model card says what fewer and more give."""
-REDRAWN_BESIDE: Final = 8
-"""More than the share so far asks for are drawn again, so that one more batch is usually enough."""
 SLOWER_X: Final = (0.2, 0.8)
 FASTER_X: Final = (1.2, 1.8)
 BOTH_AXES: Final = (0.5, 1.5)
@@ -220,15 +219,16 @@ class TrajectoryPrior:
         waypoints = waypoints_from_actions(bank, previous)
         if self.settings.drivable:
             excess = motion(waypoints, previous).excess
-            waypoints = waypoints[_most_drivable(excess, min(count, len(waypoints)))]
+            waypoints = waypoints[most_drivable(excess, min(count, len(waypoints)))]
         chosen = request.rng.choice(len(waypoints), size=count, replace=count > len(waypoints))
         return np.asarray(waypoints[chosen])
 
     def _sample_together(self, requests: Sequence[Sampling]) -> list[Floats]:
         """Full reverse processes, repeated for those that have not enough that suit the speed."""
-        drawn = [_Drawn(np.zeros((0, WAYPOINTS, CHANNELS)), np.zeros(0)) for _ in requests]
+        drawn = [Draws.none() for _ in requests]
         previous = [_pose(request.previous) for request in requests]
-        wanted = {index: _count(request.count) for index, request in enumerate(requests)}
+        more = DRAWN_FIRST if self.settings.drivable else 1.0
+        wanted = {index: math.ceil(more * _count(request.count)) for index, request in enumerate(requests)}
         for _ in range(MOST_BATCHES if self.settings.drivable else 1):
             if not wanted:
                 break
@@ -237,7 +237,7 @@ class TrajectoryPrior:
             actions = self._from_noise(noise, rngs, [previous[index] for index in wanted])
             for index, part in zip(wanted, actions, strict=True):
                 drawn[index] = drawn[index].and_more(waypoints_from_actions(part, previous[index]), previous[index])
-            wanted = {index: more for index in wanted if (more := drawn[index].missing(requests[index].count))}
+            wanted = {index: missing for index in wanted if (missing := drawn[index].missing(requests[index].count))}
         if not self.settings.drivable:
             return [found.waypoints for found in drawn]
         return [found.best(request.count) for found, request in zip(drawn, requests, strict=True)]
@@ -318,30 +318,6 @@ def _stored(weights: Path, settings: SamplerSettings) -> Floats:
     return read_bank(beside, weights)
 
 
-@dataclass(frozen=True, slots=True)
-class _Drawn:
-    """What was drawn for one request so far: (N, 16, 3) waypoints and how far beyond drivable each is."""
-
-    waypoints: Floats
-    excess: Floats
-
-    def and_more(self, waypoints: Floats, previous: Floats) -> _Drawn:
-        """With further waypoints."""
-        excess = motion(waypoints, previous).excess
-        return _Drawn(np.concatenate([self.waypoints, waypoints]), np.concatenate([self.excess, excess]))
-
-    def missing(self, count: int) -> int:
-        """How many more to draw so that ``count`` are drivable, by the share that was so far; 0 if there are enough."""
-        drivable = int((self.excess == 0).sum())
-        if drivable >= count:
-            return 0
-        return min(count, math.ceil(1.2 * (count - drivable) * len(self.excess) / max(drivable, 1)) + REDRAWN_BESIDE)
-
-    def best(self, count: int) -> Floats:
-        """The first drivable ones; the least bad ones fill up where there are not enough."""
-        return np.asarray(self.waypoints[_most_drivable(self.excess, count)[:count]])
-
-
 def _continuous(waypoints: Floats) -> Floats:
     """Waypoints whose headings do not jump by a full turn."""
     waypoints = np.asarray(waypoints, np.float64)
@@ -358,13 +334,6 @@ def _count(count: int) -> int:
     if count < 1:
         raise InputError(f"at least one trajectory must be asked for, got {count}")
     return count
-
-
-def _most_drivable(excess: Floats, at_least: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Indices of the drivable trajectories; the least bad ones fill up where there are not enough."""
-    order = np.argsort(excess, kind="stable")
-    chosen = order[: max(int((excess == 0).sum()), at_least)]
-    return np.asarray(chosen, dtype=np.int64)
 
 
 def _pose(previous: Floats) -> Floats:
