@@ -27,6 +27,8 @@ from generation.diffusion.schedule import STEPS, Denoise, add_noise, reverse, st
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS, actions_from_waypoints, waypoints_from_actions
 from generation.search.proposals import Mutation, Request, Sampling
 
+SAMPLER_VERSION: Final = "2"
+"""Part of every fingerprint; changes when the same weights and settings would give other samples."""
 MOST_BATCHES: Final = 8
 """Batches that are drawn at most in search of drivable trajectories."""
 SOLVER_CALLS: Final = 8
@@ -79,7 +81,7 @@ class TrajectoryPrior:
     expected to use one thread (`benchmark.machine.workers.single_threaded`).
 
     Attributes:
-        fingerprint: SHA-256 of weights, bank and sampler settings.
+        fingerprint: Content key of weights, bank, sampler settings and the sampler's version.
         settings: How the network is asked.
     """
 
@@ -141,7 +143,7 @@ class TrajectoryPrior:
         stored = settings.samples is Samples.STORED
         held = _stored(weights, settings) if stored else None
         digests = [file_sha256(weights), file_sha256(bank_beside(weights)) if stored else None]
-        fingerprint = content_key("trajectory prior", digests, asdict(settings), target.type)
+        fingerprint = content_key("trajectory prior", SAMPLER_VERSION, digests, asdict(settings), target.type)
         block = None if target.type == "cpu" else ACCELERATOR_ROWS
         return cls(denoiser, settings, fingerprint, held, target, block)
 
