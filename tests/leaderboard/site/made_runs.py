@@ -12,7 +12,7 @@ from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
 from benchmark.planning import Command, PlanFrame
-from benchmark.protocols import PROTOCOLS, Outcomes
+from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.records.run import write_record
 from benchmark.records.run_schema import (
     DataFacts,
@@ -28,7 +28,7 @@ from tests.leaderboard.site.made_scenes import MadeScene
 
 NEAR_M = 30.0
 """Others farther from the ego than this are left out of the truth."""
-VERSIONS = {name: definition.version for name, definition in PROTOCOLS.items()}
+VERSIONS = {name: PROTOCOLS[name].version for name in STANDARD}
 CAUSES_OF_FORECASTERS = (("misforecasting", "plan clear of forecast"), ("misplanning", "plan hits forecast"))
 _EXTRA_STEPS = {"uniad": 3, "vad": 3, "vad-23": 3, "sparsedrive": 2, "diffusiondrive": 2}
 
