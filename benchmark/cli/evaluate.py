@@ -1,7 +1,7 @@
 """Commands that judge planners and pictures: ``eval``, ``rescore``, ``transfer`` and ``quality``."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -35,6 +35,7 @@ from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+    from benchmark.evaluation import EvalSettings
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
@@ -121,7 +122,7 @@ def eval_command(
         names = ", ".join(factory.facts.name for factory in factories)
         say_plan([f"would run {names} on {where}"], json_output=json_output)
         return
-    records = [evaluate(dataset, split, factory, run_root, settings) for factory in factories]
+    records = [evaluate(dataset, split, each, run_root, _also_by_its_own(settings, each)) for each in factories]
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
     sound = _show_runs(source.name, records, shown, allow_partial=allow_partial, wide=wide, json_output=json_output)
@@ -272,6 +273,12 @@ def quality_command(
         (f"leaderboard{same_place('mini', out)}", "all records in tables beside the paper's"),
         json_output=json_output,
     )
+
+
+def _also_by_its_own(settings: "EvalSettings", factory: "PlannerFactory") -> "EvalSettings":
+    """The settings with the planner's own protocol among the judges, if it has one."""
+    own = factory.facts.native_protocol
+    return settings if own is None else replace(settings, protocols=tuple(dict.fromkeys([*settings.protocols, own])))
 
 
 def _protocols_to_show(names: list[str] | None) -> tuple[str, ...] | None:

@@ -23,7 +23,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global
 from benchmark.planning import CameraView, Observation, SceneInfo
-from benchmark.protocols import PROTOCOLS
+from benchmark.protocols import STANDARD
 from benchmark.protocols.exact import Exact
 from benchmark.records.run import find_records, load_record
 from benchmark.runs.plan_rows import facts_of
@@ -112,7 +112,7 @@ def test_damaged_rows_are_planned_again(tmp_path: Path) -> None:
 
 def test_records_hold_every_protocol_and_the_facts_of_their_scenes(tmp_path: Path) -> None:
     record = evaluate(town_of_two(), "val", Straight(), tmp_path, EvalSettings(limit=1))
-    assert set(record.run.protocols) == set(PROTOCOLS) == set(record.summary.protocols) == set(record.rows[0].outcomes)
+    assert set(record.run.protocols) == set(STANDARD) == set(record.summary.protocols) == set(record.rows[0].outcomes)
     assert {name: facts.source for name, facts in record.run.scene_facts.items()} == {"scene-9901": "scene-9901"}
     assert record.missing_protocols == record.stale_protocols == ()
 

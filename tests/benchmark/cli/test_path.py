@@ -181,3 +181,22 @@ def test_explaining_protocols_prints_a_table_and_draws_cases(town: Path, out: Pa
     assert all(text in run.out for text in ("misses", "protocol vad", "protocol exact"))
     unknown = challenger_bench("eval", *common, "--protocol", "guess")
     assert (unknown.code, unknown.err.count("\n")) == (2, 1)
+
+
+def test_further_protocols_judge_on_request_and_whenever_plans_are_judged_anew(town: Path, tmp_path: Path) -> None:
+    common = ("--model", "constant-velocity", "--data", town, "--split", "val", "--limit", "1", "--out", tmp_path)
+    plain = done(challenger_bench("eval", *common, "--json")).json[0]["protocols"]
+    assert set(plain) == {"exact", "uniad", "vad", "vad-23", "sparsedrive", "diffusiondrive"}
+    run = done(challenger_bench("eval", *common, "--protocol", "bev-planner", "--protocol", "omnidrive"))
+    assert all(text in run.out for text in ("protocol bev-planner", "further rates (%), protocol omnidrive", "kerb"))
+    asked = done(challenger_bench("eval", *common, "--json", "--protocol", "omnidrive")).json[0]["protocols"]
+    assert set(asked) == {*plain, "omnidrive"} and {name: asked[name] for name in plain} == plain
+    assert asked["omnidrive"]["columns"]["off_road"]["3s"]["denominator"] > 0
+    says = [
+        done(challenger_bench("rescore", "--data", town, "--out", tmp_path, "--json")).json[0]["says"] for _ in "ab"
+    ]
+    assert says == ["rescored", "current"]
+    (path,) = tmp_path.rglob("summary.json")
+    summary = json.loads(path.read_text())["protocols"]
+    assert {"stp3", "safemvdrive-box", "opendrivevla", "agent-driver-stp3"} < set(summary)
+    assert summary["omnidrive"] == asked["omnidrive"]

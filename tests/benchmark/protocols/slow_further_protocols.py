@@ -5,11 +5,12 @@ Whole rasters are drawn for every step, and the warp of ST-P3 is PyTorch's, as i
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import cv2
 import numpy as np
+import shapely
 import torch
 from numpy.typing import NDArray
 from torch.nn import functional
@@ -31,6 +32,7 @@ class FurtherVerdicts:
     steps: dict[str, list[bool]]
     values: dict[str, list[float]]
     rasters: list[Grid] = field(default_factory=list)
+    l2: list[float] = field(default_factory=list)
 
 
 def ego_pose(lidar: tuple[float, float, float], ahead: float) -> Floats:
@@ -97,7 +99,8 @@ def slow_stp3(sample: SampleTruth, plan: Floats) -> FurtherVerdicts:
     steps = {"before_mask": before, "recorded": recorded, "collision": collision, "obj_col": obj_col}
     values = {name: means(flags) for name, flags in {"collision": collision, "obj_col": obj_col}.items()}
     values["l2"] = means(slow.displacements(sample, plan))
-    return FurtherVerdicts(all(sample.ego_future_valid) and sample.index >= 2, steps, values, rasters)
+    apart = slow.displacements(sample, plan)
+    return FurtherVerdicts(all(sample.ego_future_valid) and sample.index >= 2, steps, values, rasters, apart)
 
 
 def warped(raster: Grid, motion: NDArray[np.float32]) -> Grid:
@@ -154,12 +157,24 @@ def slow_bev_planner(sample: SampleTruth, plan: Floats) -> FurtherVerdicts:
     }
     values = {name: largest(steps[name]) for name in ("collision", "obj_col", "kerb")}
     values |= {"kerb_point": means(steps["kerb_point"]), "l2": means(slow.displacements(sample, plan))}
-    return FurtherVerdicts(all(sample.ego_future_valid), steps, values, rasters)
+    return FurtherVerdicts(all(sample.ego_future_valid), steps, values, [*rasters, kerb])
 
 
 def slow_omnidrive(sample: SampleTruth, plan: Floats) -> FurtherVerdicts:
+    """From a plan of the lidar: moved to the rear axle and written."""
+    ahead, path = sample.lidar_ahead_m, []
+    for pose in slow.exact_poses(plan)[1:]:
+        heading = pose[2] - math.pi / 2
+        place = (pose[1] + ahead - ahead * math.cos(heading), -pose[0] - ahead * math.sin(heading))
+        path.append((written(place[0]), written(place[1])))
+    now, poses = axle_poses(sample)[0], axle_poses(sample)[1:]
+    local = [moved([*pose[:2], 0.0, 0.0, 0.0], np.zeros(3), now) for pose in poses]
+    return omnidrive_on(sample, path, [(place[0], place[1]) for place in local])
+
+
+def omnidrive_on(sample: SampleTruth, path: Path, own: Path) -> FurtherVerdicts:
+    """Of a plan of the rear axle as it is, beside the recorded one."""
     rasters, ahead = [], sample.lidar_ahead_m
-    path: list[tuple[float, float]] = []
     for step in range(6):
         raster = np.zeros((1000, 1000), np.uint8)
         for row, name in enumerate(sample.categories):
@@ -169,13 +184,6 @@ def slow_omnidrive(sample: SampleTruth, plan: Floats) -> FurtherVerdicts:
                 nodes = [(round((x + 50.0) / 0.1), round((y + 50.0) / 0.1)) for x, y in slow.corners(box)]
                 slow.fill(raster, nodes)
         rasters.append(raster)
-    for pose in slow.exact_poses(plan)[1:]:
-        heading = pose[2] - math.pi / 2
-        place = (pose[1] + ahead - ahead * math.cos(heading), -pose[0] - ahead * math.sin(heading))
-        path.append((written(place[0]), written(place[1])))
-    now, poses = axle_poses(sample)[0], axle_poses(sample)[1:]
-    local = [moved([*pose[:2], 0.0, 0.0, 0.0], np.zeros(3), now) for pose in poses]
-    own = [(place[0], place[1]) for place in local]
     before, recorded = (
         [slow.covers(rasters[step], foot(each, step, np.float64)) for step in range(6)] for each in (path, own)
     )
@@ -191,11 +199,37 @@ def slow_omnidrive(sample: SampleTruth, plan: Floats) -> FurtherVerdicts:
         drivable = sample.roads.drivable_cells()
         origin = [(0.0, 0.0), *path]
         turns = [math.atan2(b[1] - a[1], b[0] - a[0]) for a, b in pairwise(origin)]
-        off = [leaves(drivable, *place, turn) for place, turn in zip(path, turns)]
+        off = [leaves(drivable, place[0], place[1], turn) for place, turn in zip(path, turns)]
         steps["off_road"] = off
         off_now = leaves(drivable, 0.0, 0.0, 0.0)
         values["off_road"] = [0.0 if off_now else value for value in largest(off)]
     return FurtherVerdicts(all(sample.ego_future_valid), steps, values, rasters)
+
+
+def mirrored_points(
+    sample: SampleTruth, plan: Floats, judge: Callable[..., slow.SlowVerdicts], *, rows: bool
+) -> list[bool]:
+    """The cell below each waypoint on such a raster."""
+    rasters = judge(sample, plan).rasters
+    assert rasters is not None
+    found = []
+    for step, (x, y) in enumerate(plan.tolist()):
+        raster = rasters[step][::-1, ::-1] if rows else rasters[step][:, ::-1]
+        row, column = math.trunc((y + 49.75) / 0.5), math.trunc((-x + 49.75) / 0.5)
+        found.append(0 <= row < 200 and 0 <= column < 200 and bool(raster[row, column]))
+    return found
+
+
+def with_points(sample: SampleTruth) -> SampleTruth:
+    """The sample with lidar points on everything that is annotated."""
+    return replace(sample, has_lidar_points=sample.annotated)
+
+
+def touches_now(sample: SampleTruth, *, everything: bool) -> bool:
+    """Whether the ego touches a box now."""
+    ego = shapely.Polygon(slow.corners(slow.ego_box(0.0, 0.0, math.pi / 2)))
+    seen = sample.annotated[:, 0] & (sample.has_lidar_points[:, 0] | everything)
+    return any(ego.intersects(shapely.Polygon(slow.corners(box))) for box in sample.boxes[seen, 0])
 
 
 def slow_mirrored(
