@@ -13,7 +13,7 @@ def test_distances_with_interval_and_pairs() -> None:
     rows = [
         one
         for name in ("a", "b")
-        for one in rows_of(poses, lambda index: (index % 2) * np.array([[0.6, 0.8]] * 6), scene=name)
+        for one in rows_of(poses, lambda index: float(index % 2) * np.array([[0.6, 0.8]] * 6), scene=name)
     ]
     record = record_of(rows)
     table = consistency_table("d", [record])
