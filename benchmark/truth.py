@@ -16,6 +16,10 @@ class Roads(Protocol):
     Nothing is kept: samples hold the map that they share and a pose, never a raster.
     """
 
+    @property
+    def has_kerbs(self) -> bool:
+        """Whether the map says where roads are; without that nothing can be said of kerbs."""
+
     def kerb_lines(self) -> NDArray[np.float32]:
         """(N, 20, 2) edges of the road surface, each as 20 points at equal distances, metres."""
 

@@ -87,6 +87,12 @@ class RoadsAround:
     surfaces: RoadSurfaces
     axle_pose: Floats
 
+    @property
+    def has_kerbs(self) -> bool:
+        """Whether the map has road segments or lanes with a surface."""
+        road_map = self.surfaces.road_map
+        return bool(road_map.road_segments) or any(lane.polygon is not None for lane in road_map.lanes.values())
+
     def kerb_lines(self) -> NDArray[np.float32]:
         """Edges of the union of road segments and lanes in a patch of 102.4 m x 50 m around the rear axle.
 

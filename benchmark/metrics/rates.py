@@ -107,7 +107,7 @@ def rates(
     for column, by_horizon in definition.sample_values(outcomes).items():
         values = with_average(by_horizon)
         said = ~np.isnan(values)
-        weights = (said & outcomes.counted[:, None]).astype(np.float64)
+        weights = np.where(said, outcomes.counted[:, None], False).astype(np.float64)
         found = ratios_over_scenes(np.where(said, values, 0.0) * weights, weights, scenes, seed=seed)
         columns[column] = dict(zip(HORIZONS, found))
     return columns

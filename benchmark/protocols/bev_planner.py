@@ -117,7 +117,7 @@ class BEVPlanner:
                 "kerb": kerb & ~kerb_recorded,
                 "kerb_point": kerb_point & ~kerb_recorded,
             },
-            facts={"map": tuple(roads is not None for roads in stacked.roads)},
+            facts={"map": tuple(roads is not None and roads.has_kerbs for roads in stacked.roads)},
         )
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
@@ -207,7 +207,8 @@ def _kerbs_of(
     bounds = [tuple(bound.reshape(-1, PLAN_STEPS, 2) for bound in one.bounds()) for one in looked_at]
     low = np.min([first.min(axis=1) for first, _ in bounds], axis=0) - 1
     high = np.max([last.max(axis=1) for _, last in bounds], axis=0) + 1
-    parts = [np.zeros((0, 2, 2), np.int32) if around is None else kerb_cells(around) for around in roads]
+    none = np.zeros((0, 2, 2), np.int32)
+    parts = [none if around is None or not around.has_kerbs else kerb_cells(around) for around in roads]
     lines, sample_of = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     first, last = (turn(lines[:, 0], lines[:, 1])[:, ::-1] for turn in (np.minimum, np.maximum))
     near = ((first <= high[sample_of]) & (last >= low[sample_of])).all(axis=-1)

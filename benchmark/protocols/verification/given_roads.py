@@ -27,6 +27,11 @@ class GivenRoads:
     lines: NDArray[np.float32]
     packed: NDArray[np.uint8]
 
+    @property
+    def has_kerbs(self) -> bool:
+        """A set of this form has them."""
+        return True
+
     def kerb_lines(self) -> NDArray[np.float32]:
         """(N, 20, 2) edges."""
         return self.lines

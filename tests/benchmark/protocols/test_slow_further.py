@@ -1,11 +1,17 @@
 """The further protocols against their slow versions, and what must hold between them."""
 
+import tracemalloc
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import shapely
 import torch
 from hypothesis import given, settings
 
+from benchmark.datasets.roads_around import RoadsAround, RoadSurfaces
 from benchmark.protocols import PROTOCOLS, stp3
+from benchmark.road_map import RoadMap, as_multipolygon
 from tests.benchmark.protocols import slow_further_protocols as further
 from tests.benchmark.protocols import slow_protocols as slow
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
@@ -99,3 +105,31 @@ def test_leaving_the_road_is_seen_by_both() -> None:
     aside = np.cumsum(np.tile([4.0, 2.0], (3, 6, 1)), axis=1)
     for name, column in (("bev-planner", "kerb_before_mask"), ("omnidrive", "off_road")):
         assert PROTOCOLS[name].evaluate(truths, aside).steps[column].any(axis=1).all()
+
+
+@pytest.mark.parametrize("name", ["bev-planner", "omnidrive"])
+def test_no_raster_outlives_its_sample(name: str) -> None:
+    """A raster is a megabyte: neither what is kept nor the peak may grow by one for each sample."""
+    kinds = [Traits(4 * seed + 1, 4, 9.0, 6, "drive", False) for seed in range(120)]
+    truths, plans = [sample_of(kind) for kind in kinds], np.array([plan_of(kind) for kind in kinds])
+    assert all(truth.roads is not None for truth in truths)
+    peaks = []
+    for count in (30, 120):
+        tracemalloc.start()
+        outcomes = PROTOCOLS[name].evaluate(truths[:count], plans[:count])
+        kept, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(outcomes) == count and kept < 6e6
+        peaks.append(peak)
+    assert peaks[1] - peaks[0] < 90 * 0.2e6
+
+
+def test_a_map_without_roads_says_nothing_of_kerbs() -> None:
+    sample = sample_of(Traits(5, 3, 9.0, 6, "drive", False))
+    assert sample.roads is not None and sample.axle_poses is None
+    area = RoadMap("made-up", as_multipolygon(shapely.box(-60.0, -60.0, 60.0, 60.0)))
+    bare = replace(sample, roads=RoadsAround(RoadSurfaces(area), np.zeros(3)))
+    plan = plan_of(Traits(5, 3, 9.0, 6, "drive", False))[None]
+    values = {name: PROTOCOLS[name].sample_values(PROTOCOLS[name].evaluate([bare], plan)) for name in SLOW}
+    assert np.isnan(values["bev-planner"]["kerb"]).all() and not np.isnan(values["omnidrive"]["off_road"]).any()
+    assert bare.roads is not None and bare.roads.kerb_lines().shape == (0, 20, 2)
