@@ -119,7 +119,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = partial(TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
     monkeypatch.setattr("generation.sources.mini.TownSettings", tiny)
-    whole = frozen_split("mini-adv-1")
+    whole = frozen_split("mini-adv-2")
     of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))
     monkeypatch.setattr("generation.splits.cached.newest_split", lambda *_: few)
