@@ -86,7 +86,7 @@ def eval_command(
     from benchmark.cli.beforehand.names import require_models
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate
-    from benchmark.protocols import STANDARD
+    from benchmark.protocols import PROTOCOLS, STANDARD
 
     if not model and plans is None:
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
@@ -103,7 +103,7 @@ def eval_command(
         runs = [*running, *([] if plans is None else [str(plans)])]
         say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
         return
-    judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name != "native")]))
+    judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)]))
     settings = EvalSettings(judges, name_list(scenes), limit, count, seed)
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [

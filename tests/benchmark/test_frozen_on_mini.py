@@ -15,6 +15,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workspace import is_finished
+from benchmark.protocols import STANDARD
 from benchmark.records.run import load_record
 from benchmark.runs.rescoring import rescore_all
 from generation.build.split import build_split
@@ -68,7 +69,7 @@ def test_it_is_built_into_the_cache_without_a_search_and_the_record_says_so(
     assert again.root == data.root and bytes_below(data.root) == before
     assert "is the frozen split mini-adv-7" in capsys.readouterr().err
     opener = partial(api.open_split, source, out=tmp_path / "out", workers=1)
-    found = list(rescore_all(runs, opener, "mini"))
+    found = list(rescore_all(runs, opener, "mini", STANDARD))
     assert [result.sentence for result in found] == ["current", "current"]
 
 

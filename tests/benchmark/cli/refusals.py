@@ -129,7 +129,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("demo --workers -1", "--workers"),
 )
 DRY: tuple[tuple[str, str], ...] = (
-    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 27 scenes of adv"),
+    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 30 scenes of adv"),
     (
         f"generate --dry-run --from mini-adv-1 --scenes scene-8000-1a46b7c9 {_OUT}",
         "build split adv from frozen split mini-adv-1, 1 scene;",

@@ -9,7 +9,7 @@ import pytest
 from tests.benchmark.cli.cli_runs import Run, bytes_below, challenger_bench
 
 SMALL = ("--frames", "keyframes", "--size", "96x54")
-SEARCH = ("--candidates", "32", "--rounds", "2", "--vehicles", "4")
+SEARCH = ("--candidates", "64", "--rounds", "3", "--vehicles", "6")
 PLANNERS = ("constant-velocity", "ego-status", "idm", "log-replay")
 
 
@@ -112,12 +112,16 @@ def test_dry_run_writes_nothing(town: Path, tmp_path: Path) -> None:
     assert bytes_below(tmp_path) == {}
 
 
-def test_rescoring_what_is_current_changes_no_byte(town: Path, out: Path) -> None:
-    before = bytes_below(out / "runs")
-    run = done(challenger_bench("rescore", "--data", town, "--out", out, "--json"))
+def test_rescoring_what_is_current_changes_no_byte(town: Path, out: Path, tmp_path: Path) -> None:
+    shutil.copytree(out / "runs", tmp_path / "runs")
+    arguments = ("rescore", "--data", town, "--out", out, "--records", tmp_path / "runs", "--json")
+    # Protocols that a run is not judged by unless it is asked for come in at the first time.
+    done(challenger_bench(*arguments))
+    before = bytes_below(tmp_path / "runs")
+    run = done(challenger_bench(*arguments))
     assert {result["says"] for result in run.json} == {"current"}
     assert len(run.json) == 3 * len(PLANNERS)
-    assert bytes_below(out / "runs") == before
+    assert bytes_below(tmp_path / "runs") == before
 
 
 def test_a_record_of_an_older_protocol_is_marked_and_rescored_without_the_planner(
