@@ -1,6 +1,6 @@
 """The schema of a run record's files, checked at the edge: what `benchmark.records.run` writes and reads."""
 
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -8,6 +8,11 @@ SCHEMA = 3
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 Waypoints = list[list[float]]
+MOST_ADVERSARIES: Final = 1000
+"""Of one scene; a larger number in a record is damage, as are larger ones of the next."""
+Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
+Version = Annotated[int, Field(ge=0, le=1000)]
+SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 
 
 class Stored(BaseModel):
@@ -36,7 +41,7 @@ class PlannerFacts(Stored):
     weights_sha256: str | None = None
     code_sha256: str | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
-    seed: int = 0
+    seed: Seed = 0
     native_protocol: str | None = None
     published_as: str | None = None
     miniature: bool = False
@@ -54,7 +59,7 @@ class SceneFacts(Stored):
 
     source: str
     manoeuvre: str | None = None
-    adversaries: int | None = None
+    adversaries: int | None = Field(default=None, ge=0, le=MOST_ADVERSARIES)
 
 
 class DataFacts(Stored):
@@ -88,12 +93,12 @@ class RunFacts(Stored):
     data: DataFacts
     split: str
     scenes: list[str]
-    scenes_in_split: int
+    scenes_in_split: SceneCount
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     frozen_split: str | None = None
     status: Literal["complete", "partial"]
-    protocols: dict[str, int]
-    seed: int
+    protocols: dict[str, Version]
+    seed: Seed
     config: dict[str, Any]
     environment: dict[str, Any]
     rescored: dict[str, Any] | None = None
