@@ -128,8 +128,11 @@ def test_a_record_of_an_older_protocol_is_marked_and_rescored_without_the_planne
     town: Path, out: Path, tmp_path: Path
 ) -> None:
     found = next(path for path in (out / "runs").rglob("run.json") if path.parent.name == "idm")
-    folder = tmp_path / "runs" / "idm"
-    shutil.copytree(found.parent, folder)
+    current, folder = tmp_path / "current" / "idm", tmp_path / "runs" / "idm"
+    # Judged by everybody once, as a rescored record is.
+    shutil.copytree(found.parent, current)
+    done(challenger_bench("rescore", "--data", town, "--out", out, "--records", tmp_path / "current"))
+    shutil.copytree(current, folder)
     facts = json.loads((folder / "run.json").read_text())
     facts["protocols"]["uniad"] -= 1
     (folder / "run.json").write_text(json.dumps(facts))
@@ -138,8 +141,8 @@ def test_a_record_of_an_older_protocol_is_marked_and_rescored_without_the_planne
     assert "challenger-bench rescore" in "".join(path.read_text() for path in tables.rglob("*.md"))
     run = done(challenger_bench("rescore", "--data", town, "--out", out, "--records", tmp_path / "runs", "--json"))
     assert [result["says"] for result in run.json] == ["rescored"]
-    assert (folder / "samples.jsonl").read_bytes() == (found.parent / "samples.jsonl").read_bytes()
-    assert (folder / "summary.json").read_bytes() == (found.parent / "summary.json").read_bytes()
+    assert (folder / "samples.jsonl").read_bytes() == (current / "samples.jsonl").read_bytes()
+    assert (folder / "summary.json").read_bytes() == (current / "summary.json").read_bytes()
     assert json.loads((folder / "run.json").read_text())["rescored"] is not None
 
 
