@@ -110,7 +110,7 @@ def recorded_motion(poses: Floats, seconds: Floats) -> Floats:
 
     Returns:
         (T, 8) pose, then velocity and acceleration along and across the body, then zero: those of the parabola through
-        the nine poses around each (Savitzky-Golay; the first and last nine at the ends), by their own times.
+        the eleven poses around each (the first and last eleven at the ends), by their own times.
     """
     count = len(poses)
     window = min(MOTION_FRAMES, count)

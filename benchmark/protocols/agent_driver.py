@@ -18,7 +18,7 @@ VAD's nor UniAD's; the end of a scene dilutes its means.
 import numpy as np
 
 from benchmark.geometry import Floats
-from benchmark.protocols.averages import means_up_to
+from benchmark.protocols.averages import masked_columns, means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, ego_cells, truncated
 from benchmark.protocols.uniad import UniAD
@@ -62,12 +62,7 @@ class RasterOfVAD(VAD):
         Returns:
             ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
         """
-        return {
-            "collision": means_up_to(outcomes.collision),
-            "collision_before_mask": means_up_to(outcomes.step("before_mask")),
-            "obj_col": means_up_to(outcomes.step("obj_col")),
-            "l2": means_up_to(outcomes.l2),
-        }
+        return masked_columns(outcomes, means_up_to)
 
 
 def mirrored_block(waypoints_lidar: Floats) -> Cells:

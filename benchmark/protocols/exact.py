@@ -21,8 +21,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
+from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
+from benchmark.protocols.averages import any_up_to, at_steps, means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.truth import SampleTruth
@@ -102,11 +103,10 @@ class Exact:
         Returns:
             ``collision``, ``l2`` and ``ade``, each (S, 3).
         """
-        steps = list(HORIZON_STEPS.values())
         return {
-            "collision": np.stack([outcomes.collision[:, :count].any(axis=1) for count in steps], axis=1).astype(float),
-            "l2": np.stack([outcomes.l2[:, count - 1] for count in steps], axis=1),
-            "ade": np.stack([outcomes.l2[:, :count].mean(axis=1) for count in steps], axis=1),
+            "collision": any_up_to(outcomes.collision),
+            "l2": at_steps(outcomes.l2),
+            "ade": means_up_to(outcomes.l2),
         }
 
 

@@ -22,8 +22,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEPS
+from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
+from benchmark.protocols.averages import means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
 from benchmark.truth import SampleTruth
@@ -124,14 +125,10 @@ class SparseDrive:
         Returns:
             ``collision``, ``collision_before_mask`` and ``l2``, each (S, 3).
         """
-        columns = {
-            "collision": outcomes.collision,
-            "collision_before_mask": outcomes.step("before_mask"),
-            "l2": outcomes.l2,
-        }
         return {
-            name: np.stack([values[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()], axis=1)
-            for name, values in columns.items()
+            "collision": means_up_to(outcomes.collision),
+            "collision_before_mask": means_up_to(outcomes.step("before_mask")),
+            "l2": means_up_to(outcomes.l2),
         }
 
 

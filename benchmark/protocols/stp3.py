@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Bools, Floats, box_corners, to_global, to_local
-from benchmark.protocols.averages import means_up_to
+from benchmark.protocols.averages import masked_columns, means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, Cells, ego_cells, occupied, truncated
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
@@ -113,12 +113,7 @@ class STP3:
         Returns:
             ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
         """
-        return {
-            "collision": means_up_to(outcomes.collision),
-            "collision_before_mask": means_up_to(outcomes.step("before_mask")),
-            "obj_col": means_up_to(outcomes.step("obj_col")),
-            "l2": means_up_to(outcomes.l2),
-        }
+        return masked_columns(outcomes, means_up_to)
 
 
 def drawn_polygons(definition: STP3, truths: StackedTruths) -> tuple[NDArray[np.int32], NDArray[np.int64]]:

@@ -21,8 +21,8 @@ step, and the end of a scene dilutes the rates (by about 15 % at 3 s).
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Bools, Floats
+from benchmark.protocols.averages import at_steps, masked_columns
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import StackedTruths
@@ -83,13 +83,7 @@ class UniAD(RasterProtocol):
         Returns:
             ``collision``, ``collision_before_mask``, ``obj_col`` and ``l2``, each (S, 3).
         """
-        at = [count - 1 for count in HORIZON_STEPS.values()]
-        return {
-            "collision": outcomes.collision[:, at].astype(np.float64),
-            "collision_before_mask": outcomes.step("before_mask")[:, at].astype(np.float64),
-            "obj_col": outcomes.step("obj_col")[:, at].astype(np.float64),
-            "l2": outcomes.l2[:, at],
-        }
+        return masked_columns(outcomes, at_steps)
 
 
 def polygons(boxes: Floats) -> NDArray[np.int32]:

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from benchmark.constants import CATEGORIES, HORIZON_STEPS
 from benchmark.geometry import Bools, Floats, box_corners
+from benchmark.protocols.averages import means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import StackedTruths
@@ -126,7 +127,7 @@ class VAD(RasterProtocol):
             "collision": _means(outcomes.collision),
             "collision_before_mask": _means(outcomes.step("before_mask")),
             "obj_col": _means(outcomes.step("obj_col")),
-            "l2": np.stack([outcomes.l2[:, :count].mean(axis=1) for count in HORIZON_STEPS.values()], axis=1),
+            "l2": means_up_to(outcomes.l2),
         }
 
 

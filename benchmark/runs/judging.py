@@ -69,7 +69,7 @@ def judge(
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
     driven = _driven(scene, dict(zip(planned, plans)), len(rows))
-    beyond = longer_verdicts(dict(zip(planned, whole)), longer) if EXACT in outcomes else {}
+    beyond = longer_verdicts(dict(zip(planned, whole)), longer) if longer is not None and EXACT in outcomes else {}
     for place, index in enumerate(planned):
         findings[index] = {
             "driving": driven[index],
@@ -125,7 +125,7 @@ def longer_truth(data: "DataSet", scene: str, steps: int) -> tuple[SampleTruth, 
 
 
 def longer_verdicts(
-    plans: Mapping[int, Plan], longer: Callable[[int], Sequence[SampleTruth]] | None
+    plans: Mapping[int, Plan], longer: Callable[[int], Sequence[SampleTruth]]
 ) -> dict[int, dict[str, Any]]:
     """What ``exact`` says of plans that go on beyond 3 s, up to 6 s.
 
@@ -138,8 +138,7 @@ def longer_verdicts(
     """
     steps_of = {index: min(len(plan.waypoints), LONGEST_JUDGED) for index, plan in plans.items()}
     found: dict[int, dict[str, Any]] = {}
-    for steps in sorted(set(steps_of.values()) - {PLAN_STEPS}) if longer is not None else ():
-        assert longer is not None
+    for steps in sorted(set(steps_of.values()) - {PLAN_STEPS}):
         truths = longer(steps)
         chosen = [index for index in plans if steps_of[index] == steps]
         waypoints = [

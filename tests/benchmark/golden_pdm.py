@@ -16,6 +16,7 @@ from benchmark.pdm.road import Layer
 from benchmark.pdm.verification import BUILT_IN
 from benchmark.pdm.verification.golden_set import VEHICLE
 from tests.benchmark.pdm.cases import Case, crossing, slow_objects
+from tests.benchmark.pdm.slow_motion import slow_direct, slow_motion, slow_poses, slow_profiles
 from tests.benchmark.pdm.slow_pdm import (
     BOUNDS,
     SlowSample,
@@ -24,11 +25,7 @@ from tests.benchmark.pdm.slow_pdm import (
     rectangle,
     slow_agreement,
     slow_differences,
-    slow_direct,
     slow_history,
-    slow_motion,
-    slow_poses,
-    slow_profiles,
     slow_progress,
     slow_score,
     slow_states_verdict,

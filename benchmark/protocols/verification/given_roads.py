@@ -1,16 +1,14 @@
 """Kerb lines and drivable cells as a golden set stores them, in place of a map."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
-
-if TYPE_CHECKING:
-    from benchmark.protocols.verification.golden_set import ProtocolArrays
+from benchmark.protocols.verification.arrays import ProtocolArrays
 
 _SIDE: Final = 1000
 
@@ -45,7 +43,7 @@ class GivenRoads:
         return np.zeros(len(points), dtype=np.bool_)
 
 
-def read_roads(stored: "ProtocolArrays", samples: int) -> list[GivenRoads]:
+def read_roads(stored: ProtocolArrays, samples: int) -> list[GivenRoads]:
     """The roads of each sample of a file.
 
     Args:

@@ -6,18 +6,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmark.constants import FARTHEST_WAYPOINT_M, LIDAR_FROM_REAR_AXLE_M, PLAN_STEPS
 from benchmark.errors import InputError
-from benchmark.geometry import Bools, Floats
+from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256, read_json
 from benchmark.planning import Command
-from benchmark.protocols.raster import CELLS
+from benchmark.protocols.verification.arrays import ProtocolArrays
 from benchmark.protocols.verification.given_roads import read_roads
 from benchmark.report.words import counted
 from benchmark.truth import SampleTruth
-from benchmark.verification.golden import GoldenArrays, golden_directory
+from benchmark.verification.golden import golden_directory
 
 _KEYFRAMES: Final = PLAN_STEPS + 1
 PAST: Final = "past_frames"
@@ -25,44 +24,6 @@ PAST: Final = "past_frames"
 _VISIBLE: Final = 1
 """Annotated there and more than 40 % visible; 0 is hidden, -1 not annotated."""
 _OFFICIAL, _EXACT, _MANIFEST = "_official", "_exact", "manifest.json"
-
-
-class ProtocolArrays(GoldenArrays):
-    """Arrays of one file; flags that are stored as numbers and rasters that are stored as bits are unpacked."""
-
-    def flags(self, name: str, *shape: int | None) -> Bools:
-        """Zeros and ones; arguments and errors as in `floats`."""
-        values = self.floats(name, *shape)
-        if not np.isin(values, (0.0, 1.0)).all():
-            raise InputError(f"array {name} in {self.path} holds numbers other than 0 and 1; make the file again")
-        return np.asarray(values != 0.0)
-
-    def rasters(self, name: str, samples: int) -> NDArray[np.uint8]:
-        """Rasters packed eight cells to the byte.
-
-        Args:
-            name: Name of the array.
-            samples: How many samples it is about.
-
-        Returns:
-            (samples, 6, 200, 200) ones where occupied.
-
-        Raises:
-            InputError: If it is absent, of another shape or does not hold bytes.
-        """
-        packed = self.packed(name, samples, PLAN_STEPS, CELLS * CELLS // 8)
-        return np.unpackbits(packed, axis=-1).reshape(samples, PLAN_STEPS, CELLS, CELLS)
-
-    def packed(self, name: str, *shape: int | None) -> NDArray[np.uint8]:
-        """Bytes that hold eight cells each; arguments and errors as in `floats`."""
-        packed = self.integers(name, *shape)
-        if packed.min(initial=0) < 0 or packed.max(initial=0) > 255:
-            raise InputError(f"array {name} in {self.path} holds numbers that are no bytes; make the file again")
-        return packed.astype(np.uint8)
-
-    def labels(self, name: str, length: int | None = None) -> list[str]:
-        """Names; arguments and errors as in `floats`."""
-        return [str(label) for label in self._taken(name, "U", "names", (length,))]
 
 
 @dataclass(frozen=True, slots=True)

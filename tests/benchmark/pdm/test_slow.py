@@ -13,12 +13,12 @@ from benchmark.pdm.motion import tracked
 from benchmark.pdm.scoring import Judged, beside, judged
 from benchmark.pdm.verification.golden_set import GoldenScene
 from tests.benchmark.pdm.cases import Case, crossing, slow_objects
+from tests.benchmark.pdm.slow_motion import slow_motion
 from tests.benchmark.pdm.slow_pdm import (
     SlowSample,
     SlowVerdict,
     slow_agreement,
     slow_differences,
-    slow_motion,
     slow_progress,
     slow_score,
     slow_states_verdict,
