@@ -59,10 +59,18 @@ def _read_json(data: bytes, limits: Limits) -> "pandas.DataFrame":
         raise ValueError("it is no list of rows")
     _require_few(len(rows), limits)
     names: set[str] = set()
-    for row in rows:
+    for place, row in enumerate(rows):
         names |= row.keys() if isinstance(row, dict) else set()
+        _require_numbers(place, row)
         _require_narrow(max(len(names), len(row) if isinstance(row, list) else 0))
     return pd.read_json(io.BytesIO(data), orient="records", dtype=False, convert_dates=False, precise_float=True)
+
+
+def _require_numbers(place: int, row: object) -> None:
+    """Pandas would read text of digits as the number that it shows."""
+    for name, value in row.items() if isinstance(row, dict) else ():
+        if name not in _TEXTS and isinstance(value, str):
+            raise ValueError(f"row {place} has the text {one_line(value, 20)!r} for the number {one_line(name, 20)}")
 
 
 def _read_parquet(path: Path, limits: Limits) -> "pandas.DataFrame":

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 SCHEMA = 3
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
@@ -12,6 +12,8 @@ MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
+Name = Annotated[str, Field(max_length=200)]
+"""Of something that files are named after."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 
 
@@ -36,7 +38,7 @@ class PlannerFacts(Stored):
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
     """
 
-    name: str
+    name: Name
     privileged: bool
     weights_sha256: str | None = None
     code_sha256: str | None = None
@@ -65,7 +67,7 @@ class SceneFacts(Stored):
 class DataFacts(Stored):
     """Which data set: its name and the hash of its content."""
 
-    name: str
+    name: Name
     version: str
     fingerprint: str
 
@@ -91,8 +93,8 @@ class RunFacts(Stored):
     schema_version: int = Field(alias="schema")
     planner: PlannerFacts
     data: DataFacts
-    split: str
-    scenes: list[str]
+    split: Name
+    scenes: list[Name]
     scenes_in_split: SceneCount
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     frozen_split: str | None = None
@@ -103,6 +105,15 @@ class RunFacts(Stored):
     environment: dict[str, Any]
     rescored: dict[str, Any] | None = None
     files: dict[str, str]
+
+    @field_validator("config")
+    @classmethod
+    def _names_of_protocols(cls, config: dict[str, Any]) -> dict[str, Any]:
+        """Judging anew replaces the list, so that damage in it would be gone without a word."""
+        named = config.get("protocols", [])
+        if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
+            raise ValueError("protocols must be a list of their names")
+        return config
 
 
 class ForecastRow(Stored):

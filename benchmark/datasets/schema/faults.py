@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Final, Literal
 
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
 
 Severity = Literal["error", "warning"]
 
 SHOWN_PER_KIND: Final = 5
 """Faults of one kind in one table that are told one by one; the rest are counted."""
+_LONGEST: Final = 1000
+"""Characters of a sentence: a fault may quote what a stranger wrote."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ class FaultList:
         """
         self.counts[(kind, table, severity)] += 1
         if self.counts[(kind, table, severity)] <= SHOWN_PER_KIND:
-            self.faults.append(Fault(table, token, sentence, severity))
+            self.faults.append(Fault(table, token, one_line(sentence, _LONGEST), severity))
 
     def told(self) -> list[Fault]:
         """The faults, errors first, each kind that was cut short ended by how many more there are."""

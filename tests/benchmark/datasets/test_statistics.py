@@ -109,6 +109,15 @@ def test_without_a_split_every_row_counts(tmp_path: Path) -> None:
     assert every.sample_data == len(made.tables["sample_data"]) == val.sample_data
 
 
+@pytest.mark.parametrize("table", ["instance", "ego_pose", "sample", "sample_data", "sample_annotation", "scene"])
+def test_a_row_that_stands_twice_is_refused(tmp_path: Path, table: str) -> None:
+    made = tiny(tmp_path)
+    made.tables[table].append(made.tables[table][-1])
+    made.write()
+    with pytest.raises(InputError, match=rf"{table}\.json has two rows of one token"):
+        statistics(tmp_path)
+
+
 def test_variant_roots_are_summed(tmp_path: Path) -> None:
     first, second = tiny(tmp_path / "v0"), tiny(tmp_path / "v1", NAMES[:1])
     first.write()
@@ -177,7 +186,7 @@ ROW = '{"token": "a", "scene_token": "b"}'
         ("sample", "[{}] [{}]".replace("{}", ROW), "not a JSON list of rows .*more than one"),
         ("sample", "[" * 100_000, "not a JSON list of rows"),
         ("sample", '{"token": "a"}', "not a JSON list of rows"),
-        ("sample", '[{"token": "a"}]', "row 0 is not an object with scene_token and token"),
+        ("sample", '[{"token": "a"}]', "row 0 is not an object with token and scene_token"),
         ("sample", "[17]", "not a JSON list of rows"),
         ("ego_pose", '[{"token": 5}]', "row 0 is not an object"),
         ("scene", '[{"token": "a", "name": null}]', "row 0 is not an object"),

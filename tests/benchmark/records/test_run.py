@@ -274,6 +274,22 @@ def test_a_truncated_or_foreign_run_file_is_refused(directory: Path) -> None:
             load_record(directory)
 
 
+def test_names_that_no_file_can_have_are_refused_in_few_words(directory: Path) -> None:
+    run = json.loads((directory / "run.json").read_text())
+    change(directory / "run.json", data={**run["data"], "name": "x" * 100_000})
+    with pytest.raises(InputError, match=r"data\.name") as refused:
+        load_record(directory)
+    assert len(str(refused.value)) < 500
+
+
+@pytest.mark.parametrize("protocols", [None, ["exact", None], "exact"])
+def test_settings_that_judging_anew_would_replace_are_read_first(directory: Path, protocols: object) -> None:
+    run = json.loads((directory / "run.json").read_text())
+    change(directory / "run.json", config={**run["config"], "protocols": protocols})
+    with pytest.raises(InputError, match="list of their names"):
+        load_record(directory)
+
+
 def test_a_file_outside_the_record_is_never_hashed(directory: Path) -> None:
     change(directory / "run.json", files={"../../secret": "0" * 64})
     with pytest.raises(InputError):
