@@ -84,6 +84,7 @@ class Target:
         lists_faults: Whether exit code 1 with a list of faults is an answer, as of ``data check`` and ``verify``.
         other_files: Whether another content of one file is no fault that could be seen: pictures, for example.
         keeps_work: Whether a file is read when its turn comes, and what was done before it stays.
+        rewrites: Whether it is the command's work to replace what it read, as of ``rescore``.
     """
 
     kind: str
@@ -97,6 +98,7 @@ class Target:
     lists_faults: bool = False
     other_files: bool = False
     keeps_work: bool = False
+    rewrites: bool = False
 
     @property
     def name(self) -> str:
@@ -290,6 +292,7 @@ _RECORDS: Final = tuple(
         numbers=numbers,
         named=(*_of_bytes(variants.JSONS), *SPARSE),
         lists_faults=kind == "submissions" or command.startswith("rescore"),
+        rewrites=command.startswith("rescore"),
     )
     for form, files in (("json", _RECORD_FILES[::2]), ("jsonl", _RECORD_FILES[1:2]))
     for kind, command, arguments, numbers in (

@@ -280,12 +280,14 @@ def load_record(directory: Path) -> RunRecord:
         return validated(
             model.model_validate,
             stored,
-            lambda where, why: f"{directory / file} is not that of a valid run record: {where}: {why}",
+            lambda where, why: f"{directory / file} is not that of a valid run record: {where or 'the whole'}: {why}",
         )
 
     raw_run, raw_rows, raw_summary = read_files(directory)
     run = read(RunFacts, RUN_FILE, raw_run)
     rows = tuple(read(SampleRow, ROWS_FILE, row) for row in raw_rows)
+    if list(dict.fromkeys(row.scene for row in rows)) != run.scenes:
+        raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
     return RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
 
 

@@ -1,8 +1,9 @@
 """The schema of a run record's files, checked at the edge: what `benchmark.records.run` writes and reads."""
 
-from typing import Annotated, Any, Final, Literal, get_args
+from collections import Counter
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 SCHEMA = 3
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
@@ -12,8 +13,9 @@ MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
-Name = Annotated[str, Field(max_length=200)]
-"""Of something that files are named after."""
+Label = Annotated[str, Field(max_length=200)]
+Name = Annotated[str, Field(max_length=200, pattern=r"^[^/\\\x00-\x1f]*$")]
+"""Of something that files are named after: one line, and no path."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 
 
@@ -38,7 +40,7 @@ class PlannerFacts(Stored):
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
     """
 
-    name: Name
+    name: Label
     privileged: bool
     weights_sha256: str | None = None
     code_sha256: str | None = None
@@ -106,14 +108,17 @@ class RunFacts(Stored):
     rescored: dict[str, Any] | None = None
     files: dict[str, str]
 
-    @field_validator("config")
-    @classmethod
-    def _names_of_protocols(cls, config: dict[str, Any]) -> dict[str, Any]:
-        """Judging anew replaces the list, so that damage in it would be gone without a word."""
-        named = config.get("protocols", [])
-        if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
-            raise ValueError("protocols must be a list of their names")
-        return config
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        """Judging anew replaces much of this, so that damage in it would be gone without a word."""
+        if len(set(self.scenes)) != len(self.scenes) or not self.scenes:
+            raise ValueError("scenes must be names, each once")
+        if self.scene_facts and self.scene_facts.keys() != set(self.scenes):
+            raise ValueError("scene_facts must be of the scenes")
+        named = self.config.get("protocols", list(self.protocols))
+        if not isinstance(named, list) or Counter(map(str, named)) != Counter(self.protocols.keys()):
+            raise ValueError("the protocols of config must be those that judged")
+        return self
 
 
 class ForecastRow(Stored):

@@ -54,7 +54,8 @@ def validated(validate: Callable[[Any], Value], stored: Any, sentence: Callable[
         return validate(stored)
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(sentence(".".join(map(str, first["loc"])), first["msg"])) from error
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(sentence(where, first["msg"].removeprefix("Value error, "))) from error
 
 
 def read_each(places: Iterable[Path], read: Callable[[Path], Record], *, instead: str = "") -> list[Record]:

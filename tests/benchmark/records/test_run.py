@@ -206,7 +206,7 @@ def test_native_is_the_planners_own_protocol_or_exact(directory: Path) -> None:
 def test_records_of_other_versions_load_and_say_so(directory: Path) -> None:
     versions = {**load_record(directory).run.protocols, "vad": 99, "of somebody else": 1}
     del versions["uniad"]
-    change(directory / "run.json", protocols=versions)
+    change(directory / "run.json", protocols=versions, config={"protocols": list(versions)})
     record = load_record(directory)
     assert record.stale_protocols == ("vad",) and record.missing_protocols == ("uniad",)
 
@@ -282,11 +282,24 @@ def test_names_that_no_file_can_have_are_refused_in_few_words(directory: Path) -
     assert len(str(refused.value)) < 500
 
 
-@pytest.mark.parametrize("protocols", [None, ["exact", None], "exact"])
+@pytest.mark.parametrize("protocols", [None, ["exact", None], "exact", ["exat"]])
 def test_settings_that_judging_anew_would_replace_are_read_first(directory: Path, protocols: object) -> None:
     run = json.loads((directory / "run.json").read_text())
     change(directory / "run.json", config={**run["config"], "protocols": protocols})
-    with pytest.raises(InputError, match="list of their names"):
+    with pytest.raises(InputError, match="must be those that judged"):
+        load_record(directory)
+
+
+@pytest.mark.parametrize("scenes", [[], ["a\0b"], ["../a"], ["twice", "twice"], ["another"]])
+def test_scenes_of_a_record_are_those_of_its_rows(directory: Path, scenes: list[str]) -> None:
+    change(directory / "run.json", scenes=scenes)
+    with pytest.raises(InputError, match="scenes"):
+        load_record(directory)
+
+
+def test_facts_are_of_the_scenes_that_ran(directory: Path) -> None:
+    change(directory / "run.json", scene_facts={"another": {"source": "another"}})
+    with pytest.raises(InputError, match="scene_facts must be of the scenes"):
         load_record(directory)
 
 
