@@ -4,7 +4,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 Waypoints = list[list[float]]
@@ -13,6 +13,8 @@ MOST_ADVERSARIES: Final = 1000
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
+LightName = Literal["day", "dusk", "night", "rain"]
+PlaceName = Literal["roundabout", "car-park", "junction", "bend", "straight", "unknown"]
 
 
 class Stored(BaseModel):
@@ -55,11 +57,13 @@ class SceneFacts(Stored):
         manoeuvre: What its first adversary does, if it has one and labels.
         adversaries: How many vehicles were made to be adversaries; null where the data set does not say, and in older
             records.
+        light: Light and weather that its description names, none where it names none; null in older records.
     """
 
     source: str
     manoeuvre: str | None = None
     adversaries: int | None = Field(default=None, ge=0, le=MOST_ADVERSARIES)
+    light: list[LightName] | None = None
 
 
 class DataFacts(Stored):
@@ -219,6 +223,8 @@ class SampleRow(Stored):
         driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or there is no
             map with lanes; null in records of schema 1 and 2.
         longer: Verdicts beyond 3 s, or null where the plan ends there.
+        place: What kind of place the recorded car is on (docs/manoeuvres.md); null in older records.
+        speed_m_s: Its speed; null in older records.
     """
 
     scene: str
@@ -238,6 +244,8 @@ class SampleRow(Stored):
     disagreements: dict[str, str] = Field(default_factory=dict)
     driving: DrivingRow | None = None
     longer: LongerRow | None = None
+    place: PlaceName | None = None
+    speed_m_s: float | None = Field(default=None, ge=0)
 
 
 class RateRow(Stored):
