@@ -30,8 +30,8 @@ SAME_M = 0.05
 the rear axle, turning it into one of the lidar costs some of it."""
 SAME_M_S = 0.01
 """Speeds that are this close are the same: processors differ in the last bits of a fit."""
-_LATER_STEPS = frozenset({"recorded_adversary"})
-"""Columns of verdicts that records of the same protocol version need not have yet."""
+_LATER = frozenset({"recorded_adversary", "recorded", "before_mask", "left_out"})
+"""Columns and facts of verdicts that records of the same protocol version need not have yet."""
 MOVES_M = 1.0
 """A recording that never goes farther than this says nothing about it: whoever stands still is right."""
 
@@ -218,15 +218,15 @@ def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
     """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
     if said is None or computed is None:
         return said is computed
-    known = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER_STEPS}
-    return said == computed.model_copy(update={"steps": known})
+    steps = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER}
+    facts = {name: fact for name, fact in computed.facts.items() if name in said.facts or name not in _LATER}
+    return said == computed.model_copy(update={"steps": steps, "facts": facts})
 
 
 def _as_of(claimed: ProtocolSummary, found: ProtocolSummary) -> ProtocolSummary:
-    """What a record that has no count of adversaries' masked steps could say."""
-    if claimed.mask_removed_for_adversary is not None:
-        return found
-    return found.model_copy(update={"mask_removed_for_adversary": None})
+    """What a record that has no count of masked steps, or none of adversaries' ones, could say."""
+    counts = ("mask_removed_steps", "mask_removed_for_adversary")
+    return found.model_copy(update={name: None for name in counts if getattr(claimed, name) is None})
 
 
 def _driving_anew(
