@@ -38,14 +38,18 @@ from benchmark.truth import SampleTruth
 
 
 class SafeMVDrive:
-    """UniAD's flags, latched; the module's docstring says all."""
+    """UniAD's flags, latched; the module's docstring says all.
+
+    Attributes:
+        uniad: Whose rasters and flags these are.
+    """
 
     name = "safemvdrive"
     version = 1
     counts_incomplete = True
 
     def __init__(self) -> None:
-        self._uniad = UniAD()
+        self.uniad = UniAD()
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Those of ``uniad``.
@@ -56,7 +60,7 @@ class SafeMVDrive:
         Returns:
             (M, 6) verdicts.
         """
-        return self._uniad.counted_objects(truths)
+        return self.uniad.counted_objects(truths)
 
     def headings(self, plans_lidar: Floats) -> Floats:
         """Straight ahead at every step.
@@ -67,7 +71,7 @@ class SafeMVDrive:
         Returns:
             (S, 6) radians.
         """
-        return self._uniad.headings(plans_lidar)
+        return self.uniad.headings(plans_lidar)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
@@ -79,7 +83,7 @@ class SafeMVDrive:
         Returns:
             Verdicts with the columns ``at_step``, ``obj_col`` and those of a mask (`_latched`).
         """
-        judged = self._uniad.evaluate(truths, plans_lidar)
+        judged = self.uniad.evaluate(truths, plans_lidar)
         columns = {"at_step": judged.step("before_mask"), "obj_col": judged.step("obj_col")}
         recorded = (judged.step("recorded"), judged.step("recorded_adversary"))
         out, for_adversary = (hit.reshape(-1, PLAN_STEPS)[:, 0] for hit in recorded)
@@ -95,7 +99,7 @@ class SafeMVDrive:
         Returns:
             (S, 6) verdicts.
         """
-        first = self._uniad.recorded_contacts(truths, among)[:, :1]
+        first = self.uniad.recorded_contacts(truths, among)[:, :1]
         return np.asarray(first & truths.ego_future_valid)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:

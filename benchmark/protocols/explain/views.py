@@ -14,6 +14,7 @@ from benchmark.protocols import CollisionProtocol, bev_planner, fine_grid, omnid
 from benchmark.protocols.bev_planner import BEVPlanner
 from benchmark.protocols.omnidrive import OmniDrive
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, full_rasters
+from benchmark.protocols.safemvdrive import SafeMVDrive
 from benchmark.protocols.stacked import stack
 from benchmark.protocols.stp3 import STP3
 from benchmark.truth import SampleTruth
@@ -61,6 +62,8 @@ def raster_view(definition: CollisionProtocol, truth: SampleTruth, plan_lidar: F
     Returns:
         The cells, or ``None`` for a protocol without a raster.
     """
+    if isinstance(definition, SafeMVDrive):
+        definition = definition.uniad
     if isinstance(definition, STP3):
         return _warped_view(definition, truth, plan_lidar, step)
     if isinstance(definition, BEVPlanner | OmniDrive):
