@@ -132,6 +132,8 @@ class BEVPlanner:
         Returns:
             (S, 6) verdicts.
         """
+        if not among.any():
+            return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
         cover = footprint(forward_left(truths.ego_future[..., :2]))
         return touched((cover,), *drawn_polygons(self, truths, among), fill)[0].reshape(-1, PLAN_STEPS)
 

@@ -147,6 +147,8 @@ class OmniDrive:
 
     def _touched(self, truths: StackedTruths, path: Floats, among: Bools) -> Bools:
         """Where (S, 6, 2) waypoints of the rear axle put the ego on some of M objects."""
+        if not among.any():
+            return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
         polygons, place_of = drawn_polygons(self, truths, among)
         return touched((footprint(path),), polygons, place_of, fill)[0].reshape(-1, PLAN_STEPS)
 

@@ -112,6 +112,8 @@ class STP3:
         Returns:
             (S, 6) verdicts.
         """
+        if not among.any():
+            return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
         block = ego_block(truths.ego_future[..., :2])
         return _covered(truths, [block], *drawn_polygons(self, truths, among))[0]
 
