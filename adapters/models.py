@@ -257,6 +257,13 @@ _BASELINES: Final = (
     Model("log-replay", "adapters.baselines.log_replay:LogReplay", blind=True, sees="recorded future"),
     Model("idm", "adapters.baselines.idm:IntelligentDriver", blind=True, sees="boxes, map"),
     Model("ego-status", "adapters.baselines.ego_status:EgoStatus", blind=True, sees="own motion, command"),
+    Model("stop", "adapters.baselines.stop:Stop", blind=True, sees="nothing"),
+    Model(
+        "constant-velocity-on-path",
+        "adapters.baselines.constant_velocity_on_path:ConstantVelocityOnPath",
+        blind=True,
+        sees="own motion, recorded path",
+    ),
 )
 _PUBLISHED: Final = (
     Model(

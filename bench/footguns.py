@@ -16,10 +16,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from adapters.registry import planner_factory
+from bench.further_footguns import FROM_FURTHER_CAUSES, draw_kerb
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
-from benchmark.evaluation import evaluate
+from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.geometry import Bools, Floats, box_corners
 from benchmark.machine.storage import content_seed, write_bytes
 from benchmark.machine.workspace import EMBEDDED, cache_root
@@ -112,7 +113,8 @@ def main() -> None:
 
 
 def baselines(data: DataSet, split: str, run_root: Path) -> Runs:
-    records = {name: evaluate(data, split, planner_factory(name), run_root) for name in PLANNERS}
+    judges = EvalSettings(protocols=tuple(PROTOCOLS))
+    records = {name: evaluate(data, split, planner_factory(name), run_root, judges) for name in PLANNERS}
     truths = {truth.sample_token: truth for scene in data.scene_names(split) for truth in data.truth(scene)}
     return Runs(data, records, truths)
 
@@ -124,7 +126,8 @@ def case_pictures(runs: Runs) -> dict[str, bytes]:
         for records in (list(runs.records.values()), [runs.records["constant-velocity"]])
         for case in clearest_cases(records, runs.data)
     }
-    pictures = {name: draw_case(found[key]) for name, key in FROM_CAUSES.items()}
+    wanted = FROM_CAUSES | FROM_FURTHER_CAUSES
+    pictures = {name: draw_case(found[key]) for name, key in wanted.items()}
     return {**pictures, "jitter": draw_case(jittered(runs)), "border": draw_case(beyond_the_border(runs))}
 
 
@@ -161,6 +164,7 @@ def other_pictures(runs: dict[str, Runs]) -> dict[str, bytes]:
         "forgotten": lambda figure: draw_forgotten(figure, runs["adv"]),
         "obj-col": lambda figure: draw_obj_col(figure, list(runs.values())),
         "command": lambda figure: draw_command(figure, runs["val"]),
+        "kerb": lambda figure: draw_kerb(figure, *runs["adv"].judged("constant-velocity")),
     }
     pictures = {}
     for name, draw in drawn.items():

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
     from leaderboard.tables.quality import quality_tables as quality_tables
+    from leaderboard.tables.slices import slice_tables as slice_tables
     from leaderboard.tables.transfer import (
         agreement_table as agreement_table,
         transfer_matrices as transfer_matrices,

@@ -26,10 +26,16 @@ class Look(StrEnum):
     RAIN = "rain"
 
     @classmethod
+    def said_in(cls, description: str) -> tuple["Look", ...]:
+        """Every look that a scene description names; none where it names none: nuScenes never says that it is day."""
+        words = description.lower()
+        return tuple(look for look in cls if re.search(rf"\b{look.value}", words))
+
+    @classmethod
     def of_description(cls, description: str) -> "Look":
         """Read the look from a nuScenes scene description, which names night and rain in words."""
-        words = description.lower()
-        return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if re.search(rf"\b{look.value}", words)), cls.DAY)
+        said = cls.said_in(description)
+        return next((look for look in (cls.RAIN, cls.NIGHT, cls.DUSK) if look in said), cls.DAY)
 
 
 @dataclass(frozen=True, slots=True)

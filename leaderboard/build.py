@@ -25,6 +25,7 @@ from leaderboard.site.site import INDEX_PATH, site_files
 from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
+from leaderboard.tables.slices import SLICES
 
 Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
@@ -120,7 +121,9 @@ class _Made:
     def place(self, data_name: str, group: str, tables: Sequence[Table]) -> None:
         """Add tables and their files; those of no data set are published ones."""
         folder = f"{TABLES_FOLDER}/{file_name(data_name)}" if data_name else "published"
-        self.tables += [PlacedTable(table, data_name, group, folder) for table in tables]
+        # Of other protocols the slices are files alone: a site with all of them would be several times as large.
+        on_site = [table for table in tables if group == SLICES or not table.name.startswith(f"{SLICES}-")]
+        self.tables += [PlacedTable(table, data_name, group, folder) for table in on_site]
         self.files |= {name: text.encode() for name, text in _table_files(folder, tables).items()}
 
 
@@ -161,6 +164,9 @@ def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[
     made.records += data_set.records
     for group in dict.fromkeys(map(_group, data_set.front)):
         made.place(name, group, [table for table in data_set.front if _group(table) == group])
+    made.place(name, SLICES, data_set.slices)
+    if data_set.slices:
+        made.files[_page(folder, SLICES)] = _slices_text(data_set).encode()
     for protocol, tables in data_set.others.items():
         made.place(name, f"protocol {protocol}", tables)
         made.files[_page(folder, protocol)] = _page_text(data_set, protocol).encode()
@@ -264,6 +270,9 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
             lines += [f"![{escape_markdown(table.title)}]({quote(_picture(folder, table.name))})", ""]
     for figure in figures:
         lines += [f"![{escape_markdown(figure.title)}]({quote(_picture(folder, figure.name))})", ""]
+    if data_set.slices:
+        page = quote(_page(folder, SLICES))
+        lines += [f"The same by place, light, manoeuvre of the adversary, speed and command: [{SLICES}]({page}).", ""]
     if data_set.others:
         links = [f"[{escape_markdown(name)}]({quote(_page(folder, name))})" for name in data_set.others]
         lines += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
@@ -290,6 +299,11 @@ def _group(table: Table) -> str:
 def _page_text(data_set: DataSetTables, protocol: str) -> str:
     heading = f"# {escape_markdown(data_set.data_name)}: protocol {escape_markdown(protocol)}"
     return "\n".join([heading, "", *(table.markdown() for table in data_set.others[protocol])])
+
+
+def _slices_text(data_set: DataSetTables) -> str:
+    heading = f"# {escape_markdown(data_set.data_name)}: {SLICES}"
+    return "\n".join([heading, "", *(table.markdown() for table in data_set.slices)])
 
 
 def _table_files(folder: str, tables: Sequence[Table]) -> dict[str, str]:

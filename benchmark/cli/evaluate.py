@@ -10,6 +10,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli.options import (
+    ByOption,
     DataOption,
     DryRunOption,
     Frames,
@@ -20,6 +21,7 @@ from benchmark.cli.options import (
     RecordsOption,
     ScenesOption,
     SeedOption,
+    SliceName,
     SplitOption,
     TablesOption,
     WeightsFolderOption,
@@ -71,6 +73,7 @@ def eval_command(
             help="Tables to print: a protocol, native, pdm or all; may be repeated. Judges that are not standard join.",
         ),
     ] = None,
+    by: ByOption = None,
     explain_protocols: Annotated[
         bool,
         typer.Option("--explain-protocols", help="Where each protocol differs from exact, why, and pictures of it."),
@@ -125,7 +128,9 @@ def eval_command(
     records = [evaluate(dataset, split, each, run_root, _also_by_its_own(settings, each)) for each in factories]
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
-    sound = _show_runs(source.name, records, shown, allow_partial=allow_partial, wide=wide, json_output=json_output)
+    sound = _show_runs(
+        source.name, records, shown, by or (), allow_partial=allow_partial, wide=wide, json_output=json_output
+    )
     again = same_place(data, out, tables)
     say_next(
         f"records: {', '.join(str(record.directory) for record in records)}",
@@ -319,24 +324,28 @@ def _show_runs(
     data_name: str,
     records: "Sequence[RunRecord]",
     protocols: tuple[str, ...] | None,
+    by: "Sequence[SliceName]",
     *,
     allow_partial: bool,
     wide: bool,
     json_output: bool,
 ) -> bool:
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
+    from benchmark.metrics.slices import kinds_named
     from benchmark.runs.failures import FAILURES_FILE, first_failure
     from leaderboard.tables.collision import run_tables
+    from leaderboard.tables.slices import run_slices
 
     partial = [record for record in records if not record.complete]
+    sliced = run_slices(data_name, records, kinds_named(by), protocols, allow_partial=allow_partial)
     if json_output:
         rows = [
             {"directory": str(r.directory), "status": r.run.status, **r.summary.model_dump(mode="json")}
             for r in records
         ]
-        print_json(rows)
+        print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
-        for table in run_tables(data_name, records, protocols, allow_partial=allow_partial):
+        for table in (*run_tables(data_name, records, protocols, allow_partial=allow_partial), *sliced):
             typer.echo(table.plain(wide=wide))
     for record in partial:
         typer.echo(

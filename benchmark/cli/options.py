@@ -45,6 +45,16 @@ class RendererName(StrEnum):
     NONE = "none"
 
 
+class SliceName(StrEnum):
+    """What the samples of tables may be sorted by (`benchmark.metrics.slices.KINDS`)."""
+
+    PLACE = "place"
+    LIGHT = "light"
+    MANOEUVRE = "manoeuvre"
+    SPEED = "speed"
+    COMMAND = "command"
+
+
 class QuickRendererName(StrEnum):
     """Who draws the images of recordings that have none."""
 
@@ -159,6 +169,10 @@ WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 take
 JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
 WideOption = Annotated[
     bool, typer.Option("--wide", help="Print every column of the tables, however wide the terminal is.")
+]
+ByOption = Annotated[
+    list[SliceName] | None,
+    typer.Option("--by", help="Also the same numbers by place, light, manoeuvre, speed or command; may be repeated."),
 ]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
 PresetOption = Annotated[

@@ -8,6 +8,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli.options import (
+    ByOption,
     DataOption,
     DryRunOption,
     FilmFormatName,
@@ -22,6 +23,7 @@ from benchmark.cli.options import (
     SheetPictures,
     SplitOption,
     TablesOption,
+    WideOption,
     WorkersOption,
     name_list,
     print_json,
@@ -128,6 +130,58 @@ def leaderboard_command(
         (f"leaderboard --check{same_place('mini', out)}", "whether it is current, after further runs"),
         json_output=json_output,
     )
+
+
+@leaderboard_app.command("slices")
+def slices_command(
+    by: ByOption = None,
+    protocol: Annotated[
+        list[str] | None,
+        typer.Option(metavar="<str>", help="Whose numbers: a protocol, native, pdm or diagnosis; may be repeated."),
+    ] = None,
+    out: OutOption = api.OUT,
+    records: RecordsOption = None,
+    split: Annotated[str | None, typer.Option("--split", help="Only records of this split.")] = None,
+    data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
+    wide: WideOption = False,
+    json_output: JsonOption = False,
+) -> None:
+    """Print every rate by place, light, manoeuvre of the adversary, speed and command, from run records."""
+    from benchmark.metrics.slices import KINDS, kinds_named
+    from benchmark.protocols import protocol as known_protocol
+    from benchmark.records.driving import PDM
+    from benchmark.records.inventory import recorded, said_of
+    from benchmark.records.run import NATIVE, find_records
+    from leaderboard.selection import one_run_each
+    from leaderboard.tables.slices import DIAGNOSIS, slice_tables
+
+    asked = tuple(dict.fromkeys(protocol or ["exact"]))
+    for name in asked:
+        if name not in (NATIVE, PDM, DIAGNOSIS):
+            known_protocol(name)
+    folders = records or [api.workspace(out).run_root()]
+    chosen = [
+        record
+        for record in one_run_each(find_records(*folders))
+        if split in (None, record.run.split) and data in (None, record.run.data.name)
+    ]
+    if not chosen:
+        raise InputError(
+            f"there are no such run records below {', '.join(map(str, folders))}; {said_of(recorded(folders))}; name "
+            "one of these or run challenger-bench eval first"
+        )
+    kinds = kinds_named(by or KINDS)
+    names = sorted({record.run.data.name for record in chosen})
+    tables = [
+        table
+        for name in names
+        for table in slice_tables(name, [one for one in chosen if one.run.data.name == name], asked, kinds)
+    ]
+    if json_output:
+        print_json([table.as_json() for table in tables])
+        return
+    for table in tables:
+        typer.echo(table.plain(wide=wide))
 
 
 @leaderboard_app.command("submit-check")

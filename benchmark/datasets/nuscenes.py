@@ -215,8 +215,11 @@ class NuScenesData:
             InputError: If there is no such scene.
         """
         made = self._provenance["scenes"] if self._provenance else {}
-        known = [self._row(name)["name"] for name in names]
-        return {name: scene_facts_of(name, made.get(name, {})) for name in known}
+        known = {name: self._row(name) for name in names}
+        return {
+            name: scene_facts_of(name, made.get(name, {}), str(row.get("description", "")))
+            for name, row in known.items()
+        }
 
     def _row(self, name: str) -> Row:
         if name not in self._rows:

@@ -6,22 +6,25 @@ from typing import Any, Final
 
 from benchmark.records.attempts import stored_labels
 from benchmark.records.run_schema import SceneFacts
+from benchmark.scene import Look
 
 _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")
 """Names of the published Adv-nuSc, which has no provenance file: the recorded scene and a suffix."""
 
 
-def scene_facts_of(name: str, made: Mapping[str, Any]) -> SceneFacts:
+def scene_facts_of(name: str, made: Mapping[str, Any], description: str | None = None) -> SceneFacts:
     """Facts of one scene.
 
     Args:
         name: Scene name.
         made: What ``challenger.json`` says of the scene; empty where it says nothing.
+        description: Of the scene, in words; ``None`` where it is not known.
 
     Returns:
         Source: as the file says, else the ``scene-0001`` of ``scene-0001-suffix``, else the scene itself. Manoeuvre:
         the primary one of the first adversary that has labels. Adversaries: as many as the file lists; none in a
-        recording; unknown in a scene that was made from another one and is not in the file.
+        recording; unknown in a scene that was made from another one and is not in the file. Light: what the description
+        names.
     """
     published = _PUBLISHED.fullmatch(name)
     source = made.get("source_scene") or (published[1] if published else name)
@@ -31,6 +34,7 @@ def scene_facts_of(name: str, made: Mapping[str, Any]) -> SceneFacts:
         source=source,
         manoeuvre=next((manoeuvre for manoeuvre in manoeuvres if isinstance(manoeuvre, str)), None),
         adversaries=len(listed) if isinstance(listed, list) else 0 if source == name else None,
+        light=None if description is None else [look.value for look in Look.said_in(description)],
     )
 
 

@@ -19,15 +19,17 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
         record: A run record.
 
     Returns:
-        Columns ``scene``, ``sample``, ``index``, ``status``; then for each protocol that judged the record
-        ``<protocol> collision <horizon>`` (0 to 1) and ``<protocol> l2 <horizon>`` (metres) at ``1s``, ``2s`` and
-        ``3s``, each as the protocol averages it. NaN where there is no plan or the protocol does not count the sample.
+        Columns ``scene``, ``sample``, ``index``, ``status``, ``place`` and ``speed_m_s`` (null in older records); then
+        for each protocol that judged the record ``<protocol> collision <horizon>`` (0 to 1) and ``<protocol> l2
+        <horizon>`` (metres) at ``1s``, ``2s`` and ``3s``, each as the protocol averages it. NaN where there is no plan
+        or the protocol does not count the sample.
 
     Raises:
         InputError: If a protocol judged the record in another version than the present one, or is not known here.
     """
-    of_rows = [(row.scene, row.sample_token, row.index, row.status) for row in record.rows]
-    frame = pd.DataFrame(of_rows, columns=["scene", "sample", "index", "status"])
+    said = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
+    of_rows = [tuple(getattr(row, name) for name in said) for row in record.rows]
+    frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in said])
     planned = (frame["status"] == "ok").to_numpy()
     columns: dict[str, Floats] = {}
     for name in dict.fromkeys([*PROTOCOLS, *record.run.protocols]):

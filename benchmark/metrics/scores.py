@@ -8,7 +8,7 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
-from benchmark.protocols import MAXIMA, PROTOCOLS
+from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
 
 
@@ -57,6 +57,11 @@ def registered_version(protocol: str) -> int | None:
 def takes_maxima(protocol: str) -> bool:
     """Whether an official protocol's collision rate is any contact up to the horizon: no mean, no value at a step."""
     return protocol in MAXIMA
+
+
+def leaves_out_samples(protocol: str) -> bool:
+    """Whether a protocol leaves out whole samples because of the recorded ego, where others mask steps."""
+    return protocol in LEAVING_OUT
 
 
 def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:

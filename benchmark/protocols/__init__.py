@@ -17,6 +17,7 @@ from benchmark.protocols.uniad import UniAD
 from benchmark.protocols.vad import COUNTED_23, COUNTED_32, VAD
 
 __all__ = [
+    "LEAVING_OUT",
     "MAXIMA",
     "NATIVE_PROTOCOLS",
     "PROTOCOLS",
@@ -39,6 +40,9 @@ STANDARD: Final = ("exact", "uniad", "vad", "vad-23", "sparsedrive", "diffusiond
 
 MAXIMA: Final = frozenset({"bev-planner", "omnidrive", "safemvdrive", "safemvdrive-box", "safemvdrive-box-all"})
 """Official protocols whose collision rate is a maximum over the steps, or latched: no column of means may hold them."""
+
+LEAVING_OUT: Final = frozenset({"safemvdrive", "safemvdrive-box", "safemvdrive-box-all"})
+"""Official protocols that leave out whole samples because of the recorded ego, where others mask steps."""
 
 
 def register(definition: CollisionProtocol) -> None:

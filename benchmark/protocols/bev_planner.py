@@ -93,8 +93,9 @@ class BEVPlanner:
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the columns ``before_mask``, ``recorded``, ``obj_col``, ``kerb_before_mask``,
-            ``kerb_recorded``, ``kerb`` and ``kerb_point``, and the fact ``map`` (whether the sample has one).
+            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary``, ``obj_col``,
+            ``kerb_before_mask``, ``kerb_recorded``, ``kerb`` and ``kerb_point``, and the fact ``map`` (whether the
+            sample has one).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
@@ -111,6 +112,7 @@ class BEVPlanner:
             steps={
                 "before_mask": on_plan,
                 "recorded": on_recorded,
+                "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
                 "obj_col": at_point & ~on_recorded,
                 "kerb_before_mask": kerb,
                 "kerb_recorded": kerb_recorded,
@@ -119,6 +121,21 @@ class BEVPlanner:
             },
             facts={"map": tuple(roads is not None and roads.has_kerbs for roads in stacked.roads)},
         )
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: whether the rectangle touches some objects on the recorded way.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones can be touched.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        if not among.any():
+            return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
+        cover = footprint(forward_left(truths.ego_future[..., :2]))
+        return touched((cover,), *drawn_polygons(self, truths, among), fill)[0].reshape(-1, PLAN_STEPS)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Maxima over the steps up to each horizon, means of L2 and of ``kerb_point``.
@@ -153,17 +170,21 @@ def footprint(path: Floats) -> TurnedFootprint:
     return TurnedFootprint(path.reshape(-1, 2), heading.reshape(-1), np.float32)
 
 
-def drawn_polygons(definition: BEVPlanner, truths: StackedTruths) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def drawn_polygons(
+    definition: BEVPlanner, truths: StackedTruths, among: Bools | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grid, in single precision throughout.
 
     Args:
         definition: Says which objects count.
-        truths: S samples.
+        truths: S samples with M objects.
+        among: (M,) which objects are asked about, if not all.
 
     Returns:
         (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
     """
-    objects, steps = np.nonzero(definition.counted_objects(truths))
+    asked = np.True_ if among is None else among[:, None]
+    objects, steps = np.nonzero(definition.counted_objects(truths) & asked)
     single = truths.boxes_in_ego(objects, steps + 1).astype(np.float32)
     cos, sin = np.cos(single[:, 4]), np.sin(single[:, 4])
     corners = np.empty((len(single), 4, 2), np.float32)

@@ -96,8 +96,8 @@ class OmniDrive:
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the columns ``before_mask``, ``recorded`` and ``off_road``, and the fact ``on_road_now``, null
-            where the sample has no map. Distances are those of the rear axle.
+            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``off_road``, and the
+            fact ``on_road_now``, null where the sample has no map. Distances are those of the rear axle.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
@@ -124,9 +124,33 @@ class OmniDrive:
             l2=np.where(valid, np.hypot(offset[..., 0], offset[..., 1]), 0.0),
             valid=valid,
             counted=valid.all(axis=-1),
-            steps={"before_mask": on_plan, "recorded": on_recorded, "off_road": off_road},
+            steps={
+                "before_mask": on_plan,
+                "recorded": on_recorded,
+                "recorded_adversary": self._touched(truths, recorded, truths.adversarial),
+                "off_road": off_road,
+            },
             facts={"on_road_now": now},
         )
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: whether the rectangle touches some objects on the recorded way.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones can be touched.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        return self._touched(truths, truths.axle_future, among)
+
+    def _touched(self, truths: StackedTruths, path: Floats, among: Bools) -> Bools:
+        """Where (S, 6, 2) waypoints of the rear axle put the ego on some of M objects."""
+        if not among.any():
+            return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
+        polygons, place_of = drawn_polygons(self, truths, among)
+        return touched((footprint(path),), polygons, place_of, fill)[0].reshape(-1, PLAN_STEPS)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Maxima over the steps up to each horizon, means of L2.
@@ -186,17 +210,21 @@ def footprint(path: Floats) -> TurnedFootprint:
     return TurnedFootprint(path.reshape(-1, 2), heading.reshape(-1), np.float64)
 
 
-def drawn_polygons(definition: OmniDrive, truths: StackedTruths) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def drawn_polygons(
+    definition: OmniDrive, truths: StackedTruths, among: Bools | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grid.
 
     Args:
         definition: Says which objects count.
-        truths: S samples.
+        truths: S samples with M objects.
+        among: (M,) which objects are asked about, if not all.
 
     Returns:
         (N, 4, 2) column and row of each corner, and (N,) the place of each: sample times 6 plus step.
     """
-    objects, steps = np.nonzero(definition.counted_objects(truths))
+    asked = np.True_ if among is None else among[:, None]
+    objects, steps = np.nonzero(definition.counted_objects(truths) & asked)
     boxes = truths.boxes_in_ego(objects, steps + 1)
     boxes[:, 2:4] = truths.boxes[objects, 0, 2:4]
     return _nodes(boxes), truths.sample_of[objects] * PLAN_STEPS + steps

@@ -38,14 +38,18 @@ from benchmark.truth import SampleTruth
 
 
 class SafeMVDrive:
-    """UniAD's flags, latched; the module's docstring says all."""
+    """UniAD's flags, latched; the module's docstring says all.
+
+    Attributes:
+        uniad: Whose rasters and flags these are.
+    """
 
     name = "safemvdrive"
     version = 1
     counts_incomplete = True
 
     def __init__(self) -> None:
-        self._uniad = UniAD()
+        self.uniad = UniAD()
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Those of ``uniad``.
@@ -56,7 +60,7 @@ class SafeMVDrive:
         Returns:
             (M, 6) verdicts.
         """
-        return self._uniad.counted_objects(truths)
+        return self.uniad.counted_objects(truths)
 
     def headings(self, plans_lidar: Floats) -> Floats:
         """Straight ahead at every step.
@@ -67,7 +71,7 @@ class SafeMVDrive:
         Returns:
             (S, 6) radians.
         """
-        return self._uniad.headings(plans_lidar)
+        return self.uniad.headings(plans_lidar)
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.
@@ -77,12 +81,26 @@ class SafeMVDrive:
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the columns ``at_step`` and ``obj_col``.
+            Verdicts with the columns ``at_step``, ``obj_col`` and those of a mask (`_latched`).
         """
-        judged = self._uniad.evaluate(truths, plans_lidar)
-        counted = judged.valid[:, 0] & ~judged.step("recorded").reshape(-1, PLAN_STEPS)[:, 0]
+        judged = self.uniad.evaluate(truths, plans_lidar)
         columns = {"at_step": judged.step("before_mask"), "obj_col": judged.step("obj_col")}
-        return _latched(columns, judged.l2, judged.valid, counted)
+        recorded = (judged.step("recorded"), judged.step("recorded_adversary"))
+        out, for_adversary = (hit.reshape(-1, PLAN_STEPS)[:, 0] for hit in recorded)
+        return _latched(columns, judged.l2, judged.valid, judged.valid[:, 0], out, for_adversary)
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: all steps of samples whose recorded ego collides at the first.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones can be touched.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        first = self.uniad.recorded_contacts(truths, among)[:, :1]
+        return np.asarray(first & truths.ego_future_valid)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """The latched flag at each horizon.
@@ -145,14 +163,29 @@ class SafeMVDriveBox:
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the column ``at_step``.
+            Verdicts with the column ``at_step`` and those of a mask (`_latched`).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         flags = waypoint_contacts(stacked, self.counted_objects(stacked), plans, self.headings(plans))
         valid = stacked.ego_future_valid
-        counted = valid.all(axis=-1) & ~self._touched_now(stacked)
-        return _latched({"at_step": flags & valid}, displacement(plans, stacked), valid, counted)
+        out, for_adversary = (
+            self._touched_now(stacked, among) for among in (np.ones_like(stacked.adversarial), stacked.adversarial)
+        )
+        columns = {"at_step": flags & valid}
+        return _latched(columns, displacement(plans, stacked), valid, valid.all(axis=-1), out, for_adversary)
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: all steps of samples whose ego touches a box now.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones can be touched.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        return np.asarray(self._touched_now(truths, among)[:, None] & truths.ego_future_valid)
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """The latched flag at each horizon.
@@ -169,16 +202,47 @@ class SafeMVDriveBox:
         """(M, 7) which objects are there now and at the steps."""
         return truths.annotated & truths.has_lidar_points if self.needs_points else truths.annotated
 
-    def _touched_now(self, truths: StackedTruths) -> Bools:
-        """(S,) whether the ego touches a box now, straight ahead at the origin."""
+    def _touched_now(self, truths: StackedTruths, among: Bools) -> Bools:
+        """(S,) whether the ego touches a box of some of M objects now, straight ahead at the origin."""
         ego = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
-        there = np.flatnonzero(self._there(truths)[:, 0])
+        there = np.flatnonzero(self._there(truths)[:, 0] & among)
         touched = np.zeros(len(truths.ego_future), dtype=np.bool_)
         touched[truths.sample_of[there[boxes_overlap(ego, truths.boxes[there, 0])]]] = True
         return touched
 
 
-def _latched(columns: dict[str, Bools], l2: Floats, valid: Bools, counted: Bools) -> Outcomes:
-    """Verdicts in which every step after the first flag collides; samples that do not count have none."""
-    collision = np.logical_or.accumulate(columns["at_step"].reshape(-1, PLAN_STEPS), axis=1) & counted[:, None]
-    return Outcomes(collision=collision, l2=l2, valid=valid, counted=counted, steps=columns)
+def _latched(
+    columns: dict[str, Bools], l2: Floats, valid: Bools, fit: Bools, out: Bools, for_adversary: Bools
+) -> Outcomes:
+    """Verdicts in which every step after the first flag collides; samples that do not count have none.
+
+    What is masked here are whole samples: ``before_mask`` are the latched flags of all, ``recorded`` and
+    ``recorded_adversary`` are the steps of those that are left out because of the recorded ego, and the fact
+    ``left_out`` says which would count if it were not for that.
+
+    Args:
+        columns: (S, 6) further columns, among them ``at_step``.
+        l2: (S, 6) metres.
+        valid: (S, 6) whether the recorded ego exists.
+        fit: (S,) which samples are long enough to count.
+        out: (S,) whose recorded ego collides where the protocol looks.
+        for_adversary: (S,) the same with an adversary.
+
+    Returns:
+        The verdicts.
+    """
+    latched = np.logical_or.accumulate(columns["at_step"].reshape(-1, PLAN_STEPS), axis=1)
+    counted = fit & ~out
+    return Outcomes(
+        collision=latched & counted[:, None],
+        l2=l2,
+        valid=valid,
+        counted=counted,
+        steps={
+            **columns,
+            "before_mask": latched,
+            "recorded": out[:, None] & valid,
+            "recorded_adversary": for_adversary[:, None] & valid,
+        },
+        facts={"left_out": tuple((fit & out).tolist())},
+    )

@@ -81,28 +81,41 @@ class STP3:
             plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
 
         Returns:
-            Verdicts with the columns ``before_mask``, ``recorded`` and ``obj_col``.
+            Verdicts with the columns ``before_mask``, ``recorded``, ``recorded_adversary`` and ``obj_col``.
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
         stacked = stack(truths)
         point = _point_cells(plans)
         inside = ((point >= 0) & (point < CELLS)).all(axis=-1)
-        blocks = [_ego_block(plans), _ego_block(stacked.ego_future[..., :2]), truncated(point)[..., None, :]]
-        sources = [_before_warp(cells, *warps(stacked.axle_poses)) for cells in blocks]
-        groups = [np.clip(cells, 0, CELLS - 1).reshape(-1, cells.shape[-2], 2) for cells in sources]
-        on_grid = [((cells >= 0) & (cells < CELLS)).all(axis=-1) for cells in sources]
-        polygons, place_of = drawn_polygons(self, stacked)
-        found = occupied(polygons, place_of, groups)
-        on_plan, on_recorded, at_point = (
-            (hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(found, on_grid)
-        )
+        blocks = [ego_block(plans), ego_block(stacked.ego_future[..., :2]), truncated(point)[..., None, :]]
+        on_plan, on_recorded, at_point = _covered(stacked, blocks, *drawn_polygons(self, stacked))
         return Outcomes(
             collision=on_plan & ~on_recorded,
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
             counted=stacked.ego_future_valid.all(axis=-1) & (stacked.keyframes_before >= KEYFRAMES_BEFORE),
-            steps={"before_mask": on_plan, "recorded": on_recorded, "obj_col": at_point & inside & ~on_recorded},
+            steps={
+                "before_mask": on_plan,
+                "recorded": on_recorded,
+                "recorded_adversary": self.recorded_contacts(stacked, stacked.adversarial),
+                "obj_col": at_point & inside & ~on_recorded,
+            },
         )
+
+    def recorded_contacts(self, truths: StackedTruths, among: Bools) -> Bools:
+        """The ground-truth check: whether the block touches some objects on the recorded way.
+
+        Args:
+            truths: S samples with M objects.
+            among: (M,) which objects are asked about; of these, the counted ones can be touched.
+
+        Returns:
+            (S, 6) verdicts.
+        """
+        if not among.any():
+            return np.zeros(truths.ego_future_valid.shape, dtype=np.bool_)
+        block = ego_block(truths.ego_future[..., :2])
+        return _covered(truths, [block], *drawn_polygons(self, truths, among))[0]
 
     def sample_values(self, outcomes: Outcomes) -> dict[str, Floats]:
         """Means over the steps up to each horizon.
@@ -116,17 +129,21 @@ class STP3:
         return masked_columns(outcomes, means_up_to)
 
 
-def drawn_polygons(definition: STP3, truths: StackedTruths) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def drawn_polygons(
+    definition: STP3, truths: StackedTruths, among: Bools | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Corners of counted objects on the grids of their own frames.
 
     Args:
         definition: Says which objects count.
-        truths: S samples.
+        truths: S samples with M objects.
+        among: (M,) which objects are asked about, if not all.
 
     Returns:
         (N, 4, 2) column (left) and row (forward) of each corner, and (N,) the place of each: sample times 6 plus step.
     """
-    objects, steps = np.nonzero(definition.counted_objects(truths))
+    asked = np.True_ if among is None else among[:, None]
+    objects, steps = np.nonzero(definition.counted_objects(truths) & asked)
     samples = truths.sample_of[objects]
     boxes = truths.boxes_in_ego(objects, steps + 1)
     now, then = truths.axle_poses[samples, 0], truths.axle_poses[samples, steps + 1]
@@ -181,6 +198,17 @@ def before_warp(rows: Cells, columns: Cells, tx: Singles, ty: Singles, angle: Si
         ((place + np.float32(1)) * np.float32(CELLS) - np.float32(1)) / np.float32(2) for place in (along, across)
     )
     return np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
+
+
+def _covered(
+    truths: StackedTruths, blocks: Sequence[Cells], polygons: NDArray[np.int32], place_of: NDArray[np.int64]
+) -> list[Bools]:
+    """For each of some (S, 6, C, 2) cells of the warped picture whether (S, 6) any is covered by polygons."""
+    sources = [_before_warp(cells, *warps(truths.axle_poses)) for cells in blocks]
+    groups = [np.clip(cells, 0, CELLS - 1).reshape(-1, cells.shape[-2], 2) for cells in sources]
+    on_grid = [((cells >= 0) & (cells < CELLS)).all(axis=-1) for cells in sources]
+    found = occupied(polygons, place_of, groups)
+    return [(hit.reshape(there.shape) & there).any(axis=-1) for hit, there in zip(found, on_grid)]
 
 
 def _before_warp(cells: Cells, tx: Singles, ty: Singles, angle: Singles) -> Cells:
@@ -241,7 +269,7 @@ def _angle(motions: Singles) -> Singles:
     return np.arctan2(-motions[..., 0, 1].astype(np.float64), motions[..., 0, 0].astype(np.float64)).astype(np.float32)
 
 
-def _ego_block(waypoints_lidar: Floats) -> Cells:
+def ego_block(waypoints_lidar: Floats) -> Cells:
     """(..., 32, 2) rows (forward) and columns (left) of the ego's block."""
     return truncated(ego_cells(waypoints_lidar * [-1.0, 1.0]))
 

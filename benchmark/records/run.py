@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.metrics.rates import rates
@@ -178,14 +180,16 @@ def summarise(
 
 
 def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | None:
-    """Steps that collide before the exclusion and not after it, among those that enter the rates.
+    """Steps that collide before the exclusion and not after it, among those that enter the rates or would without it.
 
     ``touching`` is the column of what the recorded ego touches there.
     """
     if not {"before_mask", touching} <= set(outcomes.steps):
         return None
     removed = outcomes.steps["before_mask"] & outcomes.steps[touching]
-    return int((removed & outcomes.valid & outcomes.counted[:, None]).sum())
+    # Some protocols leave out whole samples.
+    enters = outcomes.counted | np.array(outcomes.facts.get("left_out", False), np.bool_)
+    return int((removed & outcomes.valid & enters[:, None]).sum())
 
 
 def scene_failures(rows: Sequence[SampleRow], protocol: str) -> dict[str, bool | None]:

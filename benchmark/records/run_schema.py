@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 Waypoints = list[list[float]]
@@ -17,6 +17,8 @@ Label = Annotated[str, Field(max_length=200)]
 Name = Annotated[str, Field(max_length=200, pattern=r"^[^/\\\x00-\x1f]*$")]
 """Of something that files are named after: one line, and no path."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
+LightName = Literal["day", "dusk", "night", "rain"]
+PlaceName = Literal["roundabout", "car-park", "junction", "bend", "straight", "unknown"]
 
 
 class Stored(BaseModel):
@@ -59,11 +61,13 @@ class SceneFacts(Stored):
         manoeuvre: What its first adversary does, if it has one and labels.
         adversaries: How many vehicles were made to be adversaries; null where the data set does not say, and in older
             records.
+        light: Light and weather that its description names, none where it names none; null in older records.
     """
 
     source: str
     manoeuvre: str | None = None
     adversaries: int | None = Field(default=None, ge=0, le=MOST_ADVERSARIES)
+    light: list[LightName] | None = None
 
 
 class DataFacts(Stored):
@@ -235,6 +239,8 @@ class SampleRow(Stored):
         driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or there is no
             map with lanes; null in records of schema 1 and 2.
         longer: Verdicts beyond 3 s, or null where the plan ends there.
+        place: What kind of place the recorded car is on (docs/manoeuvres.md); null in older records.
+        speed_m_s: Its speed; null in older records.
     """
 
     scene: str
@@ -254,6 +260,8 @@ class SampleRow(Stored):
     disagreements: dict[str, str] = Field(default_factory=dict)
     driving: DrivingRow | None = None
     longer: LongerRow | None = None
+    place: PlaceName | None = None
+    speed_m_s: float | None = Field(default=None, ge=0)
 
 
 class RateRow(Stored):

@@ -5,6 +5,7 @@ The verdict on a sample depends on that sample alone, so a scene judged today gi
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from benchmark.protocols import Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
 from benchmark.records.run_schema import SampleRow
 from benchmark.scene import Scene
+from benchmark.surroundings.circumstances import Circumstances
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ def judge(
     protocols: Sequence[str],
     *,
     scene: Scene | None = None,
+    around: Sequence[Circumstances] | None = None,
     longer: Callable[[int], Sequence[SampleTruth]] | None = None,
 ) -> list[SampleRow]:
     """Put what really happened and the verdicts beside the plans.
@@ -45,6 +48,7 @@ def judge(
         truths: One for each sample, in the same order.
         protocols: Who judges.
         scene: The scene with its map, for driving scores; without it there are none.
+        around: Place and speed of the recorded car at each sample; without them rows do not say where they are.
         longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
             said beyond 3 s.
 
@@ -78,8 +82,10 @@ def judge(
             "diagnosis": causes[place],
             "disagreements": differences[place],
         }
+    where = repeat(None, len(rows)) if around is None else around
     return [
-        SampleRow(**row, **_recorded(truth), **found) for row, truth, found in zip(rows, truths, findings, strict=True)
+        SampleRow(**row, **_recorded(truth, at), **found)
+        for row, truth, at, found in zip(rows, truths, where, findings, strict=True)
     ]
 
 
@@ -201,7 +207,7 @@ def _explained(
     return diagnose(truths, plans, outcomes[EXACT]), disagreements(truths, in_lidar, outcomes)
 
 
-def _recorded(truth: SampleTruth) -> dict[str, Any]:
+def _recorded(truth: SampleTruth, at: Circumstances | None) -> dict[str, Any]:
     """What a row says of the recording."""
     return {
         "command": int(truth.command),
@@ -210,4 +216,6 @@ def _recorded(truth: SampleTruth) -> dict[str, Any]:
         "recorded_future": [
             pose.tolist() if valid else None for pose, valid in zip(truth.ego_future, truth.ego_future_valid)
         ],
+        "place": None if at is None else at.place.value,
+        "speed_m_s": None if at is None else at.speed_m_s,
     }

@@ -14,6 +14,7 @@ from benchmark.records.run import RunRecord, load_record, summarise, write_recor
 from benchmark.records.run_schema import SCHEMA, SampleRow
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
+from benchmark.surroundings.circumstances import circumstances_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -167,7 +168,14 @@ def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple
     truths = data.truth(scene)
     if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in truths]:
         raise InputError(f"{record.directory} does not hold the samples of {scene}; run challenger-bench eval again")
-    return judge(plans, truths, protocols, scene=scene_with_map(data, scene), longer=partial(longer_truth, data, scene))
+    return judge(
+        plans,
+        truths,
+        protocols,
+        scene=scene_with_map(data, scene),
+        around=circumstances_of(data.scene(scene)),
+        longer=partial(longer_truth, data, scene),
+    )
 
 
 def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: list[SampleRow], versions: dict[str, int]) -> bool:

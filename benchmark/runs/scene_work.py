@@ -11,6 +11,7 @@ from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts, SampleRow
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
 from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key
+from benchmark.surroundings.circumstances import circumstances_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -74,6 +75,7 @@ def work_here(run: Run, data: "DataSet", planner: Planner, scene: str) -> SceneR
         data.truth(scene),
         run.protocols,
         scene=scene_with_map(data, scene),
+        around=circumstances_of(data.scene(scene)),
         longer=partial(longer_truth, data, scene),
     )
     return SceneResult(scene, judged, planned.seconds)

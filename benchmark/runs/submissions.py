@@ -5,7 +5,7 @@ set, every plan is judged anew, and the rates are summed up anew. What cannot be
 model made the plans from the images, is said as what it is: `Level.NOTE`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -17,7 +17,7 @@ from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run import RunRecord, load_record, summarise
-from benchmark.records.run_schema import DrivingSummary, OutcomeRow, ProtocolSummary, SampleRow
+from benchmark.records.run_schema import DrivingSummary, OutcomeRow, ProtocolSummary, SampleRow, SceneFacts
 from benchmark.report.words import counted
 from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import judged_anew, record_directories, require_same_data
@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 SAME_M = 0.05
 """Plans that are nowhere farther than this from the recorded future were not made without seeing it. Where a plan is of
 the rear axle, turning it into one of the lidar costs some of it."""
-_LATER_STEPS = frozenset({"recorded_adversary"})
-"""Columns of verdicts that records of the same protocol version need not have yet."""
+SAME_M_S = 0.01
+"""Speeds that are this close are the same: processors differ in the last bits of a fit."""
+_LATER = frozenset({"recorded_adversary", "recorded", "before_mask", "left_out"})
+"""Columns and facts of verdicts that records of the same protocol version need not have yet."""
 MOVES_M = 1.0
 """A recording that never goes farther than this says nothing about it: whoever stands still is right."""
 
@@ -168,8 +170,10 @@ def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, 
             "first on sample "
             f"{first.sample_token} of {first.scene}; run challenger-bench rescore",
         )
-    versions = {name: run.protocols[name] for name in names}
-    summary = summarise(anew, versions, seed=run.seed, scene_facts=data.scene_facts(run.scenes))
+    versions, facts = {name: run.protocols[name] for name in names}, data.scene_facts(run.scenes)
+    if others := _other_facts(record, facts):
+        yield Level.ERROR, f"says of {others[0]} what the data set does not say; run challenger-bench rescore"
+    summary = summarise(anew, versions, seed=run.seed, scene_facts=facts)
     for name in names:
         claimed = record.summary.protocols.get(name)
         if claimed is None:
@@ -185,27 +189,44 @@ def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, 
 
 
 def _says_the_same(row: SampleRow, computed: SampleRow, protocols: Sequence[str]) -> bool:
-    judged = {"outcomes", "disagreements", "driving"}
+    judged = {"outcomes", "disagreements", "driving", "place", "speed_m_s"}
     return (
         row.model_dump(exclude=judged) == computed.model_dump(exclude=judged)
+        and _same_circumstances(row, computed)
         and all(_same_verdict(row.outcomes.get(name), computed.outcomes.get(name)) for name in protocols)
         and all(row.disagreements.get(name) == computed.disagreements.get(name) for name in protocols)
     )
+
+
+def _same_circumstances(said: SampleRow, computed: SampleRow) -> bool:
+    """Whether a row says the place and speed that the data have; an older one says neither."""
+    if said.speed_m_s is None or computed.speed_m_s is None:
+        return said.place is None or said.place == computed.place
+    return said.place == computed.place and abs(said.speed_m_s - computed.speed_m_s) <= SAME_M_S
+
+
+def _other_facts(record: RunRecord, found: Mapping[str, SceneFacts]) -> list[str]:
+    """Scenes of which a record says something else than the data set; what it does not say is no fault."""
+    return [
+        name
+        for name, facts in record.run.scene_facts.items()
+        if name in found and any(value is not None and value != getattr(found[name], said) for said, value in facts)
+    ]
 
 
 def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:
     """Whether two verdicts are equal; a record that was written before a column was kept cannot have it."""
     if said is None or computed is None:
         return said is computed
-    known = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER_STEPS}
-    return said == computed.model_copy(update={"steps": known})
+    steps = {name: column for name, column in computed.steps.items() if name in said.steps or name not in _LATER}
+    facts = {name: fact for name, fact in computed.facts.items() if name in said.facts or name not in _LATER}
+    return said == computed.model_copy(update={"steps": steps, "facts": facts})
 
 
 def _as_of(claimed: ProtocolSummary, found: ProtocolSummary) -> ProtocolSummary:
-    """What a record that has no count of adversaries' masked steps could say."""
-    if claimed.mask_removed_for_adversary is not None:
-        return found
-    return found.model_copy(update={"mask_removed_for_adversary": None})
+    """What a record that has no count of masked steps, or none of adversaries' ones, could say."""
+    counts = ("mask_removed_steps", "mask_removed_for_adversary")
+    return found.model_copy(update={name: None for name in counts if getattr(claimed, name) is None})
 
 
 def _driving_anew(

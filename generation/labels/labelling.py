@@ -8,9 +8,9 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_gap, boxes_overlap, to_local
 from benchmark.records.attempts import ClosestApproach, Labels, TimeToCollision
 from benchmark.scene import Scene
+from benchmark.surroundings.places import place_of
 from generation.labels.encounters import encounter
 from generation.labels.manoeuvres import encroachment, occurrences
-from generation.labels.places import place_of
 
 TIME_TO_COLLISION_LIMIT_S = 5.0
 TIME_TO_COLLISION_STEP_S = 0.1

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import HORIZONS
-from benchmark.metrics.scores import takes_maxima
+from benchmark.metrics.scores import leaves_out_samples, takes_maxima
 from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.driving import PDM
 from benchmark.records.run import NATIVE, RunRecord
@@ -137,7 +137,7 @@ def _table(
     """Rows of all records that have their judge's verdicts, in the order given."""
     runs = [record for record in records if judge_of(record) in record.summary.protocols]
     run_of = {(run.planner, run.run.split): run for run in runs}
-    has_mask = any(BEFORE_MASK in run.summary.protocols[judge_of(run)].columns for run in runs)
+    has_mask = any(_is_masked(run, judge_of(run)) for run in runs)
     has_paper = any(published_rate(run, judge_of(run)) is not None for run in runs)
     rows: list[tuple[str | Shown, ...]] = []
     for run in runs:
@@ -217,12 +217,17 @@ def _numbers(record: RunRecord, judge: str, *, has_mask: bool) -> tuple[Shown, .
     shown = (*(collision[horizon].shown(2) for horizon in HORIZONS), collision["avg"].interval())
     if not has_mask:
         return shown
-    if BEFORE_MASK not in summary.columns:
-        return (*shown, *(Shown(UNDEFINED) for _ in MASK_COLUMNS))
-    before = origin.percent(summary.columns[BEFORE_MASK]["avg"])
     masked = summary.mask_removed_steps
+    if not _is_masked(record, judge):
+        return (*shown, *(Shown(UNDEFINED) for _ in MASK_COLUMNS))
+    # Where whole samples are left out there is no rate of the same samples without that.
+    before = origin.percent(summary.columns[BEFORE_MASK]["avg"]).shown(2) if BEFORE_MASK in summary.columns else None
     counts = (masked, summary.mask_removed_for_adversary, _masked_for_others(summary))
-    return (*shown, before.shown(2), *(origin.count(count, "steps", masked).shown() for count in counts))
+    return (*shown, before or Shown(UNDEFINED), *(origin.count(count, "steps", masked).shown() for count in counts))
+
+
+def _is_masked(record: RunRecord, judge: str) -> bool:
+    return BEFORE_MASK in record.summary.protocols[judge].columns or leaves_out_samples(judge)
 
 
 def _masked_for_others(summary: ProtocolSummary) -> int | None:
@@ -268,7 +273,8 @@ def _column_notes(
         notes.append(
             "Mask: steps at which the recorded ego collides too, under the same protocol, do not count. Before it: the "
             "average without that exclusion; masked: how many colliding steps it removed, at which the recorded ego "
-            "touches an adversary, and at which it touches something else alone."
+            "touches an adversary, and at which it touches something else alone. Where a protocol leaves out whole "
+            "samples (safemvdrive), the colliding steps of these are counted, and there is no average before it."
         )
     return notes
 

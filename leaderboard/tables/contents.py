@@ -8,6 +8,7 @@ from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.scores import require_current
 from benchmark.metrics.transfer import TransferMatrix, transfer
 from benchmark.records.ablation import AblationReport
+from benchmark.records.driving import PDM
 from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
@@ -24,6 +25,7 @@ from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
 from leaderboard.tables.runtime import runtime_tables
 from leaderboard.tables.seeds import seed_spread_table
+from leaderboard.tables.slices import DIAGNOSIS, slice_tables
 from leaderboard.tables.statistics import statistics_tables
 from leaderboard.tables.transfer import agreement_table, transfer_table
 
@@ -35,6 +37,7 @@ class DataSetTables:
     Attributes:
         data_name: Name of the data set.
         front: Under ``exact`` and under the planners' own protocols, then diagnosis, disagreement and driving scores.
+        slices: By place, light, manoeuvre, speed and command: the same judges as ``front``.
         others: Under each other protocol; the collision table comes first.
         matrices: Transfer matrices that get a picture, by the name of their table.
         records: What they are made from.
@@ -43,6 +46,7 @@ class DataSetTables:
 
     data_name: str
     front: tuple[Table, ...]
+    slices: tuple[Table, ...]
     others: dict[str, tuple[Table, ...]]
     matrices: dict[str, TransferMatrix]
     records: tuple[RunRecord, ...]
@@ -51,7 +55,7 @@ class DataSetTables:
     @property
     def tables(self) -> tuple[Table, ...]:
         """All of them."""
-        return (*self.front, *(table for tables in self.others.values() for table in tables))
+        return (*self.front, *self.slices, *(table for tables in self.others.values() for table in tables))
 
 
 def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTables:
@@ -90,7 +94,8 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         front.append(driving_table(data_name, records))
     others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
-    return DataSetTables(data_name, tables, others, matrices, tuple(records), _missing(records))
+    slices = _slices(data_name, records, (*names, PDM, DIAGNOSIS))
+    return DataSetTables(data_name, tables, slices, others, matrices, tuple(records), _missing(records))
 
 
 def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> dict[str, tuple[Table, ...]]:
@@ -123,7 +128,12 @@ def _tables_under(
     for split in splits:
         tables.append(planner_table(data_name, split, protocol, records, verdicts))
         tables += _transfer_tables(data_name, split, protocol, records)[1]
-    return tuple(table for table in tables if table is not None)
+    return (*(table for table in tables if table is not None), *_slices(data_name, records, (protocol,)))
+
+
+def _slices(data_name: str, records: Sequence[RunRecord], asked: Sequence[str]) -> tuple[Table, ...]:
+    """Tables by slice that have rows; what old records lack is said once, in the notes."""
+    return tuple(table for table in slice_tables(data_name, records, asked) if table.rows)
 
 
 def _transfer_tables(
@@ -158,6 +168,11 @@ def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
         who = f"{record.planner} on {record.run.split}"
         if record.missing_protocols:
             notes.append(f"{who}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore.")
+        if any(row.place is None or row.speed_m_s is None for row in record.rows):
+            notes.append(
+                f"{who}: the record does not say where its samples are, in what light and how fast, so that it is in "
+                "no table by place, light or speed; run challenger-bench rescore."
+            )
         if record.run.split == "adv" and not record.run.scene_facts:
             notes.append(
                 f"{who}: the record does not say which recordings its scenes come from, so that intervals take scenes "

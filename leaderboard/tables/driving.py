@@ -69,10 +69,7 @@ def driving_table(data_name: str, records: Sequence[RunRecord]) -> Table:
 
 
 def _row(record: RunRecord, summary: DrivingSummary) -> tuple[str | Shown, ...]:
-    origin, planner = origin_of(record, DEFINITION), record.run.planner
-    name = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
-    if summary.version != VERSION:
-        name = replace(name, text=f"{name.text} {STALE_MARK}")
+    origin, name = origin_of(record, DEFINITION), driver_name(record, summary)
     score = origin.percent(summary.columns["score"]["mean"])
     return (
         *(name, record.run.split, score.shown(1), score.interval()),
@@ -83,6 +80,13 @@ def _row(record: RunRecord, summary: DrivingSummary) -> tuple[str | Shown, ...]:
         origin.count(summary.counted, "samples", record.summary.samples).shown(),
         origin.count(len(record.run.scenes), "scenes", record.run.scenes_in_split).shown(),
     )
+
+
+def driver_name(record: RunRecord, summary: DrivingSummary) -> Shown:
+    """The planner's name with its marks, among them that of an earlier version of the definition."""
+    planner = record.run.planner
+    name = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
+    return name if summary.version == VERSION else replace(name, text=f"{name.text} {STALE_MARK}")
 
 
 def _mean(origin: Origin, summary: DrivingSummary, column: str) -> Shown:

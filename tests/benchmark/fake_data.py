@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
 from benchmark.datasets.can_bus import CanBus, ego_state
+from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_key, token
 from benchmark.planning import CameraView, Command, Observation
@@ -57,7 +58,7 @@ class FakeData:
         return None
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        return {name: SceneFacts(source=name) for name in names}
+        return {name: scene_facts_of(name, {}, self.scenes[name].description) for name in names}
 
     def fingerprint(self) -> str:
         return content_key([(name, self.scenes[name].agents.position.tolist()) for name in sorted(self.scenes)])

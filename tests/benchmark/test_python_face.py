@@ -50,6 +50,7 @@ FUNCTION_OF = {
     "weights fetch": "fetch_weights",
     "weights anchors": "write_anchors",
     "leaderboard": "write_leaderboard",
+    "leaderboard slices": "slice_tables",
     "leaderboard submit-check": "check_submission",
 }
 

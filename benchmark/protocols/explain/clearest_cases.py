@@ -9,7 +9,7 @@ import shapely
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners, box_gap, ego_footprints
-from benchmark.metrics.disagreement import CAUSES, EXACT, MISS, RUNGS, ladder
+from benchmark.metrics.disagreement import CAUSES, EXACT, FALSE_ALARM, MISS, RUNGS, ladder
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
@@ -132,6 +132,9 @@ def case_of(planner: str, protocol: str, truth: SampleTruth, plan_lidar: Floats)
     if cause is None:
         return None
     steps = np.flatnonzero(rungs.decisive_steps()[0]).tolist()
+    if cause.startswith(FALSE_ALARM) and "at_step" in official.steps:
+        # Latched, the flag goes on after what raised it.
+        steps = [step for step in steps if official.step("at_step")[0, step]] or steps
     clearness = {step: _clearness(cause, protocol, truth, plan_lidar, step) for step in steps}
     step = max(steps, key=lambda step: (clearness[step], -step))
     return Case(planner, protocol, cause, truth, plan_lidar, step, clearness[step])

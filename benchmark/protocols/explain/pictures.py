@@ -57,10 +57,10 @@ WORDS = {
     "miss: out of range now": "The object is too far away when the plan is made, so the protocol forgets it.",
     "miss: no sensor points": "No sensor point was counted on the object, so for the protocol it is not there.",
     "miss: heading": "The protocol does not turn the ego as the plan does, so its body is not where it would be.",
-    "miss: raster": "On the protocol's half-metre cells the two bodies do not meet.",
+    "miss: raster": "On the protocol's cells the two bodies do not meet.",
     "miss: mask": "The protocol sees the recorded ego collide here too, and therefore drops the collision.",
     "false alarm: heading": "The protocol does not turn the ego as the plan does: its body reaches where none would.",
-    "false alarm: raster": "On the protocol's half-metre cells the two bodies meet; in truth there is air between.",
+    "false alarm: raster": "On the protocol's cells the two bodies meet; in truth there is air between.",
 }
 """Every cause in a sentence."""
 
@@ -150,7 +150,7 @@ def draw_case(case: Case) -> bytes:
 def _middle(case: Case, instant: int) -> Floats:
     """Middle of the view: between where the ego is and where the protocol puts it, which a grid's border parts."""
     centre = ego_boxes(case.plan_lidar)[instant, :2]
-    view = raster_view(PROTOCOLS[case.protocol], case.truth, case.plan_lidar[case.step], case.step)
+    view = raster_view(PROTOCOLS[case.protocol], case.truth, case.plan_lidar, case.step)
     return centre if view is None else 0.5 * (centre + view.ego_middle_m)
 
 
@@ -201,7 +201,7 @@ def _draw_seen_at(
     axes: "Axes", definition: CollisionProtocol, stacked: StackedTruths, case: Case, step: int, alpha: float
 ) -> None:
     waypoint = case.plan_lidar[step]
-    view = raster_view(definition, case.truth, waypoint, step)
+    view = raster_view(definition, case.truth, case.plan_lidar, step)
     _draw_objects(axes, definition, stacked, case, step, None if view is not None else alpha)
     if view is None:
         heading = definition.headings(case.plan_lidar[None])[0, step]
@@ -240,7 +240,7 @@ def _draw_objects(
 
 def _draw_recorded(axes: "Axes", definition: CollisionProtocol, case: Case) -> None:
     recorded = case.truth.ego_future[case.step]
-    view = raster_view(definition, case.truth, recorded[:2], case.step)
+    view = raster_view(definition, case.truth, case.truth.ego_future[:, :2], case.step)
     if view is not None:
         shade_cells(axes, view, view.ego, GHOST, alpha=0.35)
     heading = definition.headings(case.truth.ego_future[None, :, :2])[0, case.step]

@@ -4,14 +4,19 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from benchmark.drawing import palette
 from benchmark.drawing.palette import hexadecimal
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols import CollisionProtocol
+from benchmark.protocols import CollisionProtocol, bev_planner, fine_grid, omnidrive, stp3
+from benchmark.protocols.bev_planner import BEVPlanner
+from benchmark.protocols.omnidrive import OmniDrive
 from benchmark.protocols.raster import CELL_M, CELLS, EXTENT_M, RasterProtocol, full_rasters
+from benchmark.protocols.safemvdrive import SafeMVDrive
 from benchmark.protocols.stacked import stack
+from benchmark.protocols.stp3 import STP3
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
@@ -27,36 +32,45 @@ class RasterView:
     """What a raster protocol compares at one step.
 
     Attributes:
-        occupied: (200, 200) cells of counted objects; rows from rear to front, columns from left to right.
-        ego: (200, 200) cells of the ego.
+        occupied: (R, C) cells of counted objects; rows from rear to front, columns from left to right.
+        ego: (R, C) cells of the ego.
         first_cell_m: x and y of the middle of cell (0, 0), as the protocol places its objects.
+        cell_m: Side of a cell.
     """
 
     occupied: Bools
     ego: Bools
     first_cell_m: tuple[float, float]
+    cell_m: float = CELL_M
 
     @property
     def ego_middle_m(self) -> Floats:
         """(2,) middle of the ego's cells."""
         rows, columns = np.nonzero(self.ego)
-        return np.array([columns.mean(), rows.mean()]) * CELL_M + self.first_cell_m
+        return np.array([columns.mean(), rows.mean()]) * self.cell_m + self.first_cell_m
 
 
-def raster_view(definition: CollisionProtocol, truth: SampleTruth, waypoint: Floats, step: int) -> RasterView | None:
+def raster_view(definition: CollisionProtocol, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView | None:
     """The cells that a protocol compares.
 
     Args:
         definition: The protocol.
         truth: What really happened.
-        waypoint: (2,) where the ego is at the step, metres.
+        plan_lidar: (6, 2) waypoints, metres.
         step: 0 to 5.
 
     Returns:
         The cells, or ``None`` for a protocol without a raster.
     """
+    if isinstance(definition, SafeMVDrive):
+        definition = definition.uniad
+    if isinstance(definition, STP3):
+        return _warped_view(definition, truth, plan_lidar, step)
+    if isinstance(definition, BEVPlanner | OmniDrive):
+        return _fine_view(definition, truth, plan_lidar, step)
     if not isinstance(definition, RasterProtocol):
         return None
+    waypoint = plan_lidar[step]
     stacked = stack([truth])
     counted = np.flatnonzero(definition.counted_objects(stacked)[:, step])
     polygons = definition.drawn_polygons(definition.drawn_boxes(stacked, counted, np.full(len(counted), step)))
@@ -66,6 +80,44 @@ def raster_view(definition: CollisionProtocol, truth: SampleTruth, waypoint: Flo
     if definition.first_row_ahead:
         return RasterView(occupied[::-1], ego[::-1], (-EXTENT_M, EXTENT_M - CELL_M * (CELLS - 1)))
     return RasterView(occupied, ego, (-EXTENT_M, -EXTENT_M))
+
+
+def _warped_view(definition: STP3, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView:
+    """ST-P3's picture of a step as it is warped into the present, around the rear axle as it draws its objects."""
+    stacked = stack([truth])
+    polygons, place_of = stp3.drawn_polygons(definition, stacked)
+    drawn = full_rasters(polygons[place_of == step], np.zeros(int((place_of == step).sum()), np.int64), 1)[0] > 0
+    rows, columns = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
+    motion = (part[0, step] for part in stp3.warps(stacked.axle_poses))
+    from_row, from_column = stp3.before_warp(rows, columns, *motion)
+    there = (from_row >= 0) & (from_row < CELLS) & (from_column >= 0) & (from_column < CELLS)
+    occupied = drawn[np.clip(from_row, 0, CELLS - 1), np.clip(from_column, 0, CELLS - 1)] & there
+    ego, at = np.zeros((CELLS, CELLS), dtype=np.bool_), stp3.ego_block(plan_lidar[step])
+    ego[at[:, 0], at[:, 1]] = True
+    # Columns go to the left; row 0 is 50 m behind the rear axle.
+    first = (EXTENT_M - CELL_M * (CELLS - 1), -EXTENT_M - truth.lidar_ahead_m)
+    return RasterView(occupied[:, ::-1], ego[:, ::-1], first)
+
+
+def _fine_view(definition: BEVPlanner | OmniDrive, truth: SampleTruth, plan_lidar: Floats, step: int) -> RasterView:
+    """The cells of 0.1 m that BEV-Planner and OmniDrive compare, around the rear axle as both draw their objects."""
+    stacked = stack([truth])
+    size, place = fine_grid.CELLS, np.array([step])
+    occupied = np.zeros((size, size), np.uint8)
+    if isinstance(definition, BEVPlanner):
+        polygons, place_of = bev_planner.drawn_polygons(definition, stacked)
+        cover = bev_planner.footprint(bev_planner.forward_left(plan_lidar[None]))
+    else:
+        polygons, place_of = omnidrive.drawn_polygons(definition, stacked)
+        path = omnidrive.axle_path(plan_lidar[None], stacked.ahead_m)
+        cover = omnidrive.footprint(omnidrive.written(path))
+    cv2.fillPoly(occupied, list(polygons[place_of == step]), (1,))
+    ego = np.zeros((size, size), dtype=np.bool_)
+    at = cover.cells(place)[0][0]
+    ego[at[:, 0], at[:, 1]] = True
+    # Rows go to the left and columns ahead: turned, rows go ahead and columns to the right.
+    first = (-fine_grid.FIRST_CELL_M - fine_grid.CELL_M * (size - 1), fine_grid.FIRST_CELL_M - truth.lidar_ahead_m)
+    return RasterView(occupied.T[:, ::-1] > 0, ego.T[:, ::-1], first, fine_grid.CELL_M)
 
 
 def draw_cells(axes: "Axes", view: RasterView, *, alpha: float = 1.0) -> None:
@@ -94,10 +146,12 @@ def shade_cells(axes: "Axes", view: RasterView, cells: Bools, colour: str, *, al
     from matplotlib.collections import PolyCollection
 
     rows, columns = np.nonzero(cells)
-    middle = np.column_stack([columns, rows]) * CELL_M + view.first_cell_m
-    square = 0.5 * CELL_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    middle = np.column_stack([columns, rows]) * view.cell_m + view.first_cell_m
+    square = 0.5 * view.cell_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     corners = list(middle[:, None] + square)
-    axes.add_collection(PolyCollection(corners, facecolors=colour, edgecolors="white", linewidths=0.4, alpha=alpha))
+    # Between small cells a line would hide them.
+    line = 0.4 * min(1.0, view.cell_m / CELL_M)
+    axes.add_collection(PolyCollection(corners, facecolors=colour, edgecolors="white", linewidths=line, alpha=alpha))
 
 
 def fill(axes: "Axes", corners: Floats, colour: str, *, alpha: float = 0.75) -> None:

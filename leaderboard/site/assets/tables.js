@@ -2,13 +2,17 @@
 /* Tables that can be sorted and filtered, and the page of all tables. */
 (() => {
   const site = window.ChallengerSite;
-  const { AddressError, UNDEFINED, address, choice, element, filterField, matcher, pages, picture, remember, unique } = site;
+  const { AddressError, UNDEFINED, address, choice, element, filterField, matcher, pages, picture, remember, show, unique } = site;
 
   const MARKS = ["†", "‡", "§"];
 
   /** Letters above which a cell, or a column's head, may be broken into lines. */
   const LONG = 28, SHORT = 11;
   const FIGURES = "figures";
+  /** Tables by place, light ...: one kind at a time, all of its slices or one. */
+  const SLICES = "slices";
+  const KIND = 2;
+  const EVERY = "all";
   /** What the first groups were called while they were one. */
   const ONCE = "exact and own protocols";
   /** How much smaller than drawn a figure may be. */
@@ -173,7 +177,8 @@
    * @param {TableData} table
    * @param {{notes?: string[], sort?: string|null, sorted?: (value: string|null) => void}} [state] Notes to show, if
    *   not all; order as `column.asc` or `column.desc`.
-   * @returns {{node: HTMLElement, filter: (matches: (text: string) => boolean) => number}}
+   * @returns {{node: HTMLElement, filter: (matches: (text: string) => boolean, fits?: (row: string[]) => boolean) =>
+   *   number}}
    */
   function tableView(table, { notes = table.notes, sort = null, sorted = () => {} } = {}) {
     const body = tableBody(table);
@@ -227,8 +232,11 @@
     const texts = table.rows.map((row) => row.join(" ").toLowerCase());
     return {
       node,
-      filter(matches) {
-        const kept = rows.filter((row, index) => { row.hidden = !matches(texts[index]); return !row.hidden; }).length;
+      filter(matches, fits = () => true) {
+        const kept = rows.filter((row, index) => {
+          row.hidden = !(matches(texts[index]) && fits(table.rows[index]));
+          return !row.hidden;
+        }).length;
         nothing.hidden = kept > 0;
         return kept;
       },
@@ -249,7 +257,8 @@
     const sorted = mine.find((table) => table.id === sort?.[2]);
     const group = asked && asked !== ONCE ? asked : sorted?.group ?? groups[0];
     if (!groups.includes(group)) throw new AddressError(`There are no tables called “${group}” of ${data}.`);
-    const shown = mine.filter((table) => table.group === group);
+    const sliced = slicesOf(mine.filter((table) => table.group === group), group, here);
+    const shown = sliced.tables;
     const said = new Set();
     const views = shown.map((table) => {
       const notes = table.notes.filter((sentence) => !said.has(sentence));
@@ -262,7 +271,7 @@
     });
     const filter = (text) => {
       const matches = matcher(text);
-      views.forEach((view) => view.filter(matches));
+      views.forEach((view) => view.filter(matches, sliced.fits));
     };
     filter(here.params.get("q") ?? "");
     return {
@@ -275,6 +284,7 @@
         element("div", { class: "toolbar" },
           names.length > 1 ? choice({ label: "Data set", value: data, choices: names, testid: "filter-data",
             change: (value) => { location.hash = address(["tables"], { data: value }); } }) : null,
+          ...sliced.choices,
           filterField({ label: "Rows with", value: here.params.get("q") ?? "", change: (text) => {
             remember(here, { q: text });
             filter(text);
@@ -291,6 +301,31 @@
       destroy: () => hideNote(),
     };
   };
+
+  /** What is chosen among the tables of a group: of slices one kind, and all of its slices or one.
+   * @param {TableData[]} tables @param {string} group @param {*} here
+   * @returns {{tables: TableData[], fits: (row: string[]) => boolean, choices: HTMLElement[]}} */
+  function slicesOf(tables, group, here) {
+    if (group !== SLICES) return { tables, fits: () => true, choices: [] };
+    const kinds = unique(tables.map((table) => table.columns[KIND]));
+    const by = here.params.get("by") ?? kinds[0];
+    if (!kinds.includes(by)) throw new AddressError(`There are no tables by “${by}”.`);
+    const shown = tables.filter((table) => table.columns[KIND] === by);
+    const names = unique(shown.flatMap((table) => table.rows.map((row) => row[KIND])));
+    const only = here.params.get("slice") ?? EVERY;
+    if (only !== EVERY && !names.includes(only)) throw new AddressError(`There is no ${by} called “${only}”.`);
+    const go = (changes) => { remember(here, changes); show(); };
+    return {
+      tables: shown,
+      fits: (row) => only === EVERY || row[KIND] === only,
+      choices: [
+        choice({ label: "By", value: by, choices: kinds, testid: "filter-by",
+          change: (value) => go({ by: value, slice: null, sort: null }) }),
+        choice({ label: by.charAt(0).toUpperCase() + by.slice(1), value: only, choices: [EVERY, ...names], testid: "filter-slice",
+          change: (value) => go({ slice: value === EVERY ? null : value }) }),
+      ],
+    };
+  }
 
   /** @param {TableData[]} shown @returns {HTMLElement|null} Titles that lead to their tables. */
   function contents(shown) {

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,16 +15,19 @@ from hypothesis import strategies as st
 from safetensors.torch import load_file, save
 
 from adapters.baselines.constant_velocity import ConstantVelocity
+from adapters.baselines.constant_velocity_on_path import ConstantVelocityOnPath
 from adapters.baselines.ego_status import EgoStatus, motion_of
 from adapters.baselines.log_replay import LogReplay
+from adapters.baselines.stop import Stop
 from adapters.training.ego_status import TrainingSettings, train_ego_status
 from adapters.training.ego_status_tracks import HZ, read_samples
 from benchmark.errors import InputError
-from benchmark.geometry import Floats
+from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.machine.storage import read_json
 from benchmark.planning import PlanFrame, SceneInfo
+from benchmark.scene import EgoTrack, Scene
 from tests.benchmark.fake_data import observation, sample_truth
-from tests.hand_made import scene_on_straight_road
+from tests.hand_made import Car, scene_on_straight_road
 
 SHARED_TRACKS = Path(__file__).resolve().parents[4] / "shared" / "data" / "trajectories"
 NOWHERE = SceneInfo("scene", "boston-seaport", ())
@@ -34,6 +38,64 @@ def test_constant_velocity_keeps_speed_and_heading() -> None:
     plan = ConstantVelocity().plan(observation(scene, 4, {}))
     assert plan.frame is PlanFrame.EGO
     assert plan.waypoints == pytest.approx(np.column_stack([3.5 * np.arange(1, 7), np.zeros(6)]))
+
+
+def test_stop_stays_where_the_car_is_however_fast_it_drives() -> None:
+    plans = [Stop().plan(observation(scene_on_straight_road(ego_speed=speed), 4, {})) for speed in (0.0, 13.0)]
+    assert all(plan.frame is PlanFrame.EGO and (plan.waypoints == 0.0).all() for plan in plans)
+    # The lidar stays too: standing, the reference point is not moved along a heading that changes.
+    assert (plans[0].waypoints_in_lidar() == 0.0).all()
+
+
+def on_path(scene: Scene) -> ConstantVelocityOnPath:
+    planner = ConstantVelocityOnPath()
+    planner.reset(NOWHERE)
+    planner.reveal(scene)
+    return planner
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, 15), st.floats(0.5, 15.0))
+def test_on_the_path_at_a_speed_that_stays_is_the_recording_and_goes_on_beyond_it(index: int, speed: float) -> None:
+    scene = scene_on_straight_road(ego_speed=speed)
+    plan, truth = on_path(scene).plan(observation(scene, index, {})), sample_truth(scene, index)
+    valid = truth.ego_future_valid
+    assert plan.waypoints_in_lidar()[valid] == pytest.approx(truth.ego_future[valid, :2], abs=1e-3)
+    assert plan.waypoints[:, 0] == pytest.approx(0.5 * speed * np.arange(1, 7), abs=1e-3)
+
+
+def test_on_the_path_follows_bends_and_keeps_the_present_speed() -> None:
+    scene, radius = scene_on_straight_road((), ego_speed=8.0), 30.0
+    # A quarter of a circle to the left that is driven slower and slower.
+    angle = 1.5 * np.sqrt(np.linspace(0.0, 1.0, len(scene.timestamps_us)))
+    position = np.column_stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), np.zeros(len(angle))])
+    turning = replace(scene, ego=EgoTrack(position, quaternion_from_yaw(angle)))
+    seen = observation(turning, 6, {})
+    speed = float(seen.ego.velocity[0])
+    waypoints = on_path(turning).plan(seen).waypoints
+    turned = speed * 0.5 * np.arange(1, 7) / radius
+    inside = turned + angle[scene.keyframes[6]] < angle[-1]
+    assert inside.sum() >= 3
+    arc = radius * np.column_stack([np.sin(turned), 1.0 - np.cos(turned)])
+    assert waypoints[inside] == pytest.approx(arc[inside], abs=0.02)
+    # The recorded car slows down, the plan does not.
+    future = sample_truth(turning, 6).ego_future[inside]
+    assert np.hypot(*waypoints[inside][-1]) > np.hypot(*future[-1, :2]) + 0.5
+
+
+def test_on_the_path_sees_nobody_and_forgets_at_reset() -> None:
+    empty, busy = (scene_on_straight_road(cars) for cars in ((), (Car(60.0, 198.25, 0.0),)))
+    plans = [on_path(scene).plan(observation(scene, 3, {})).waypoints for scene in (empty, busy)]
+    assert (plans[0] == plans[1]).all()
+    planner = on_path(busy)
+    planner.reset(NOWHERE)
+    with pytest.raises(RuntimeError, match="only after reveal"):
+        planner.plan(observation(busy, 0, {}))
+
+
+def test_a_car_that_never_moves_stays_on_its_path() -> None:
+    scene = scene_on_straight_road(ego_speed=0.0)
+    assert on_path(scene).plan(observation(scene, 3, {})).waypoints == pytest.approx(np.zeros((6, 2)), abs=1e-9)
 
 
 @settings(max_examples=10, deadline=None)

@@ -10,9 +10,12 @@ from benchmark.datasets.roots import open_data
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.errors import InputError
 from benchmark.records.attempts import stored_labels
-from benchmark.records.run_schema import SceneFacts
+from benchmark.records.run_schema import LightName, SceneFacts
 from tests.benchmark.datasets.nuscenes_tables import VERSION, TinyRoot
 from tests.hand_made import scene_on_straight_road
+
+LIGHT: list[LightName] = ["day"]
+"""Of the hand-made scene: "Straight road, day"."""
 
 
 def root_of(folder: Path, *names: str, made: dict[str, Any] | None = None) -> Path:
@@ -48,6 +51,23 @@ def test_what_the_data_set_says_goes_before_its_names() -> None:
     assert scene_facts_of("scene-0061-a", made) == SceneFacts(source="scene-0103", manoeuvre="blocking", adversaries=1)
 
 
+@pytest.mark.parametrize(
+    ("description", "light"),
+    [
+        (None, None),
+        ("", []),
+        ("Parked truck, construction, intersection, turn left, following a van", []),
+        ("Right turn at a junction, day", ["day"]),
+        ("Night, after rain, many peds", ["night", "rain"]),
+        ("Rainy, train behind a fence", ["rain"]),
+        ("Train, brain, knights, Sunday", []),
+        ("Leaving a car park at dusk", ["dusk"]),
+    ],
+)
+def test_light_is_what_the_description_names_and_nothing_else(description: str | None, light: list[str] | None) -> None:
+    assert scene_facts_of("s", {}, description).light == light
+
+
 def test_the_first_of_several_adversaries_counts() -> None:
     report = {"challenge": 1.0, "adversaries": [labelled("tailgating"), labelled("blocking")]}
     assert scene_facts_of("s", {"report": report}).manoeuvre == "tailgating"
@@ -68,8 +88,8 @@ def test_a_generated_root_says_where_its_scenes_come_from(tmp_path: Path) -> Non
     }
     data = open_data(root_of(tmp_path, "scene-9901-x", "scene-9902", made=made))
     assert data.scene_facts(data.scene_names()) == {
-        "scene-9901-x": SceneFacts(source="scene-9901", manoeuvre="oncoming", adversaries=0),
-        "scene-9902": SceneFacts(source="scene-9907", manoeuvre=None, adversaries=0),
+        "scene-9901-x": SceneFacts(source="scene-9901", manoeuvre="oncoming", adversaries=0, light=LIGHT),
+        "scene-9902": SceneFacts(source="scene-9907", manoeuvre=None, adversaries=0, light=LIGHT),
     }
     assert data.scene_facts(()) == {}
     with pytest.raises(InputError, match="has no scene 'scene-0001'"):
@@ -90,8 +110,8 @@ def test_variants_of_one_scene_share_their_source(tmp_path: Path) -> None:
         root_of(tmp_path / folder, "scene-9901", made=made)
     data = open_data(tmp_path)
     assert data.scene_facts(data.scene_names()) == {
-        "v0/scene-9901": SceneFacts(source="scene-9901", manoeuvre="oncoming", adversaries=0),
-        "v1/scene-9901": SceneFacts(source="scene-9901", manoeuvre="blocking", adversaries=0),
+        "v0/scene-9901": SceneFacts(source="scene-9901", manoeuvre="oncoming", adversaries=0, light=LIGHT),
+        "v1/scene-9901": SceneFacts(source="scene-9901", manoeuvre="blocking", adversaries=0, light=LIGHT),
     }
     with pytest.raises(InputError, match="v2/scene-9901"):
         data.scene_facts(["v2/scene-9901"])

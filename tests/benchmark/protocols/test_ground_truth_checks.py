@@ -9,11 +9,14 @@ from hypothesis import given, settings
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.geometry import Floats
 from benchmark.planning import Command
-from benchmark.protocols import NATIVE_PROTOCOLS, PROTOCOLS, masking_protocols
+from benchmark.protocols import LEAVING_OUT, NATIVE_PROTOCOLS, PROTOCOLS, masking_protocols
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import stack
+from benchmark.records.run import summarise
+from benchmark.records.run_schema import OutcomeRow, SceneFacts
 from benchmark.truth import SampleTruth
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
+from tests.benchmark.records.test_run import row as _record_row
 
 LENGTH_M, WIDTH_M = 4.5, 1.9
 ALL, NONE = [True] * 6, [False] * 6
@@ -124,6 +127,25 @@ def test_the_check_of_all_objects_is_the_mask_and_that_of_parts_adds_up_to_it(na
     check, some = masking_protocols()[name].recorded_contacts, np.arange(len(sample.instances)) % 2 == 0
     np.testing.assert_array_equal(check(stacked, np.ones_like(some)), mask)
     np.testing.assert_array_equal(check(stacked, some) | check(stacked, ~some), mask)
+
+
+@pytest.mark.parametrize("name", sorted(LEAVING_OUT))
+def test_samples_that_are_left_out_are_told_and_their_colliding_steps_counted(name: str) -> None:
+    on_top = beside(left_m=-0.1)
+    on_top.boxes[:, :, 0] -= 1.2
+    other = replace(on_top, adversaries=frozenset())
+    clear = beside(left_m=5.0)
+    plans = np.stack([truth.ego_future[:, :2] for truth in (on_top, other, clear)])
+    outcomes = PROTOCOLS[name].evaluate([on_top, other, clear], plans)
+    assert outcomes.facts["left_out"] == (True, True, False)
+    assert outcomes.counted.tolist() == [False, False, True]
+    rows = [
+        _record_row("s", place).model_copy(update={"outcomes": {name: OutcomeRow.model_validate(one)}})
+        for place, one in enumerate(outcomes.as_rows())
+    ]
+    facts = {"s": SceneFacts(source="s", adversaries=1)}
+    summary = summarise(rows, {name: 1}, seed=0, scene_facts=facts).protocols[name]
+    assert (summary.mask_removed_steps, summary.mask_removed_for_adversary, summary.counted) == (12, 6, 1)
 
 
 @pytest.mark.parametrize("name", ["uniad", "vad"])

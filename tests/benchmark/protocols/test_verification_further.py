@@ -79,9 +79,9 @@ def test_a_changed_protocol_is_noticed(
     if name == "_latched":
         kept = safemvdrive._latched
 
-        def forgetful(columns: Any, l2: Any, valid: Any, counted: Any) -> Any:
-            found = kept(columns, l2, valid, counted)
-            found.collision[:] = columns["at_step"] & counted[:, None]
+        def forgetful(columns: Any, *others: Any) -> Any:
+            found = kept(columns, *others)
+            found.collision[:] = columns["at_step"] & found.counted[:, None]
             return found
 
         value = forgetful

@@ -85,6 +85,14 @@ def test_records_of_schema_2_keep_forecasts_diagnosis_and_disagreements() -> Non
     assert {row.diagnosis.cause for row in partial.rows if row.diagnosis is not None} == {"not attributable"}
 
 
+def test_records_of_schema_3_have_driving_scores_and_do_not_say_where_their_samples_are() -> None:
+    record = load_record(GOLDEN / "schema-3-adv")
+    assert record.summary.driving is not None and record.run.frozen_split == "mini-adv-2"
+    assert {(row.place, row.speed_m_s) for row in record.rows} == {(None, None)}
+    facts = record.run.scene_facts["scene-8009-a101e81e"]
+    assert facts.light is None and facts.manoeuvre == "squeezing-left" and facts.adversaries == 1
+
+
 @pytest.mark.parametrize(
     ("word", "reason", "cause"),
     [

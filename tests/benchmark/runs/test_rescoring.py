@@ -14,6 +14,7 @@ from benchmark.machine.storage import only_writer
 from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.protocols.exact import Exact
 from benchmark.records.run import RunRecord, load_record
+from benchmark.records.run_schema import SCHEMA
 from benchmark.records.store import replace_files, settle
 from benchmark.runs.rescoring import rescore, rescore_all
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -139,9 +140,12 @@ def test_records_of_schema_1_are_rescored(tmp_path: Path) -> None:
     assert old.missing_protocols == STANDARD[1:] and old.stale_protocols == ()
     assert old.summary.protocols["exact"].mask_removed_steps is None and old.run.scene_facts == {}
     new = rescore(directory, DATA, protocols=ALL)
-    assert run_json(directory)["schema"] == 3 and set(new.run.scene_facts) == set(new.run.scenes)
+    assert run_json(directory)["schema"] == SCHEMA and set(new.run.scene_facts) == set(new.run.scenes)
     assert new.summary.protocols["exact"] == old.summary.protocols["exact"]
     assert any(row.diagnosis for row in new.rows)
+    assert {(row.place, row.speed_m_s) for row in old.rows} == {(None, None)}
+    assert {row.place for row in new.rows} == {"straight"} and all(row.speed_m_s == 8.0 for row in new.rows)
+    assert {tuple(facts.light or ()) for facts in new.run.scene_facts.values()} == {("day",)}
     assert rescore(directory, DATA, protocols=ALL) == new
 
 

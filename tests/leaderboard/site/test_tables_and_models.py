@@ -113,6 +113,33 @@ def test_numbers_say_what_stands_behind_them(browser: Browser) -> None:
     assert cell.get_attribute("aria-describedby") == note.get_attribute("id")
 
 
+def test_slices_are_chosen_by_kind_and_by_name_and_the_choice_is_a_link(browser: Browser) -> None:
+    browser.open("#/tables?group=slices")
+    kinds = browser.js("return [...arguments[0].options].map((option) => option.value);", browser.one("filter-by"))
+    assert {"command", "manoeuvre"} <= set(kinds) and len(kinds) == len(set(kinds))
+    browser.choose("filter-by", "manoeuvre")
+    titles = [title.text for title in browser.driver.find_elements(By.CSS_SELECTOR, ".table-head h3")]
+    assert titles and all(" by manoeuvre" in title for title in titles)
+    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    every = cells(browser, table, 2)
+    name = every[0]
+    assert len(set(every)) > 1
+    browser.choose("filter-slice", name)
+    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    assert cells(browser, table, 2) == [each for each in every if each == name]
+    asked = query_of(browser)
+    assert (asked["group"], asked["by"], asked["slice"]) == (["slices"], ["manoeuvre"], [name])
+    browser.open(browser.route)
+    table = browser.driver.find_element(By.CSS_SELECTOR, '[data-testid^="table-"]')
+    assert set(cells(browser, table, 2)) == {name} and browser.value("filter-slice") == name
+
+
+@pytest.mark.parametrize("asked", ["by=nonsense", "by=command&slice=nonsense"])
+def test_a_slice_that_there_is_none_of_says_so(browser: Browser, asked: str) -> None:
+    browser.open(f"#/tables?group=slices&{asked}")
+    assert "nonsense" in browser.driver.find_element(By.TAG_NAME, "main").text
+
+
 def test_every_planner_has_a_page(browser: Browser, site: Site) -> None:
     browser.open("#/models")
     links = {link.text: str(link.get_attribute("href")) for link in browser.all("model-link")}

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -25,29 +26,39 @@ from tests.benchmark.metrics.test_disagreement import STRAIGHT, Object, random_s
 from tests.benchmark.planners import Failing, Straight
 
 
-@settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_cells_that_are_drawn_meet_exactly_where_the_protocol_reports_it(seed: int) -> None:
-    truths, plans = random_samples(seed, 3, 8)
-    plans *= np.random.default_rng(seed).choice([1.0, 3.5])
-    for name in ("uniad", "vad", "vad-23"):
+@pytest.mark.parametrize(
+    ("name", "examples"),
+    [
+        *((name, 25) for name in ("uniad", "vad", "vad-23", "stp3", "opendrivevla", "agent-driver-stp3")),
+        *((name, 8) for name in ("bev-planner", "omnidrive")),
+    ],
+)
+def test_cells_that_are_drawn_meet_exactly_where_the_protocol_reports_it(name: str, examples: int) -> None:
+    @settings(max_examples=examples, deadline=None)
+    @given(seed=st.integers(0, 2**32 - 1))
+    def drawn(seed: int) -> None:
+        truths, plans = random_samples(seed, 3, 8)
+        plans *= np.random.default_rng(seed).choice([1.0, 3.5])
         found = before_mask(PROTOCOLS[name].evaluate(truths, plans))
         for sample, plan, contacts in zip(truths, plans, found):
             for step in range(6):
-                view = raster_view(PROTOCOLS[name], sample, plan[step], step)
+                view = raster_view(PROTOCOLS[name], sample, plan, step)
                 assert view is not None
                 assert (view.occupied & view.ego).any() == contacts[step]
 
+    drawn()
+
 
 def test_cells_lie_where_the_objects_are() -> None:
-    sample = truth(Object([10.0, 20.0], size=(4.0, 2.0)))
-    for name in ("uniad", "vad"):
-        view = raster_view(PROTOCOLS[name], sample, STRAIGHT[0], 0)
+    # The recorded ego drives straight on: where it goes aside, ST-P3 shifts what it draws.
+    sample = truth(Object([10.0, 20.0], size=(4.0, 2.0)), recorded=STRAIGHT)
+    for name in ("uniad", "vad", "stp3", "bev-planner", "omnidrive", "opendrivevla"):
+        view = raster_view(PROTOCOLS[name], sample, STRAIGHT, 0)
         assert view is not None
         rows, columns = np.nonzero(view.occupied)
-        middle = np.array([columns.mean(), rows.mean()]) * 0.5 + view.first_cell_m
-        assert np.abs(middle - [10.0, 20.0]).max() < 0.3
-    assert raster_view(PROTOCOLS["sparsedrive"], sample, STRAIGHT[0], 0) is None
+        middle = np.array([columns.mean(), rows.mean()]) * view.cell_m + view.first_cell_m
+        assert np.abs(middle - [10.0, 20.0]).max() < 0.3, name
+    assert raster_view(PROTOCOLS["sparsedrive"], sample, STRAIGHT, 0) is None
 
 
 SHOWN = (
@@ -59,6 +70,8 @@ SHOWN = (
     (truth(Object([0.0, 5.5], size=(0.4, 0.4))), STRAIGHT * 2.5, "uniad"),
     (truth(Object([0.0, 5.5], size=(0.4, 0.4))), STRAIGHT * 2.5, "sparsedrive"),
     (truth(Object(np.column_stack([np.zeros(7), 36.0 - 4.0 * np.arange(7)]))), STRAIGHT, "vad"),
+    (truth(Object([0.0, 12.5], "human.pedestrian.adult", size=(0.7, 0.7))), STRAIGHT, "bev-planner"),
+    (replace(truth(Object([0.0, 12.5], "movable_object.barrier", size=(0.7, 0.7))), index=2), STRAIGHT, "stp3"),
 )
 
 
@@ -83,6 +96,15 @@ def test_the_step_shown_is_the_one_with_most_overlap() -> None:
     crossing = Object([0.0, 18.55], "human.pedestrian.adult", size=(0.7, 0.7))
     case = case_of("somebody", "uniad", truth(adult, crossing), STRAIGHT)
     assert case is not None and case.step == 2
+
+
+def test_a_latched_flag_is_shown_where_it_was_raised() -> None:
+    beside = truth(Object([-2.15, 12.5]))
+    latched = PROTOCOLS["safemvdrive"].evaluate([beside], STRAIGHT[None])
+    raised = latched.step("at_step")[0]
+    assert raised.any() and latched.collision[0, -1] and not raised[-1]
+    case = case_of("somebody", "safemvdrive", beside, STRAIGHT)
+    assert case is not None and case.cause == "false alarm: raster" and raised[case.step]
 
 
 def test_every_cause_has_words() -> None:

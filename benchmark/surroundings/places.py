@@ -67,18 +67,89 @@ def place_of(road_map: RoadMap, ego: Floats, other: Floats) -> Place:
     Returns:
         The place.
     """
-    centers = [Point(*ego[:2]), Point(*other[:2])]
     x, y = ego[:2]
-    around = road_map.near((x - NEAR_M, y - NEAR_M, x + NEAR_M, y + NEAR_M))
-    if _on_roundabout(around, centers):
-        return Place.ROUNDABOUT
-    roads = [shape for shape in around.road_segments.values() if any(shape.covers(center) for center in centers)]
-    parked = [center for center in centers if any(area.covers(center) for area in around.carparks.values())]
-    if any(not any(road.covers(center) for road in roads) for center in parked):
-        return Place.CAR_PARK
-    if _in_junction(around, centers):
-        return Place.JUNCTION
-    return _course(around.lanes, ego)
+    return Places(road_map.near((x - NEAR_M, y - NEAR_M, x + NEAR_M, y + NEAR_M))).of(ego, other)
+
+
+class Places:
+    """What kind of place is where on one map; what all answers share is made once.
+
+    Args:
+        road_map: The map, no larger than what is asked about: roundabouts are looked for everywhere on it.
+    """
+
+    def __init__(self, road_map: RoadMap) -> None:
+        self._lanes = road_map.lanes
+        self._names = sorted(road_map.lanes)
+        self._lines = [LineString(_distinct(road_map.lanes[name].centerline)) for name in self._names]
+        self._near = shapely.STRtree(self._lines)
+        self._segmented = bool(road_map.road_segments)
+        self._roads = list(road_map.road_segments.values())
+        self._junctions = [road_map.road_segments[name] for name in sorted(road_map.intersections)]
+        self._carparks = list(road_map.carparks.values())
+        for surfaces in (self._roads, self._carparks):
+            shapely.prepare(surfaces)
+        self._rings = tuple(rings(road_map.lanes))
+
+    def of(self, ego: Floats, other: Floats) -> Place:
+        """Where two bodies meet.
+
+        Args:
+            ego: (5,) box; its lane tells bend from straight.
+            other: (5,) box; what either centre is on counts for the rest.
+
+        Returns:
+            The place.
+        """
+        centers = [Point(*ego[:2]), Point(*other[:2])]
+        if self._on_roundabout(centers):
+            return Place.ROUNDABOUT
+        parked = [center for center in centers if any(area.covers(center) for area in self._carparks)]
+        if any(not any(road.covers(center) for road in self._roads) for center in parked):
+            return Place.CAR_PARK
+        if self._in_junction(centers):
+            return Place.JUNCTION
+        return self._course(ego)
+
+    def _on_roundabout(self, centers: list[Point]) -> bool:
+        """Whether a place is on a ring of lanes, or on the junction surface that most of the ring is on."""
+        if not self._rings:
+            return False
+        under = [surface for surface in self._junctions if any(surface.covers(center) for center in centers)]
+        for ring in self._rings:
+            if any(ring.distance(center) <= RING_MARGIN_M for center in centers):
+                return True
+            circle = ring.exterior
+            if any(surface.intersection(circle).length >= 0.5 * circle.length for surface in under):
+                return True
+        return False
+
+    def _in_junction(self, centers: list[Point]) -> bool:
+        if self._segmented:
+            return any(surface.covers(center) for surface in self._junctions for center in centers)
+        reach = shapely.union_all([center.buffer(CROSSING_M) for center in centers])
+        near = [self._lines[place] for place in sorted(self._near.query(reach, "intersects").tolist())]
+        return any(_cross(first, second, reach) for index, first in enumerate(near) for second in near[index + 1 :])
+
+    def _course(self, ego: Floats) -> Place:
+        """Bend or straight, from the lane that the ego is on."""
+        best: tuple[float, str, float] | None = None
+        center = Point(*ego[:2])
+        for place in sorted(self._near.query(center, "dwithin", LANE_REACH_M).tolist()):
+            name, line = self._names[place], self._lines[place]
+            distance, at = line.distance(center), line.project(center)
+            if distance > LANE_REACH_M or (best is not None and distance >= best[0]):
+                continue
+            if _between(_heading_at(line, at), ego[4]) <= LANE_TURN_RAD:
+                best = (distance, name, at)
+        if best is None:
+            return Place.UNKNOWN
+        line, at = _extended(self._lanes, best[1], best[2])
+        begin, end = max(at - BEND_WINDOW_M, 0.0), min(at + BEND_WINDOW_M, line.length)
+        change = _between(_heading_at(line, begin), _heading_at(line, end))
+        # The same change over a shorter piece of lane is a tighter bend; a very short piece has no direction.
+        wanted = BEND_RAD * max(end - begin, BEND_WINDOW_M) / (2 * BEND_WINDOW_M)
+        return Place.BEND if change >= wanted else Place.STRAIGHT
 
 
 def rings(lanes: Mapping[str, Lane]) -> Iterator[Polygon]:
@@ -158,29 +229,6 @@ def _ring(points: Floats) -> Polygon | None:
     return ring if steady and float(distance.std() / distance.mean()) <= ROUND_SPREAD else None
 
 
-def _on_roundabout(road_map: RoadMap, centers: list[Point]) -> bool:
-    """Whether a place is on a ring of lanes, or on the junction surface that most of the ring is on."""
-    surfaces = [road_map.road_segments[name] for name in sorted(road_map.intersections)]
-    under = [surface for surface in surfaces if any(surface.covers(center) for center in centers)]
-    for ring in rings(road_map.lanes):
-        if any(ring.distance(center) <= RING_MARGIN_M for center in centers):
-            return True
-        circle = ring.exterior
-        if any(surface.intersection(circle).length >= 0.5 * circle.length for surface in under):
-            return True
-    return False
-
-
-def _in_junction(road_map: RoadMap, centers: list[Point]) -> bool:
-    if road_map.road_segments:
-        surfaces = [road_map.road_segments[name] for name in road_map.intersections]
-        return any(surface.covers(center) for surface in surfaces for center in centers)
-    reach = shapely.union_all([center.buffer(CROSSING_M) for center in centers])
-    lines = [LineString(_distinct(lane.centerline)) for lane in road_map.lanes.values()]
-    near = [line for line in lines if line.intersects(reach)]
-    return any(_cross(first, second, reach) for index, first in enumerate(near) for second in near[index + 1 :])
-
-
 def _cross(first: LineString, second: LineString, reach: Polygon) -> bool:
     """Whether two lines cross in their middles at an angle; lanes that part or merge share ends."""
     for point in shapely.get_parts(first.intersection(second)):
@@ -204,26 +252,6 @@ def _heading_at(line: LineString, at: float) -> float:
     """Direction of a line over the metre around a place along it."""
     ends = [line.interpolate(float(np.clip(at + step, 0.0, line.length))) for step in (-0.5, 0.5)]
     return float(np.arctan2(ends[1].y - ends[0].y, ends[1].x - ends[0].x))
-
-
-def _course(lanes: Mapping[str, Lane], ego: Floats) -> Place:
-    """Bend or straight, from the lane that the ego is on."""
-    best: tuple[float, str, float] | None = None
-    center = Point(*ego[:2])
-    for name, lane in sorted(lanes.items()):
-        line = LineString(_distinct(lane.centerline))
-        distance, at = line.distance(center), line.project(center)
-        if distance > LANE_REACH_M or (best is not None and distance >= best[0]):
-            continue
-        if _between(_heading_at(line, at), ego[4]) <= LANE_TURN_RAD:
-            best = (distance, name, at)
-    if best is None:
-        return Place.UNKNOWN
-    line, at = _extended(lanes, best[1], best[2])
-    begin, end = max(at - BEND_WINDOW_M, 0.0), min(at + BEND_WINDOW_M, line.length)
-    change = _between(_heading_at(line, begin), _heading_at(line, end))
-    # The same change over a shorter piece of lane is a tighter bend; a very short piece has no direction to speak of.
-    return Place.BEND if change >= BEND_RAD * max(end - begin, BEND_WINDOW_M) / (2 * BEND_WINDOW_M) else Place.STRAIGHT
 
 
 def _extended(lanes: Mapping[str, Lane], name: str, at: float) -> tuple[LineString, float]:

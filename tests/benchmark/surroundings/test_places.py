@@ -14,7 +14,7 @@ from shapely.geometry import Polygon
 from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.geometry import Floats, to_global
 from benchmark.road_map import Lane, RoadMap, as_multipolygon
-from generation.labels.places import Place, place_of, rings
+from benchmark.surroundings.places import Place, place_of, rings
 from generation.sources.town.layout import NodeKind
 from generation.sources.town.network import Role, Town
 from generation.sources.town.towns import build_town

@@ -1,0 +1,237 @@
+"""The numbers of a record for a part of its samples: by place, light, manoeuvre of the adversary, speed and command.
+
+Slices of a kind share the resamples of their record: recorded scenes are drawn as for the whole, and a scene that has
+no sample in a slice adds nothing to it. What a record does not say is not guessed: it is in no slice then.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from benchmark.geometry import Bools, Floats
+from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.rates import HORIZONS, Rate, ratios_over_scenes, with_average
+from benchmark.metrics.scores import require_current, source_of_scenes
+from benchmark.protocols import PROTOCOLS
+from benchmark.records.driving import COLUMNS as DRIVING_COLUMNS
+from benchmark.records.driving import sample_scores
+from benchmark.records.run import RunRecord, outcomes_of, protocol_of
+from benchmark.records.run_schema import CAUSES, LightName, PlaceName, SampleRow
+
+SliceKind = Literal["place", "light", "manoeuvre", "speed", "command"]
+KINDS: Final[tuple[SliceKind, ...]] = get_args(SliceKind)
+"""What samples may be sorted by."""
+NOT_SAID: Final = "not said"
+SPEEDS: Final = ("standing", "1 to 5 m/s", "5 to 10 m/s", "10 m/s and more")
+SPEED_EDGES_M_S: Final = (1.0, 5.0, 10.0)
+"""Speed from which on the next of `SPEEDS` applies; below the first a body stands (docs/manoeuvres.md)."""
+COMMANDS: Final = ("right", "left", "straight")
+"""By the number of the command."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slicing:
+    """How the samples of a record fall into slices.
+
+    Attributes:
+        names: K slices that have samples, in the order of tables.
+        members: (R, K) which of the record's rows are in which; a row may be in several (rain at night).
+    """
+
+    names: tuple[str, ...]
+    members: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class Slice:
+    """Numbers of one slice.
+
+    Attributes:
+        name: Which.
+        samples: Samples that count in it.
+        scenes: Scenes that they are of.
+        columns: Column to horizon, or whatever else a column has several of, to rate.
+    """
+
+    name: str
+    samples: int
+    scenes: int
+    columns: dict[str, dict[str, Rate]]
+
+
+def kinds_named(names: Iterable[str]) -> tuple[SliceKind, ...]:
+    """Kinds with these names, in the order of `KINDS`; what is none is left out."""
+    wanted = set(names)
+    return tuple(kind for kind in KINDS if kind in wanted)
+
+
+def slicing(record: RunRecord, kind: SliceKind) -> Slicing | None:
+    """Sort the samples of a record.
+
+    Args:
+        record: The record.
+        kind: By what.
+
+    Returns:
+        The slices, or ``None`` where the record does not say: older ones do not know places, speeds and light, and
+        where there is no adversary there is no manoeuvre.
+    """
+    found = _labels(record, kind)
+    if found is None:
+        return None
+    order = {
+        "place": get_args(PlaceName),
+        "light": get_args(LightName),
+        "manoeuvre": _by_frequency(record),
+        "speed": SPEEDS,
+        "command": COMMANDS,
+    }[kind]
+    there = {name for names in found for name in names}
+    names = tuple(name for name in (*order, NOT_SAID) if name in there)
+    members = np.array([[name in said for name in names] for said in found], np.bool_)
+    return Slicing(names, members.reshape(-1, len(names)))
+
+
+def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
+    """Every rate of a protocol, slice by slice.
+
+    Args:
+        record: The record.
+        kind: By what.
+        protocol: Who judges, or ``native``.
+
+    Returns:
+        Slices with the columns of the protocol by horizon; empty where `slicing` knows none.
+
+    Raises:
+        InputError: If the record was not judged by the protocol, or by another version of it.
+    """
+    name, parts = protocol_of(record, protocol), slicing(record, kind)
+    require_current(record, name)
+    planned = [place for place, row in enumerate(record.rows) if row.status == "ok"]
+    if parts is None:
+        return []
+    rows = [record.rows[place] for place in planned]
+    outcomes = outcomes_of(rows, name)
+    columns = PROTOCOLS[name].sample_values(outcomes)
+    values = np.concatenate([with_average(one).reshape(-1, len(HORIZONS)) for one in columns.values()], axis=1)
+    weights = np.where(np.isnan(values), False, outcomes.counted[:, None]).astype(np.float64)
+    keys = [(column, horizon) for column in columns for horizon in HORIZONS]
+    return _slices(record, parts, planned, outcomes.counted, np.nan_to_num(values), weights, keys)
+
+
+def driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
+    """Driving scores, slice by slice.
+
+    Args:
+        record: The record.
+        kind: By what.
+
+    Returns:
+        Slices with the ``mean`` of each column of `benchmark.records.driving`; empty where there are no scores.
+    """
+    parts = slicing(record, kind)
+    chosen = [place for place, row in enumerate(record.rows) if row.driving is not None]
+    if parts is None or not chosen or record.summary.driving is None:
+        return []
+    values, known = sample_scores([driven for row in record.rows if (driven := row.driving) is not None])
+    keys = [(column, "mean") for column in DRIVING_COLUMNS]
+    return _slices(record, parts, chosen, np.ones(len(chosen), np.bool_), values, known.astype(np.float64), keys)
+
+
+def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
+    """Why plans collide under ``exact``, slice by slice.
+
+    Args:
+        record: The record.
+        kind: By what.
+
+    Returns:
+        Slices with the column ``cause``: the share of each among the samples that count and collide; empty where
+        nothing collides or the record has no diagnoses.
+
+    Raises:
+        InputError: If the record was not judged by ``exact``, or by another version of it.
+    """
+    require_current(record, EXACT)
+    parts = slicing(record, kind)
+    chosen = [place for place, row in enumerate(record.rows) if _collides(row)]
+    causes = [None if (said := record.rows[place].diagnosis) is None else said.cause for place in chosen]
+    if parts is None or not chosen or None in causes:
+        return []
+    values = np.array([[cause == one for one in CAUSES] for cause in causes], np.float64)
+    keys = [("cause", cause) for cause in CAUSES]
+    return _slices(record, parts, chosen, np.ones(len(chosen), np.bool_), values, np.ones_like(values), keys)
+
+
+def _collides(row: SampleRow) -> bool:
+    return row.status == "ok" and row.outcomes[EXACT].counted and any(row.outcomes[EXACT].collision)
+
+
+def _slices(
+    record: RunRecord,
+    parts: Slicing,
+    chosen: Sequence[int],
+    counted: Bools,
+    values: Floats,
+    weights: Floats,
+    keys: Sequence[tuple[str, str]],
+) -> list[Slice]:
+    """Ratios of S chosen rows with C values each, for every slice in which any of them counts."""
+    members, count = parts.members[list(chosen)], len(parts.names)
+    sources, scenes = source_of_scenes(record), [record.rows[place].scene for place in chosen]
+    spread = (weights[:, None, :] * members[:, :, None]).reshape(len(chosen), count * len(keys))
+    rates = ratios_over_scenes(
+        np.tile(values, (1, count)) * spread, spread, [sources[scene] for scene in scenes], seed=record.run.seed
+    )
+    found = []
+    for place, name in enumerate(parts.names):
+        inside = np.flatnonzero(members[:, place] & counted).tolist()
+        if not inside:
+            continue
+        columns: dict[str, dict[str, Rate]] = {}
+        for (column, part), rate in zip(keys, rates[place * len(keys) : (place + 1) * len(keys)], strict=True):
+            columns.setdefault(column, {})[part] = rate
+        found.append(Slice(name, len(inside), len({scenes[row] for row in inside}), columns))
+    return found
+
+
+def _labels(record: RunRecord, kind: SliceKind) -> list[tuple[str, ...]] | None:
+    """Of each row the slices that it is in; ``None`` where the record does not say."""
+    rows = record.rows
+    if kind == "command":
+        return [(dict(enumerate(COMMANDS)).get(row.command, NOT_SAID),) for row in rows]
+    if kind == "place":
+        places = [row.place for row in rows]
+        return None if None in places else [(str(place),) for place in places]
+    if kind == "speed":
+        speeds = [np.nan if row.speed_m_s is None else row.speed_m_s for row in rows]
+        edges = np.searchsorted(SPEED_EDGES_M_S, speeds, side="right").tolist()
+        return None if np.isnan(speeds).any() else [(SPEEDS[place],) for place in edges]
+    by_scene = _lights(record) if kind == "light" else _manoeuvres(record)
+    return None if by_scene is None else [by_scene[row.scene] for row in rows]
+
+
+def _lights(record: RunRecord) -> dict[str, tuple[str, ...]] | None:
+    facts = record.run.scene_facts
+    said = {name: facts[name].light if name in facts else None for name in record.run.scenes}
+    if None in said.values():
+        return None
+    return {name: tuple(light or ()) or (NOT_SAID,) for name, light in said.items()}
+
+
+def _manoeuvres(record: RunRecord) -> dict[str, tuple[str, ...]] | None:
+    facts = record.run.scene_facts
+    said = {name: facts[name].manoeuvre if name in facts else None for name in record.run.scenes}
+    if not any(said.values()):
+        return None
+    return {name: (manoeuvre or NOT_SAID,) for name, manoeuvre in said.items()}
+
+
+def _by_frequency(record: RunRecord) -> tuple[str, ...]:
+    """Manoeuvres of the record's scenes, those of many scenes first."""
+    counts = Counter(facts.manoeuvre for facts in record.run.scene_facts.values() if facts.manoeuvre is not None)
+    return tuple(sorted(counts, key=lambda kind: (-counts[kind], kind)))

@@ -1,0 +1,213 @@
+"""Slices: every sample is where the record says, numbers are those of the slice alone, intervals draw recordings."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmark.cli.options import SliceName
+from benchmark.errors import InputError
+from benchmark.metrics.rates import HORIZONS, ratios_over_scenes
+from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.metrics.slices import (
+    KINDS,
+    NOT_SAID,
+    SPEEDS,
+    SliceKind,
+    causes_by,
+    driving_by,
+    kinds_named,
+    rates_by,
+    slicing,
+)
+from benchmark.records.driving import summarise_driving
+from benchmark.records.run import RunRecord, summarise
+from benchmark.records.run_schema import DiagnosisRow, DrivingRow, SampleRow, SceneFacts
+from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, UNCOUNTED, hand_made
+
+SCENES = {
+    "a": (HIT, CLEAN, LATE, UNCOUNTED),
+    "b": (CLEAN, FAILED, HIT, CLEAN),
+    "b-again": (LATE, LATE, CLEAN, CLEAN),
+    "c": (CLEAN, CLEAN, CLEAN, HIT),
+}
+PLACES = ("straight", "junction", "straight", "roundabout")
+SPEED = (0.3, 1.0, 5.0, 13.0)
+FACTS = {
+    "a": SceneFacts(source="a", light=["night", "rain"], manoeuvre="tailgating"),
+    "b": SceneFacts(source="b", light=[], manoeuvre="cut-in-left"),
+    "b-again": SceneFacts(source="b", light=["day"], manoeuvre="tailgating"),
+    "c": SceneFacts(source="c", light=["night"]),
+}
+DRIVEN = DrivingRow.model_validate(
+    {
+        **dict.fromkeys(("nc", "dac", "ddc", "ep", "ttc", "lk", "hc", "ec", "progress_m"), 1.0),
+        **{"forgiven": [], "recorded_progress_m": 1.0, "collision_s": None, "ttc_s": None},
+    }
+)
+
+
+def made(**changes: Any) -> RunRecord:
+    """A record that says everything; ``changes`` are of every row."""
+    record = hand_made("p", SCENES, protocols=("exact", "vad"))
+    rows = tuple(
+        row.model_copy(
+            update={
+                **{"place": PLACES[row.index], "speed_m_s": SPEED[row.index], "command": row.index % 3},
+                **{name: value(row) if callable(value) else value for name, value in changes.items()},
+            }
+        )
+        for row in record.rows
+    )
+    return replace(record, rows=rows, run=record.run.model_copy(update={"scene_facts": FACTS}))
+
+
+def alone(record: RunRecord, chosen: Sequence[int]) -> RunRecord:
+    """The same record with some rows and no others."""
+    return replace(record, rows=tuple(record.rows[place] for place in chosen))
+
+
+def members(record: RunRecord, kind: SliceKind) -> dict[str, list[tuple[str, int]]]:
+    """Scene and number of the samples of each slice."""
+    parts = slicing(record, kind)
+    assert parts is not None
+    return {
+        name: [(row.scene, row.index) for row, inside in zip(record.rows, parts.members[:, place]) if inside]
+        for place, name in enumerate(parts.names)
+    }
+
+
+def test_the_command_line_knows_every_kind() -> None:
+    assert tuple(name.value for name in SliceName) == KINDS
+    assert kinds_named(["speed", "nonsense", "place"]) == ("place", "speed")
+
+
+def test_every_sample_is_in_the_slices_that_the_record_names_and_in_their_order() -> None:
+    record = made()
+    by = {kind: members(record, kind) for kind in KINDS}
+    assert list(by["place"]) == ["roundabout", "junction", "straight"]
+    assert by["place"]["roundabout"] == [(scene, 3) for scene in SCENES]
+    assert list(by["speed"]) == list(SPEEDS)
+    assert [indices[0][1] for indices in by["speed"].values()] == [0, 1, 2, 3]
+    assert list(by["command"]) == ["right", "left", "straight"] and len(by["command"]["right"]) == 8
+    assert {name: sorted({scene for scene, _ in found}) for name, found in by["light"].items()} == {
+        "day": ["b-again"],
+        "night": ["a", "c"],
+        "rain": ["a"],
+        NOT_SAID: ["b"],
+    }
+    # Frequent ones first.
+    assert {name: sorted({scene for scene, _ in found}) for name, found in by["manoeuvre"].items()} == {
+        "tailgating": ["a", "b-again"],
+        "cut-in-left": ["b"],
+        NOT_SAID: ["c"],
+    }
+    assert list(by["manoeuvre"]) == ["tailgating", "cut-in-left", NOT_SAID]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("protocol", ["exact", "vad"])
+def test_rates_are_those_of_a_record_with_the_samples_of_the_slice_alone(kind: SliceKind, protocol: str) -> None:
+    record = made()
+    parts = slicing(record, kind)
+    assert parts is not None
+    found = {one.name: one for one in rates_by(record, kind, protocol)}
+    assert found
+    for place, name in enumerate(parts.names):
+        inside = scored(alone(record, np.flatnonzero(parts.members[:, place]).tolist()), protocol=protocol)
+        counted = int(inside.counted.sum())
+        if not counted:
+            assert name not in found
+            continue
+        assert found[name].samples == counted
+        assert found[name].scenes == len({scene for scene, one in zip(inside.scenes, inside.counted) if one})
+        for column, horizon in enumerate(HORIZONS):
+            rate = found[name].columns["collision"][horizon]
+            assert rate.value == pytest.approx(inside.values[inside.counted, column].mean())
+            assert rate.denominator == counted
+            assert found[name].columns["l2"][horizon].value == pytest.approx(1.0)
+
+
+def test_failed_and_uncounted_samples_are_in_no_rate() -> None:
+    found = {one.name: one for one in rates_by(made(), "place", "exact")}
+    # Number 3 of the first scene has no future, number 1 of the second no plan.
+    assert found["roundabout"].samples == 3 and found["junction"].samples == 3
+
+
+def test_intervals_draw_recordings_of_the_whole_split() -> None:
+    record = made()
+    (junction,) = [one for one in rates_by(record, "place", "exact") if one.name == "junction"]
+    rows = [row for row in record.rows if row.status == "ok" and row.outcomes["exact"].counted]
+    weights = np.array([[float(row.place == "junction")] for row in rows])
+    hit = np.array([[float(any(row.outcomes["exact"].collision))] for row in rows])
+    sources = source_of_scenes(record)
+    (expected,) = ratios_over_scenes(hit * weights, weights, [sources[row.scene] for row in rows], seed=0)
+    rate = junction.columns["collision"]["3s"]
+    assert (rate.value, rate.low, rate.high) == (expected.value, expected.low, expected.high)
+    # The two scenes of one recording are not independent: three recordings, one of which collides there.
+    assert rate.low == 0.0 and rate.high is not None and rate.high > rate.value > 0.0  # type: ignore[operator]
+
+
+def test_driving_scores_of_a_slice_are_those_of_its_samples() -> None:
+    def driving(row: SampleRow) -> DrivingRow | None:
+        worse = {"nc": 0.0} if row.scene == "a" else {"ec": None}
+        return None if row.status == "failed" else DRIVEN.model_copy(update=worse)
+
+    record = made(driving=driving)
+    summary = summarise(record.rows, record.run.protocols, seed=0)
+    record = replace(record, summary=summary)
+    parts = slicing(record, "speed")
+    assert parts is not None
+    for place, one in enumerate(driving_by(record, "speed")):
+        rows = [row for row, inside in zip(record.rows, parts.members[:, place]) if inside and row.driving]
+        whole = summarise_driving(rows, [row.scene for row in rows], seed=0)
+        assert whole is not None and one.samples == whole.counted
+        for column, rates in one.columns.items():
+            assert rates["mean"].value == pytest.approx(whole.columns[column]["mean"].value)
+    assert driving_by(made(), "speed") == []
+
+
+def test_causes_are_shares_of_the_colliding_samples() -> None:
+    def cause(row: SampleRow) -> DiagnosisRow | None:
+        said = {"cause": "unseen" if row.scene == "a" else "misplanned", "reason": "r", "hit": "h"}
+        return DiagnosisRow.model_validate({**said, "first_contact_s": 1.0})
+
+    found = {one.name: one for one in causes_by(made(diagnosis=cause), "place")}
+    shares = {name: {cause: rate.value for cause, rate in one.columns["cause"].items()} for name, one in found.items()}
+    # Straight on: two of the first scene, one each of the two of the second recording.
+    assert found["straight"].samples == 4 and found["straight"].scenes == 3
+    assert shares["straight"]["unseen"] == shares["straight"]["misplanned"] == 0.5
+    assert shares["roundabout"]["misplanned"] == 1.0
+    assert causes_by(made(), "place") == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes"), [("place", {"place": None}), ("speed", {"speed_m_s": None}), ("place", {"place": None})]
+)
+def test_what_an_old_record_does_not_say_is_in_no_slice(kind: SliceKind, changes: dict[str, Any]) -> None:
+    record = made(**changes)
+    assert slicing(record, kind) is None
+    assert rates_by(record, kind, "exact") == [] and driving_by(record, kind) == []
+
+
+def test_light_and_manoeuvre_are_not_guessed() -> None:
+    record = made()
+    without = {name: facts.model_copy(update={"light": None, "manoeuvre": None}) for name, facts in FACTS.items()}
+    for facts in (without, {}):
+        old = replace(record, run=record.run.model_copy(update={"scene_facts": facts}))
+        assert slicing(old, "light") is None and slicing(old, "manoeuvre") is None
+
+
+def test_a_command_that_is_none_is_not_said() -> None:
+    assert list(members(made(command=7), "command")) == [NOT_SAID]
+
+
+def test_verdicts_of_another_version_are_refused() -> None:
+    record = made()
+    stale = replace(record, run=record.run.model_copy(update={"protocols": {"exact": 0}}))
+    with pytest.raises(InputError, match="version 0 of protocol exact"):
+        rates_by(stale, "place", "exact")
+    with pytest.raises(InputError, match="not judged by protocol 'vad'"):
+        rates_by(stale, "place", "vad")

@@ -1,0 +1,118 @@
+"""Tables by slice: every form, the numbers of the metric, what old records lack, and what shares no column."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmark.metrics.slices import KINDS, driving_by, rates_by
+from benchmark.records.run import RunRecord, load_record
+from benchmark.records.run_schema import SceneFacts
+from leaderboard.build import leaderboard_files
+from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.slices import run_slices, slice_tables
+from tests.benchmark.metrics.test_slices import FACTS, PLACES, SPEED, made
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+from tests.leaderboard.csv_rows import csv_rows
+
+GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "records"
+
+
+def judged(planner: str, native: str | None, *protocols: str) -> RunRecord:
+    """A planner that says where its samples are."""
+    record = hand_made(planner, {"a": (HIT, CLEAN, CLEAN), "b": (CLEAN, HIT, HIT)}, protocols=protocols, native=native)
+    rows = tuple(
+        row.model_copy(update={"place": PLACES[row.index], "speed_m_s": SPEED[row.index]}) for row in record.rows
+    )
+    return replace(record, rows=rows)
+
+
+def test_a_row_holds_the_rates_of_its_slice_with_interval_and_counts() -> None:
+    record = made()
+    (table,) = slice_tables("d", [record], ("exact",), ("place",))
+    assert table.name == "slices-place-exact" and [row[2] for row in table.rows] == [
+        "roundabout",
+        "junction",
+        "straight",
+    ]
+    assert table.cells is not None
+    for cells, part in zip(table.cells, rates_by(record, "place", "exact"), strict=True):
+        found = dict(zip(table.columns, cells))
+        rate, apart = part.columns["collision"]["avg"], part.columns["l2"]["2s"]
+        average, interval, metres = found["col. avg"], found["95 % of col. avg"], found["L2 2s"]
+        assert average is not None and interval is not None and metres is not None
+        assert average.value == 100 * (rate.value or 0.0) and average.n == part.samples
+        assert interval.low == (None if rate.low is None else 100 * rate.low)
+        assert average.protocol == "exact" and metres.value == apart.value
+        samples, scenes = found["samples"], found["scenes"]
+        assert samples is not None and samples.value == part.samples and samples.n == 16
+        assert scenes is not None and scenes.value == part.scenes and scenes.n == 4
+
+
+def test_every_form_has_the_same_rows() -> None:
+    tables = slice_tables("d", [made()], ("exact",), KINDS)
+    assert [table.name for table in tables] == [f"slices-{kind}-exact" for kind in KINDS]
+    for table in tables:
+        stored = json.loads(table.json())
+        assert [row[2] for row in stored["rows"]] == [row[2] for row in table.rows]
+        assert len(csv_rows(table.csv())) == len(table.rows)
+        for row in table.rows:
+            assert row[2] in table.markdown() and row[2] in table.latex() and row[2] in table.plain().replace("\n", " ")
+
+
+def test_kinds_of_manoeuvre_are_of_adversarial_splits_alone() -> None:
+    recorded = {name: SceneFacts(source=name, light=[]) for name in FACTS}
+    record = made()
+    plain = replace(record, run=record.run.model_copy(update={"scene_facts": recorded}))
+    assert slice_tables("d", [plain], ("exact",), ("manoeuvre",)) == []
+
+
+def test_under_their_own_protocols_stand_planners_that_have_one_and_no_maxima() -> None:
+    records = [judged("p", "vad", "exact", "vad"), judged("q", None, "exact"), judged("m", "omnidrive", "omnidrive")]
+    (table,) = slice_tables("d", records, ("native",), ("speed",))
+    assert {(row[0], row[3]) for row in table.rows} == {("p", "vad")}
+    (omnidrive,) = slice_tables("d", records, ("omnidrive",), ("speed",))
+    assert {row[0] for row in omnidrive.rows} == {"m"} and "off road avg" in omnidrive.columns
+    said = " ".join(omnidrive.notes)
+    assert "p on adv of d was not judged by protocol 'omnidrive'" in said
+    assert [table.name for table in run_slices("d", records, ("speed",))] == [
+        "slices-speed-exact",
+        "slices-speed-native",
+    ]
+
+
+def test_an_old_record_is_said_to_lack_it_and_nothing_is_guessed() -> None:
+    old = load_record(GOLDEN / "schema-3-adv")
+    lacking = {table.name: table for table in slice_tables("mini", [old], ("exact",), KINDS)}
+    for kind, words in {"place": "at which places", "light": "in what light", "speed": "how fast"}.items():
+        table = lacking[f"slices-{kind}-exact"]
+        assert not table.rows and words in table.notes[-1] and "rescore" in table.notes[-1]
+    # What it always said, it is sorted by.
+    assert lacking["slices-command-exact"].rows and lacking["slices-manoeuvre-exact"].rows[0][2] == "squeezing-left"
+    found = data_set_tables("mini", [old])
+    assert {table.name.split("-")[1] for table in found.slices} == {"command", "manoeuvre"}
+    assert any("does not say where its samples are" in note for note in found.notes)
+    assert driving_by(old, "command") and driving_by(old, "place") == []
+
+
+def test_a_leaderboard_has_a_page_of_them_and_files_of_each() -> None:
+    record = made()
+    files = leaderboard_files([record])
+    assert b"slices](tables/d/slices.md)" in files["README.md"]
+    page = files["tables/d/slices.md"].decode()
+    for kind in KINDS:
+        for suffix in (".csv", ".tex", ".json"):
+            assert f"tables/d/slices-{kind}-exact{suffix}" in files and f"tables/d/slices-{kind}-vad{suffix}" in files
+        assert f"by {kind}, protocol exact" in page and f"by {kind}, protocol vad" not in page
+        assert f"by {kind}, protocol vad" in files["tables/d/vad.md"].decode()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_whole_is_in_the_slices(kind: str) -> None:
+    record = made()
+    (table,) = slice_tables("d", [record], ("exact",), tuple(each for each in KINDS if each == kind))
+    samples = [int(row[table.columns.index("samples")]) for row in table.rows]
+    counted = record.summary.protocols["exact"].counted
+    # A scene of two lights is in two slices.
+    assert sum(samples) == counted + (3 if kind == "light" else 0)
