@@ -13,7 +13,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 
-_OFFICIAL_NAME: Final = re.compile(r"scene-\d\d\d\d")
+OFFICIAL_NAME: Final = re.compile(r"scene-\d\d\d\d")
+"""Names of scenes that the devkit's reader takes."""
 _NUMBERED: Final = re.compile(r"scene-(\d{4})(?!\d)")
 _WITHOUT: Final = frozenset({*range(161, 169), *range(170, 177), *range(309, 315)})
 """Numbers of scenes whose messages the devkit does not hand out."""
@@ -61,7 +62,7 @@ class CanMessages:
         """
         number = _NUMBERED.match(scene)
         hidden = number is not None and int(number[1]) in _WITHOUT
-        if hidden or (as_converted and not _OFFICIAL_NAME.fullmatch(scene)):
+        if hidden or (as_converted and not OFFICIAL_NAME.fullmatch(scene)):
             return cls((), ())
         kinds = {**CAN_BUS, "pose": {**CAN_BUS["pose"], **CAN_BUS_POSE}}
         found = []
@@ -103,7 +104,7 @@ class CanMessages:
         return np.array([*values, 0.0, 0.0], np.float64)
 
     def nearest(self, time_us: int) -> Measured | None:
-        """The messages of both kinds that are nearest in time, the later one of two; ``None`` where a kind is missing."""
+        """The messages that are nearest in time, the later one of two; ``None`` where a kind is missing."""
         if not self.pose or not self.steering:
             return None
         pose, wheel = (_nearest(messages, time_us) for messages in (self.pose, self.steering))

@@ -52,8 +52,8 @@ class Drive:
             at: Index of the sample.
 
         Returns:
-            ``gt_ego_his_trajs`` (2, 2) offsets, the older first; ``gt_ego_fut_trajs`` (6, 2) offsets, 0 after the end of
-            the scene; ``gt_ego_fut_masks`` (6,); ``gt_ego_fut_cmd`` (3,) right, left or straight.
+            ``gt_ego_his_trajs`` (2, 2) offsets, the older first; ``gt_ego_fut_trajs`` (6, 2) offsets, 0 after the end
+            of the scene; ``gt_ego_fut_masks`` (6,); ``gt_ego_fut_cmd`` (3,) right, left or straight.
         """
         last = len(self.frames) - 1
         planar = self.frames[at].local(self.origin)[:, :2]
@@ -72,8 +72,8 @@ class Drive:
     def features(self, at: int, path: dict[str, Floats], can: CanMessages, location: str) -> Floats:
         """VAD's nine numbers of the ego at a sample.
 
-        Times are taken for half a second apart whatever they are, and the angle is a roll (`roll`), so that on flat roads
-        the car seems to drive along the y axis and never to turn.
+        Times are taken for half a second apart whatever they are, and the angle is a roll (`roll`), so that on flat
+        roads the car seems to drive along the y axis and never to turn.
 
         Args:
             at: Index of the sample.

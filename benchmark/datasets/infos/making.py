@@ -52,7 +52,7 @@ class SceneSources:
 
 @dataclass(frozen=True)
 class _Moment:
-    """A sample: its row, its place in the scene, its lidar and that one's row, and its boxes in the order of the file."""
+    """A sample: its row, its place in the scene, its lidar's row and frame, its boxes in the order of the file."""
 
     sample: Row
     at: int

@@ -89,9 +89,7 @@ class MapLines:
         patch = _Patch(lidar)
         roads = [patch.local(piece) for name in _ROADS for piece in self._layers[name].cut(patch.area)]
         return {
-            DIVIDER: _points(
-                patch.local(piece) for name in _DIVIDERS for piece in self._layers[name].cut(patch.area)
-            ),
+            DIVIDER: _points(patch.local(piece) for name in _DIVIDERS for piece in self._layers[name].cut(patch.area)),
             CROSSING: _crossings([patch.local(piece) for piece in self._layers[_CROSSINGS].cut(patch.area)]),
             BOUNDARY: _boundaries(roads),
         }

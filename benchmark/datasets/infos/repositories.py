@@ -1,6 +1,5 @@
 """The repositories that read info files: how these are called there, and which scenes their converters put where."""
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -84,9 +83,8 @@ def require_version(version: str, where: str) -> None:
         )
 
 
-def official_training_scenes(version: str) -> Collection[str]:
+def official_training_scenes(version: str) -> frozenset[str]:
     """Scenes that a converter puts into the first file of a version: all others go into the second."""
     from nuscenes.utils import splits
 
-    names: Collection[str] = {MINI: splits.mini_train, TRAINVAL: splits.train, TEST: splits.test}[version]
-    return frozenset(names)
+    return frozenset({MINI: splits.mini_train, TRAINVAL: splits.train, TEST: splits.test}[version])

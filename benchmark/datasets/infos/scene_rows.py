@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-
 from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.infos.frames import SensorFrame
 from benchmark.datasets.scene_tables import SceneTables, read_scene_tables
@@ -86,8 +85,8 @@ class SceneRows:
         found = self.key_frames[sample["token"]].get(LIDAR_NAME)
         if found is None:
             raise InputError(
-                f"{self.name} has no {LIDAR_NAME}, whose frame info files are in; write the data set with one (an empty "
-                "file is enough)"
+                f"{self.name} has no {LIDAR_NAME}, whose frame info files are in; write the data set with one (an "
+                "empty file is enough)"
             )
         return found
 
@@ -102,13 +101,14 @@ class InfoTables:
     Args:
         root: Root of the data set.
         version: Version folder, with all 13 tables.
+        rates: Gets scenes whose keyframes are not half a second apart.
 
     Raises:
         InputError: If a table is broken, or links to nothing.
     """
 
-    def __init__(self, root: Path, version: str) -> None:
-        tables = read_scene_tables(root / version, FaultList())
+    def __init__(self, root: Path, version: str, rates: FaultList) -> None:
+        tables = read_scene_tables(root / version, rates)
         if tables is None:
             # Texts hash differently in each process.
             raise InputError(f"two tokens of {root / version} were taken for one by chance; run the same command again")

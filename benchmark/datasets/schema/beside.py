@@ -6,7 +6,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.schema.kinds import EARTH_M, LINKS_OF_LIST, POSITION, ROTATION, TIME, TOKEN, Kind, number, numbers
+from benchmark.datasets.schema.kinds import (
+    EARTH_M,
+    LINKS_OF_LIST,
+    POSITION,
+    ROTATION,
+    TIME,
+    TOKEN,
+    Kind,
+    number,
+    numbers,
+)
 from benchmark.datasets.schema.rows import shown
 from benchmark.errors import InputError
 
