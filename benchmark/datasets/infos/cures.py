@@ -19,9 +19,6 @@ from benchmark.report.words import counted
 
 DEFAULT_VISIBILITY: Final = 4
 """nuScenes' level of what is fully visible."""
-_APART_US: Final = 2_000_000
-"""Readers of SparseDrive's family keep their memory across no longer time than this."""
-_SHIFTED_APART_US: Final = 10_000_000
 _NEEDS_A_FUTURE: Final = 2
 AROUND_M: Final = 50.0
 """UniAD's reader takes map elements and drivable cells within about so far."""
@@ -130,24 +127,6 @@ def _require_map(root: Path, rows: SceneRows) -> None:
 def _require_file(root: Path, name: str, advice: str) -> None:
     if not (root / name).is_file():
         raise InputError(f"{root / name} of the tables is missing; {advice}")
-
-
-def shifts_us(scenes: Sequence[tuple[str, int, int]]) -> dict[str, int]:
-    """By how much the times of scenes must be moved for them to stay together and apart from each other.
-
-    Args:
-        scenes: Name, first and last time of each, microseconds.
-
-    Returns:
-        Shift by name, for those that need one: scenes that begin before all earlier ones have ended for 2 s.
-    """
-    found, ended = {}, None
-    for name, first, last in sorted(scenes, key=lambda scene: scene[1]):
-        shift = 0
-        if ended is not None and first <= ended + _APART_US:
-            shift = found[name] = ended + _SHIFTED_APART_US - first
-        ended = last + shift
-    return found
 
 
 def shift_times(infos: Iterable[Info], shift_us: int) -> None:
@@ -265,16 +244,31 @@ def empty_maps(cities: Sequence[str]) -> Departure:
     )
 
 
-def not_cured(
-    repository: Repository, sizes: Collection[tuple[int, int]], without_points: int, off_the_map: int
-) -> list[str]:
+@dataclass(slots=True)
+class Seen:
+    """What was met while infos were made.
+
+    Attributes:
+        sizes: Width and height of images.
+        without_points: Boxes without a lidar point.
+        off_the_map: Samples with nothing of the map around them.
+        without_can_bus: Scenes without the messages that motion is read from.
+        without_visibility: Boxes whose visibility is no level, by scene.
+    """
+
+    sizes: set[tuple[int, int]] = field(default_factory=set)
+    without_points: int = 0
+    off_the_map: int = 0
+    without_can_bus: list[str] = field(default_factory=list)
+    without_visibility: dict[str, int] = field(default_factory=dict)
+
+
+def not_cured(repository: Repository, seen: Seen) -> list[str]:
     """What a reader of the results should know, since no info file can change it.
 
     Args:
         repository: For whom.
-        sizes: Width and height of images.
-        without_points: Boxes without a lidar point.
-        off_the_map: Samples with nothing of the map around them.
+        seen: What was met.
 
     Returns:
         Sentences.
@@ -289,20 +283,26 @@ def not_cured(
             else "their part of the evaluation ends with an error, after planning"
         )
     ]
-    other = sorted(size for size in sizes if size != _TRAINED_SIZE)
+    other = sorted(size for size in seen.sizes if size != _TRAINED_SIZE)
     if other:
         drawn, trained = (", ".join(f"{width}x{height}" for width, height in each) for each in (other, [_TRAINED_SIZE]))
         found.append(
             f"images are {drawn}, and published networks were trained on {trained} "
             f"({_SIZE_OPTIONS.format(size=trained)})"
         )
-    if without_points:
-        boxes = counted(without_points, "box has", "boxes have")
-        seen = "but in its occupancy, UniAD" if repository.name == "uniad" else "the evaluation"
-        found.append(f"{boxes} no lidar point: {seen} does not know of these objects at these samples")
-    if off_the_map and repository.name == "uniad":
+    if seen.without_points:
+        boxes = counted(seen.without_points, "box has", "boxes have")
+        who = "but in its occupancy, UniAD" if repository.name == "uniad" else "the evaluation"
+        found.append(f"{boxes} no lidar point: {who} does not know of these objects at these samples")
+    if seen.without_can_bus:
+        scenes = counted(len(seen.without_can_bus), "scene has", "scenes have")
         found.append(
-            f"{counted(off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, which "
-            "UniAD's reader fails at"
+            f"{scenes} no CAN bus, so that models see zeros for "
+            f"the motion of the ego: {', '.join(seen.without_can_bus[:3])}"
+        )
+    if seen.off_the_map:
+        found.append(
+            f"{counted(seen.off_the_map, 'sample has', 'samples have')} nothing of the map within {AROUND_M:g} m, "
+            "which UniAD's reader fails at"
         )
     return found

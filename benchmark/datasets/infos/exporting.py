@@ -15,8 +15,9 @@ from benchmark.datasets.infos import cures
 from benchmark.datasets.infos.boxes import SceneBoxes
 from benchmark.datasets.infos.can_messages import OFFICIAL_NAME, CanMessages
 from benchmark.datasets.infos.ego import Drive
-from benchmark.datasets.infos.making import Info, SceneSources, scene_infos
+from benchmark.datasets.infos.making import Info, SceneSources, is_level, scene_infos
 from benchmark.datasets.infos.map_lines import MapLines
+from benchmark.datasets.infos.order import shifts_us
 from benchmark.datasets.infos.repositories import (
     TEST,
     Part,
@@ -182,13 +183,16 @@ class _Converting:
             rows=rows,
             boxes=SceneBoxes.of(rows),
             drive=Drive.of(rows),
-            can=CanMessages.read(self.root, rows.name, as_converted=self.settings.as_converted),
+            can=self._can_bus(rows),
             map_lines=self._map(rows) if self.reader.name == "sparsedrive" else None,
             prefix=self.prefix,
             category_numbers=self._category_numbers(),
             default_visibility=None if self.settings.as_converted else cures.DEFAULT_VISIBILITY,
         )
         return list(scene_infos(self.reader, self.found.version, sources))
+
+    def _can_bus(self, rows: SceneRows) -> CanMessages:
+        return CanMessages.read(self.root, rows.name, as_converted=self.settings.as_converted)
 
     def _category_numbers(self) -> dict[str, int]:
         return self.tables.category_numbers
@@ -214,24 +218,22 @@ class _Curing(_Converting):
         self.prefix = f"{here.rstrip('/')}/"
         self._times: list[tuple[str, int, int]] = []
         self._infos: dict[str, list[Info]] = {}
-        self._sizes: set[tuple[int, int]] = set()
-        self._unseen: dict[str, int] = {}
-        self._off_the_map = 0
+        if not Path(here).is_absolute():
+            raise InputError(f"--root-as {here} must be an absolute path; it is what files are named by")
+        self._seen = cures.Seen()
         self._surroundings: dict[str, shapely.Geometry] = {}
 
     def files(self) -> InfoFiles:
         """Infos of the split, all in the file that official configurations evaluate."""
         split, names = self._split()
         self._put(names, lambda _: "val")
-        shifts = cures.shifts_us(self._times)
+        shifts = shifts_us(self._times)
         for name, shift in shifts.items():
             cures.shift_times(self._infos[name], shift)
         if self.found.version == TEST:
             self.found.parts = {"test": self.found.parts["val"]}
         self.found.departures = self._departures(split, names, shifts)
-        infos = [info for found in self._infos.values() for info in found]
-        without = sum(int((info["num_lidar_pts"] == 0).sum()) for info in infos if "num_lidar_pts" in info)
-        self.found.not_cured = cures.not_cured(self.reader, self._sizes, without, self._off_the_map)
+        self.found.not_cured = cures.not_cured(self.reader, self._seen)
         return self.found
 
     def _split(self) -> tuple[str, tuple[str, ...]]:
@@ -250,12 +252,16 @@ class _Curing(_Converting):
         times = [sample["timestamp"] for sample in rows.samples]
         self._times.append((rows.name, min(times), max(times)))
         self._infos[rows.name] = infos
-        self._sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
-        unknown = sum(not row["visibility_token"] for row in rows.annotations.values())
+        seen = self._seen
+        seen.sizes.update((row["width"], row["height"]) for row in rows.data.values() if row["width"])
+        seen.without_points += sum(row["num_lidar_pts"] == 0 for row in rows.annotations.values())
+        if not self._can_bus(rows).pose:
+            seen.without_can_bus.append(rows.name)
+        unknown = sum(not is_level(row["visibility_token"]) for row in rows.annotations.values())
         if unknown:
-            self._unseen[rows.name] = unknown
+            seen.without_visibility[rows.name] = unknown
         if self.reader.name == "uniad":
-            self._off_the_map += self._samples_off_the_map(rows)
+            seen.off_the_map += self._samples_off_the_map(rows)
         return infos
 
     def _samples_off_the_map(self, rows: SceneRows) -> int:
@@ -275,15 +281,15 @@ class _Curing(_Converting):
         training = official_training_scenes(self.found.version)
         others = len(self.tables.scenes) - len(names)
         found = [cures.paths(self.prefix), *cures.in_val_file(split, training & set(names), others)]
-        refused = [name for name in names if not OFFICIAL_NAME.fullmatch(name)]
+        refused = {name for name in names if not OFFICIAL_NAME.fullmatch(name)} - set(self._seen.without_can_bus)
         if refused:
             found.append(cures.read_can_bus(self.reader, refused))
         if shifts:
             found.append(cures.shifted(shifts))
         if self.reader.name == "vad":
             found += cures.numbered(super()._category_numbers())
-        if self.reader.name == "uniad" and self._unseen:
-            found.append(cures.seen_in_full(self._unseen))
+        if self.reader.name == "uniad" and self._seen.without_visibility:
+            found.append(cures.seen_in_full(self._seen.without_visibility))
         cities = missing_cities(self.root)
         if cities:
             found.append(cures.empty_maps(cities))

@@ -158,8 +158,13 @@ def _of_uniad(sources: SceneSources, moment: _Moment, _: Info) -> Info:
     }
 
 
+def is_level(visibility: str) -> bool:
+    """Whether a visibility is a number, as UniAD's converter takes for granted."""
+    return visibility.isascii() and visibility.isdigit()
+
+
 def _visibility(sources: SceneSources, moment: _Moment, level: str) -> int:
-    if level.isascii() and level.isdigit():
+    if is_level(level):
         return int(level)
     if sources.default_visibility is not None:
         return sources.default_visibility

@@ -152,7 +152,12 @@ def _is_line(value: Any) -> bool:
 
 
 def _distances(line: Floats, other: Floats, margin_m: float) -> Floats:
-    """How far the vertices of a line are from another, those on the edge of the patch left out."""
-    inside = (np.abs(np.abs(line) - np.array(PATCH_M) / 2) > margin_m).all(axis=1)
+    """How far the vertices of a line, and the middles between them, are from another.
+
+    What lies on the edge of the patch is left out, for its belonging to an element hangs on the last bit. The middles
+    are asked because a straight line may begin and end there.
+    """
+    points = np.concatenate([line, 0.5 * (line[1:] + line[:-1])])
+    inside = (np.abs(np.abs(points) - np.array(PATCH_M) / 2) > margin_m).all(axis=1)
     to = shapely.LineString(other) if len(other) > 1 else shapely.multipoints(other)
-    return np.asarray(shapely.distance(shapely.points(line[inside]), to))
+    return np.asarray(shapely.distance(shapely.points(points[inside]), to))
