@@ -396,7 +396,10 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         return _verify_model(model, golden)
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
-    from benchmark.datasets.infos.verification import verify_infos
+    if what == "infos":
+        from benchmark.datasets.infos.verification import verify_infos
+
+        return verify_infos(golden)
     from benchmark.pdm.verification import verify_pdm
     from benchmark.protocols.verification import verify_protocols
     from generation.verification.denoiser import verify_denoiser
@@ -409,10 +412,9 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         "denoiser": verify_denoiser,
         "protocols": verify_protocols,
         "pdm": verify_pdm,
-        "infos": verify_infos,
     }
     if what not in known:
-        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)} and model")
+        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)}, infos and model")
     return known[what](golden)
 
 

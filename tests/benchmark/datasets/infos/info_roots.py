@@ -96,7 +96,8 @@ def scene_names(root: Path) -> dict[str, str]:
 def golden_contents(root: Path, beside: Path) -> Contents:
     """What a golden set of a root would hold: info files by repository, and under ``manifest`` the manifest."""
     version = next(path.parent for path in root.glob("*/scene.json"))
-    files, contents = {}, {}
+    contents: Contents = {}
+    files: dict[str, Any] = {}
     for repository in REPOSITORIES:
         done = export_infos(root, beside / repository, InfoSettings(repository, as_converted=True))
         path = next(path for path in done.files if path.name.endswith("_val.pkl"))
