@@ -65,11 +65,13 @@ def variant_root(root: Path, **plan: Any) -> Path:
     return root
 
 
-def with_old_categories(root: Path) -> Path:
-    """Give a root the category table of 23 rows, as roots had it."""
+def as_roots_were(root: Path) -> Path:
+    """Give a root the category table of 23 rows, and the map of its own city alone."""
     path = next(root.glob("v1.0-*")) / "category.json"
     known = {row["name"]: row for row in json.loads(path.read_text())}
     path.write_text(json.dumps([known[name] for name in CATEGORIES]))
+    for other in (root / "maps" / "expansion").glob("singapore-*.json"):
+        other.unlink()
     return root
 
 

@@ -21,12 +21,12 @@ from benchmark.foreign.pickles import read_pickle
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.datasets.infos.info_roots import (
     LargeRenderer,
+    as_roots_were,
     exported,
     plain_root,
     read,
     scene_names,
     variant_root,
-    with_old_categories,
 )
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
@@ -35,7 +35,7 @@ Infos = list[dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def variants(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return with_old_categories(variant_root(tmp_path_factory.mktemp("variants") / "root"))
+    return as_roots_were(variant_root(tmp_path_factory.mktemp("variants") / "root"))
 
 
 @pytest.fixture(scope="module")
