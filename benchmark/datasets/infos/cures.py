@@ -292,8 +292,12 @@ def not_cured(repository: Repository, seen: Seen) -> list[str]:
         )
     if seen.without_points:
         boxes = counted(seen.without_points, "box has", "boxes have")
-        who = "but in its occupancy, UniAD" if repository.name == "uniad" else "the evaluation"
-        found.append(f"{boxes} no lidar point: {who} does not know of these objects at these samples")
+        known = (
+            "UniAD sees these objects in its occupancy alone"
+            if repository.name == "uniad"
+            else ("the evaluation does not know of these objects at these samples")
+        )
+        found.append(f"{boxes} no lidar point: {known}")
     if seen.without_can_bus:
         scenes = counted(len(seen.without_can_bus), "scene has", "scenes have")
         found.append(
