@@ -5,7 +5,7 @@ Nothing is written before all of it is computed.
 
 import pickle
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -112,9 +112,10 @@ def export_infos(root: Path, to: Path, settings: InfoSettings) -> Exported:
     reader = repository(settings.repository)
     variants = variant_folders(root)
     roots = {to / name: root / name for name in variants} or {to: root}
-    made = {target: info_files(source, reader, settings) for target, source in roots.items()}
+    each = {target: _settings_for(target.name, settings) if variants else settings for target in roots}
+    made = {target: info_files(source, reader, each[target]) for target, source in roots.items()}
     folders = {} if settings.as_converted else {
-        target: _folder_for(reader, roots[target], target, found, settings) for target, found in made.items()
+        target: _folder_for(reader, roots[target], target, found, each[target]) for target, found in made.items()
     }  # fmt: skip
     files: dict[Path, int] = {}
     for target, found in made.items():
@@ -294,6 +295,11 @@ class _Curing(_Converting):
         if cities:
             found.append(cures.empty_maps(cities))
         return found
+
+
+def _settings_for(variant: str, settings: InfoSettings) -> InfoSettings:
+    """Settings of one of several roots that lie side by side."""
+    return settings if settings.root_as is None else replace(settings, root_as=f"{settings.root_as}/{variant}")
 
 
 def _folder_for(reader: Repository, root: Path, to: Path, found: InfoFiles, settings: InfoSettings) -> StandIn:

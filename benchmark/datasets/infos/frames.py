@@ -16,8 +16,8 @@ class SensorFrame:
     """Where a sensor is when it measures.
 
     Attributes:
-        from_ego: (3, 3) rotation and (3,) translation that take the sensor's points to the ego frame.
-        from_global: The same from the ego frame to the global one, at the sensor's own time.
+        mount: (3, 3) rotation and (3,) translation that take the sensor's points to the ego frame.
+        pose: The same from the ego frame to the global one, at the sensor's own time.
     """
 
     mount: tuple[Floats, Floats]

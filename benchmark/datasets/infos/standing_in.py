@@ -80,7 +80,12 @@ class StandIn:
         """Maps are plain files where a former export had none to link to."""
         if self.folder.is_symlink():
             raise InputError(f"{self.folder} is a link, and what it leads to must stay as it is; choose another --to")
-        for path in self.links:
+        for path, target in self.links.items():
+            if path.is_symlink() and path.readlink() != target:
+                raise InputError(
+                    f"{path} leads to {path.readlink()}, for {self.folder.parent} was exported from another root; "
+                    "choose another --to"
+                )
             taken = path.exists() and not path.is_symlink()
             if taken and not (path.is_file() and path.parent == self.folder / _MAPS):
                 raise InputError(f"{path} is in the way of a link; choose another --to, or remove it")

@@ -117,7 +117,7 @@ def test_files_are_named_so_that_all_repositories_find_them(variants: Path, cure
     info = read(cured / "nuscenes_infos_temporal_val.pkl")[0]
     for name in (info["lidar_path"], info["cams"]["CAM_FRONT"]["data_path"]):
         assert Path(name).is_absolute() and Path(name).is_file()
-    elsewhere = exported(variants, tmp_path, "uniad", root_as="/data/adv/")[0]
+    elsewhere = exported(variants, tmp_path, "uniad", root_as="/data/adv")[0]
     assert elsewhere["lidar_path"].startswith("/data/adv/samples/LIDAR_TOP/")
     assert (tmp_path / "nuscenes" / "samples").readlink() == Path("/data/adv/samples")
 
@@ -171,6 +171,21 @@ def test_folders_of_variant_roots_get_a_folder_each(tmp_path: Path) -> None:
     done = export_infos(tmp_path / "root", tmp_path / "to", InfoSettings("uniad"))
     names = sorted(str(path.relative_to(tmp_path / "to")) for path, count in done.files.items() if count)
     assert names == [f"{name}/nuscenes_infos_temporal_val.pkl" for name in ("v0", "v1")]
+    export_infos(tmp_path / "root", tmp_path / "as", InfoSettings("uniad", root_as="/data"))
+    elsewhere = read(tmp_path / "as" / "v1" / "nuscenes_infos_temporal_val.pkl")
+    assert elsewhere[0]["lidar_path"].startswith("/data/v1/samples/")
+
+
+def test_infos_of_the_test_set_have_no_annotations(tmp_path: Path) -> None:
+    root = plain_root(tmp_path / "root", version="v1.0-test")
+    for repository, last in (("uniad", "timestamp"), ("vad", "map_location"), ("sparsedrive", "map_annos")):
+        done = export_infos(root, tmp_path / repository, InfoSettings(repository, as_converted=True))
+        # No test scene of nuScenes is called like it.
+        assert [(path.name.endswith("_test.pkl"), count) for path, count in done.files.items()] == [(True, 0)]
+        if repository != "sparsedrive":
+            done = export_infos(root, tmp_path / repository, InfoSettings(repository))
+            infos = read(next(iter(done.files)))
+            assert len(infos) == 9 and list(infos[0])[-1] == last
 
 
 def test_scenes_that_are_apart_keep_their_times() -> None:
@@ -288,6 +303,11 @@ def test_the_export_overwrites_nothing_of_others(healthy: Path, tmp_path: Path) 
     (tmp_path / "other" / "nuscenes" / "samples").mkdir(parents=True)
     said = refusal("data", "export", "infos", healthy, "--for", "uniad", "--to", tmp_path / "other")
     assert "is in the way of a link" in said
+    export_infos(healthy, tmp_path / "third", InfoSettings("uniad"))
+    copy = shutil.copytree(healthy, tmp_path / "copy")
+    said = refusal("data", "export", "infos", copy, "--for", "vad", "--to", tmp_path / "third")
+    assert "was exported from another root" in said
+    shutil.rmtree(tmp_path / "third")
     assert not list(tmp_path.rglob("*.pkl"))
 
 
