@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmark.datasets.schema.beside import CAN_BUS, CAN_BUS_POSE, require_records
 from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 
@@ -95,13 +96,17 @@ class CanMessages:
                 break
             last = stopped
         others = [name for name in last if name not in ("utime", "pos", "orientation")]
-        values = [*last["pos"], *last["orientation"], *(value for name in others for value in stopped[name])]
-        if len(values) != _MEASURED:
+        try:
+            values = [*last["pos"], *last["orientation"], *(value for name in others for value in stopped[name])]
+            vector = np.array([*values, 0.0, 0.0], np.float64)
+        except (KeyError, TypeError, ValueError):
+            vector = np.zeros(0)
+        if vector.shape != (VECTOR_VALUES,):
             raise InputError(
-                f"a pose message of the CAN bus has {len(values)} numbers ({', '.join(last)}), official code takes "
-                f"{_MEASURED}; fetch or make the files again"
+                f"pose messages of the CAN bus at {last['utime']} do not hold the {_MEASURED} numbers that official "
+                f"code takes ({', '.join(map(one_line, last))}); fetch or make the files again"
             )
-        return np.array([*values, 0.0, 0.0], np.float64)
+        return vector
 
     def nearest(self, time_us: int) -> Measured | None:
         """The messages that are nearest in time, the later one of two; ``None`` where a kind is missing."""

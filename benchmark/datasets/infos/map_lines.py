@@ -59,7 +59,7 @@ class MapLines:
     """
 
     def __init__(self, path: Path) -> None:
-        stored = read_json(path)
+        self._path, stored = path, read_json(path)
         if not isinstance(stored, dict):
             raise InputError(f"{path} must be a map expansion, an object of layers; fetch or make it again")
         try:
@@ -72,10 +72,13 @@ class MapLines:
                 f"{path}: layer or record {one_line(repr(error.args[0]))} is missing; the map expansion is incomplete, "
                 "fetch or make it again"
             ) from error
-        except (TypeError, ValueError, AttributeError) as error:
-            raise InputError(
-                f"{path} is not a well-formed map expansion ({one_line(error)}); fetch or make it again"
-            ) from error
+        except (TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
+            raise self._malformed(error) from error
+
+    def _malformed(self, error: Exception) -> InputError:
+        return InputError(
+            f"{self._path} is not a well-formed map expansion ({one_line(error)}); fetch or make it again"
+        )
 
     def around(self, lidar: SensorFrame) -> MapElements:
         """Lines within 15 m beside and 30 m ahead of and behind the lidar.
@@ -85,7 +88,16 @@ class MapLines:
 
         Returns:
             Lines (n, 2) in the lidar frame by class: dividers, crossings and boundaries, in this order.
+
+        Raises:
+            InputError: If shapes cannot be cut or united.
         """
+        try:
+            return self._around(lidar)
+        except shapely.errors.ShapelyError as error:
+            raise self._malformed(error) from error
+
+    def _around(self, lidar: SensorFrame) -> MapElements:
         patch = _Patch(lidar)
         roads = [patch.local(piece) for name in _ROADS for piece in self._layers[name].cut(patch.area)]
         return {

@@ -246,6 +246,14 @@ def _broken_map(root: Path) -> None:
     next(root.glob("maps/expansion/boston*")).write_text('{"version": "1.3"}')
 
 
+def _line_of_one_node(root: Path) -> None:
+    path = next(root.glob("maps/expansion/boston*"))
+    layers = json.loads(path.read_text())
+    for line in layers["line"]:
+        line["node_tokens"] = line["node_tokens"][:1]
+    path.write_text(json.dumps(layers))
+
+
 def _broken_messages(root: Path) -> None:
     next(root.glob("can_bus/*_pose.json")).write_text('[{"utime": 1700594060000000}]')
 
@@ -265,6 +273,7 @@ def _broken_messages(root: Path) -> None:
         (_changed("ego_pose", rotation=[1, 1, 0, 0]), "--for uniad --as-converted", "of norm one"),
         (_renamed, "--for uniad", "official code opens v1.0-mini"),
         (_broken_map, "--for sparsedrive --as-converted", "map expansion is incomplete"),
+        (_line_of_one_node, "--for sparsedrive --as-converted", "is not a well-formed map expansion"),
         (_broken_messages, "--for vad", "has no field"),
         (lambda _: None, "--for vad --split adv", "has no split 'adv'"),
         (lambda _: None, "--for vad --split val --as-converted", "leave --split out"),

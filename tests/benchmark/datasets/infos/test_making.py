@@ -182,5 +182,8 @@ def test_motion_is_one_message_younger_than_position() -> None:
     assert found is not None and found.velocity[0] == 30.2 and found.steering == 1.0
     assert CanMessages([], []).vector(3).tolist() == [0.0] * 18
     assert CanMessages(can.pose, []).nearest(25) is None
-    with pytest.raises(InputError, match="19 numbers"):
-        CanMessages([{**_pose(1, 0.0), "more": [1.0, 2.0, 3.0]}], []).vector(3)
+    for more in ([1.0, 2.0, 3.0], 7, ["text"]):
+        with pytest.raises(InputError, match="do not hold the 16 numbers"):
+            CanMessages([{**_pose(1, 0.0), "more": more}], []).vector(3)
+    with pytest.raises(InputError, match="do not hold the 16 numbers"):
+        CanMessages([{**_pose(1, 0.0), "more": []}, _pose(9, 0.0)], []).vector(3)
