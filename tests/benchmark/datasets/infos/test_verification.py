@@ -141,8 +141,8 @@ def _manifest(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], None]
     return spoil
 
 
-def _holding(data: bytes) -> Callable[[Path], None]:
-    return lambda golden: _file(golden).write_bytes(lzma.compress(data)) and None
+def _holding(data: bytes) -> Callable[[Path], int]:
+    return lambda golden: _file(golden).write_bytes(lzma.compress(data))
 
 
 def _file(golden: Path) -> Path:
