@@ -46,6 +46,7 @@ _DEFINED_IN: Final = {
     "benchmark.protocols": ["PROTOCOLS"],
     "benchmark.records.run": ["RunRecord", "load_record", "find_records"],
     "benchmark.metrics.frames": ["samples_frame"],
+    "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
     "benchmark.runs.submissions": ["check_submission"],
     "benchmark.metrics.transfer": ["transfer"],
@@ -144,6 +145,7 @@ if TYPE_CHECKING:
     )
     from benchmark.cli.demonstration import demo as demo, full_demo as full_demo, stale_demo as stale_demo
     from benchmark.datasets.contents import contents as _data_contents
+    from benchmark.datasets.infos.exporting import InfoSettings as InfoSettings, export_infos as export_infos
     from benchmark.datasets.integrity.check import check_tables as _check_data
     from benchmark.datasets.roots import DataSet as DataSet
     from benchmark.datasets.statistics import statistics as _data_statistics

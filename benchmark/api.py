@@ -383,8 +383,8 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
-        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm`` or ``model``.
-        golden: Folder of golden numbers; the built-in set by default, which ``model`` does not have.
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``infos`` or ``model``.
+        golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
         model: With ``model``: which one.
 
     Returns:
@@ -397,6 +397,10 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         return _verify_model(model, golden)
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
+    if what == "infos":
+        from benchmark.datasets.infos.verification import verify_infos
+
+        return verify_infos(golden)
     from benchmark.pdm.verification import verify_pdm
     from benchmark.protocols.verification import verify_protocols
     from generation.verification.denoiser import verify_denoiser
@@ -411,7 +415,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         "pdm": verify_pdm,
     }
     if what not in known:
-        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)} and model")
+        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)}, infos and model")
     return known[what](golden)
 
 

@@ -126,6 +126,19 @@ CATEGORIES: Final = (
     *sorted(VEHICLE_CATEGORIES),
 )
 """The 23 category names of nuScenes v1.0."""
+NUMBERED_CATEGORIES: Final = (
+    "noise",
+    *CATEGORIES,
+    "flat.driveable_surface",
+    "flat.other",
+    "flat.sidewalk",
+    "flat.terrain",
+    "static.manmade",
+    "static.other",
+    "static.vegetation",
+    "vehicle.ego",
+)
+"""Rows of the category table since lidarseg, 32: what official code means by the number of a category."""
 
 DETECTION_CLASS_OF_CATEGORY: Final = {
     "vehicle.car": "car",

@@ -1,4 +1,4 @@
-"""Commands on data sets: ``data info|stats|show|check|import|build``."""
+"""Commands on data sets: ``data info|stats|show|check|import|build``; ``data export`` has its own module."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
+from benchmark.cli import export
 from benchmark.cli.options import (
     Frames,
     FramesOption,
@@ -29,7 +30,8 @@ from benchmark.report.words import counted
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
-app = typer.Typer(cls=WholeSummaries, help="Look at, check, import and build data sets.", no_args_is_help=True)
+app = typer.Typer(cls=WholeSummaries, help="Look at, check, import, build and export data sets.", no_args_is_help=True)
+app.add_typer(export.app, name="export")
 
 
 @app.command("info")

@@ -153,7 +153,7 @@ def _results_from() -> dict[str, Any]:
     newest, renderer = newest_split("mini"), api.schematic_renderer()
     return {
         "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
-        "town": TownSettings().folder_name("mini"),
+        "town": TownSettings().drawn_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_VEHICLES],
         "renderer": [renderer.name, renderer.version],

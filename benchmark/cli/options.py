@@ -93,6 +93,7 @@ class Verifiable(StrEnum):
     DENOISER = "denoiser"
     PROTOCOLS = "protocols"
     PDM = "pdm"
+    INFOS = "infos"
     MODEL = "model"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
+from benchmark.constants import MAP_LAYERS
 from benchmark.datasets.schema.beside import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
 from benchmark.datasets.schema.rows import shown
 from benchmark.datasets.tables import Row
@@ -86,6 +87,17 @@ def read_road_map(path: Path) -> RoadMap:
         raise InputError(
             f"{path} is not a well-formed map expansion ({one_line(error)}); fetch or make it again"
         ) from error
+
+
+def empty_expansion() -> dict[str, Any]:
+    """Content of a map expansion that holds nothing, for code that opens the maps of all cities."""
+    return {
+        "version": "1.3",
+        "canvas_edge": [1.0, 1.0],
+        **{layer: [] for layer in MAP_LAYERS},
+        "connectivity": {},
+        "arcline_path_3": {},
+    }
 
 
 def _require_version(layers: Mapping[str, Any], path: Path) -> None:

@@ -70,6 +70,11 @@ class SceneTables:
             self._sound.add(token)
         return {table: [dict(row) for row in shared] for table, shared in self.shared.items()} | rows
 
+    def numbers_of_scene(self, table: str, token: str) -> tuple[int, ...]:
+        """Numbers, in the whole table, of the rows of a growing table that `of_scene` gives, in the same order."""
+        number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
+        return tuple(self._of_scene[table][number].tolist())
+
 
 def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
     """Pass over the tables of a version folder.

@@ -86,14 +86,46 @@ def scenes_of_split(
                 "complete the data set or correct splits.json"
             )
         return tuple(sorted(custom[split]))
-    known: dict[str, tuple[str, ...]] = {} if built_as is None else {built_as: tuple(sorted(present))}
-    if not custom and built_as is None:
-        known = _unsaid(present)
+    known = _known(present, custom, built_as)
     if split in known:
         return known[split]
     there = sorted({*custom, *known})
     only = f"the only one is {there[0]}" if len(there) == 1 else f"it has {', '.join(there)}"
     raise NoSuchSplit(f"{where} has no split {split!r}; {did_you_mean(split, there)}{only}")
+
+
+def evaluated_split(
+    present: Sequence[str], custom: Mapping[str, Sequence[str]], *, where: str, built_as: str | None = None
+) -> str:
+    """The split that is meant where none is named: ``val`` where there is one, else the only one.
+
+    Args:
+        present: Scene names of the data set.
+        custom: Content of ``splits.json``.
+        where: The data set, for the message.
+        built_as: Split that the data set was built as, if it says so.
+
+    Returns:
+        Its name.
+
+    Raises:
+        InputError: If there are several and none is ``val``.
+    """
+    there = sorted({*custom, *_known(present, custom, built_as)})
+    if "val" in there:
+        return "val"
+    if len(there) != 1:
+        raise InputError(f"{where} has the splits {', '.join(there)}; name one with --split")
+    return there[0]
+
+
+def _known(
+    present: Sequence[str], custom: Mapping[str, Sequence[str]], built_as: str | None
+) -> dict[str, tuple[str, ...]]:
+    """Splits beside those of ``splits.json``."""
+    if custom or built_as is not None:
+        return {} if built_as is None else {built_as: tuple(sorted(present))}
+    return _unsaid(present)
 
 
 def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -38,6 +38,10 @@ class Limits:
 
 PICKLE: Final = Limits("pickle", 256 * MIB)
 """ScenarioNet files and published anchors; real ones have some megabytes."""
+COMPRESSED_PICKLE: Final = replace(PICKLE, what="compressed pickle", content_bytes=256 * MIB)
+ARCHIVE: Final = Limits("archive of tables", 256 * MIB, values=10_000)
+"""Golden roots: tables, CAN bus and maps, some megabytes; values are files."""
+PROGRAM: Final = Limits("program", MIB)
 CHECKPOINT: Final = Limits("checkpoint", 16 * GIB, values=1_000_000, content_bytes=256 * MIB)
 """PyTorch files; the largest that is read here has 5 GB. Their content is what stands beside the numbers."""
 LIBRARY_CHECKPOINT: Final = replace(CHECKPOINT, file_bytes=64 * GIB)

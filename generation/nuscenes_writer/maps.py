@@ -1,10 +1,12 @@
 """The map files of a finished root: the source's where it has them, else made from the scenes' road maps."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmark.constants import OFFICIAL_LOCATIONS
+from benchmark.datasets.map_layers import empty_expansion
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json, read_kept_json, token, write_bytes, write_json
 from benchmark.road_map import RoadMap
@@ -56,7 +58,16 @@ def write_maps(
             row["log_tokens"] += new_logs
         keys = list(dict.fromkeys(str(part["map"]) for part in fragments if part["location"] == location))
         _draw(plan, root, location, keys, mask=row["filename"], copied=copied)
+    _add_empty_maps(root, {str(row["location"]) for row in logs.values()})
     return sorted(logs.values(), key=lambda row: str(row["token"])), rows
+
+
+def _add_empty_maps(root: Path, locations: Collection[str]) -> None:
+    """Maps of the other cities, which official code opens when it starts; those that are there stay."""
+    for city in OFFICIAL_LOCATIONS:
+        path = root / "maps" / "expansion" / f"{city}.json"
+        if city not in locations and not path.is_file():
+            write_json(path, empty_expansion(), indent=None)
 
 
 def _location(logs: Mapping[str, Row], log_token: str) -> str | None:

@@ -18,6 +18,9 @@ from generation.render.contract import Renderer
 
 WRITER_VERSION: Final = 1
 """Part of every content key; raised when the same scene would be written differently."""
+SHARED_TABLES_VERSION: Final = 2
+"""Raised when what scenes share is written differently: labels, maps. Scenes that are written stay; 2 has the table of
+32 categories, and maps of all cities."""
 STATE_FOLDER: Final = ".challenger"
 _PLAIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmark.constants import CAMERA_NAMES, CATEGORIES, LIDAR_NAME
+from benchmark.constants import CAMERA_NAMES, LIDAR_NAME, NUMBERED_CATEGORIES
 from benchmark.datasets.tables import version_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json, token
@@ -38,6 +38,16 @@ _CATEGORY_WORDS: Final = {
     "vehicle.motorcycle": "A motorcycle or motor scooter.",
     "vehicle.trailer": "A trailer of any kind, without what pulls it.",
     "vehicle.truck": "A vehicle made to carry goods.",
+    # Only points of a lidar are of these kinds, never boxes; the rows are there for the numbers of those above.
+    "noise": "A point that belongs to nothing.",
+    "flat.driveable_surface": "Ground that cars may drive on.",
+    "flat.other": "Any other flat ground, or water.",
+    "flat.sidewalk": "Ground for those on foot.",
+    "flat.terrain": "Grass, earth and sand.",
+    "static.manmade": "A building, a wall, a post or anything else that is built.",
+    "static.other": "Anything that stands and is of no other kind.",
+    "static.vegetation": "A plant that is higher than grass.",
+    "vehicle.ego": "The car that records.",
 }
 _ATTRIBUTE_WORDS: Final = {
     "cycle.with_rider": "Somebody rides the cycle.",
@@ -57,7 +67,8 @@ class Vocabulary:
     """Label rows of a data set: the source's own where it has them.
 
     Attributes:
-        category: Rows by name.
+        category: Rows by name, in the order of nuScenes' table of 32, whose row numbers official code knows categories
+            by; those of the source alone come behind.
         attribute: Rows by name.
         visibility: Rows in order of their level.
         log: The source's log rows.
@@ -80,7 +91,7 @@ class Vocabulary:
         folder = _table_folder(source)
         tables = {name: _read(folder, name) for name in ("category", "attribute", "visibility", "log", "map")}
         return cls(
-            category={row["name"]: row for row in tables["category"] or _rows("category", _CATEGORY_WORDS)},
+            category=_numbered({row["name"]: row for row in tables["category"]}),
             attribute={row["name"]: row for row in tables["attribute"] or _rows("attribute", _ATTRIBUTE_WORDS)},
             visibility=tuple(tables["visibility"] or _visibility_rows()),
             log=tuple(tables["log"]),
@@ -130,6 +141,12 @@ def _rows(table: str, words: Mapping[str, str]) -> list[Row]:
     return [{"token": token(table, name), "name": name, "description": text} for name, text in words.items()]
 
 
+def _numbered(own: Mapping[str, Row]) -> dict[str, Row]:
+    """Categories in nuScenes' order: the source's rows where it has them."""
+    made = {name: _rows("category", {name: _CATEGORY_WORDS[name]})[0] for name in NUMBERED_CATEGORIES}
+    return {**made, **own}
+
+
 def _visibility_rows() -> list[Row]:
     bounds = (level.removeprefix("v").split("-") for level in _VISIBILITY_LEVELS)
     return [
@@ -156,5 +173,5 @@ def _read(folder: Path | None, table: str) -> list[Row]:
     return rows
 
 
-if set(_CATEGORY_WORDS) != set(CATEGORIES):
-    raise AssertionError("the category descriptions and benchmark.constants.CATEGORIES name different categories")
+if set(_CATEGORY_WORDS) != set(NUMBERED_CATEGORIES):
+    raise AssertionError("the descriptions and benchmark.constants.NUMBERED_CATEGORIES name different categories")

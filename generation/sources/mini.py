@@ -11,7 +11,7 @@ from benchmark.machine.storage import content_key, only_writer, read_kept_json, 
 from benchmark.machine.workers import map_ordered
 from benchmark.machine.workspace import is_finished
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
-from generation.nuscenes_writer.plan import STATE_FOLDER
+from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
 from generation.render.schematic import SchematicRenderer
 from generation.sources.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names
@@ -43,10 +43,16 @@ class TownSettings:
     frames: Literal["all", "keyframes"] = "all"
     images: bool = True
 
+    def drawn_name(self, name: str) -> str:
+        """A name for what happens in the scenes and how they look: all that a measured number depends on."""
+        return f"{name}-{content_key(*self._drawn())[:12]}"
+
     def folder_name(self, name: str) -> str:
         """Folder in the cache, named by everything the bytes depend on."""
-        renderer = SchematicRenderer(self.width, self.height)
-        return f"{name}-{content_key(asdict(self), TOWN_VERSION, renderer.version)[:12]}"
+        return f"{name}-{content_key(*self._drawn(), SHARED_TABLES_VERSION)[:12]}"
+
+    def _drawn(self) -> tuple[object, ...]:
+        return asdict(self), TOWN_VERSION, SchematicRenderer(self.width, self.height).version
 
 
 def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:

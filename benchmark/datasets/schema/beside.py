@@ -6,7 +6,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.schema.kinds import EARTH_M, LINKS_OF_LIST, TIME, TOKEN, Kind, number, numbers
+from benchmark.datasets.schema.kinds import (
+    EARTH_M,
+    LINKS_OF_LIST,
+    POSITION,
+    ROTATION,
+    TIME,
+    TOKEN,
+    Kind,
+    number,
+    numbers,
+)
 from benchmark.datasets.schema.rows import shown
 from benchmark.errors import InputError
 
@@ -35,6 +45,8 @@ CAN_BUS: Final[Mapping[str, Mapping[str, Kind]]] = {
     },
 }
 """Fields by message, in the order in which they are read."""
+CAN_BUS_POSE: Final[Mapping[str, Kind]] = {"pos": POSITION, "orientation": ROTATION}
+"""Further fields of the message ``pose``, which official code reads."""
 MAP_NODE: Final[Mapping[str, Kind]] = {
     axis: number("a number, metres within the earth", -EARTH_M, EARTH_M) for axis in ("x", "y")
 }

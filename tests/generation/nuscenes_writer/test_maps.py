@@ -9,6 +9,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.constants import OFFICIAL_LOCATIONS
 from benchmark.datasets.map_layers import read_road_map
 from benchmark.geometry import Floats
 from benchmark.machine.storage import write_json
@@ -17,6 +18,7 @@ from generation.nuscenes_writer.arclines import arcline_path
 from generation.nuscenes_writer.expansion import map_expansion
 from generation.nuscenes_writer.masks import drivable_mask
 from generation.nuscenes_writer.road_maps import merged, pack_road_map, unpack_road_map
+from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 from tests.hand_made import straight_road
 
 
@@ -138,3 +140,16 @@ def test_expansion_round_trip_with_connectors_and_bare_lanes(tmp_path: Path) -> 
     assert {divider.identifier: divider.kind for divider in found.dividers} == {
         divider.identifier: divider.kind for divider in painted
     }
+
+
+def test_all_four_cities_have_a_map(tmp_path: Path) -> None:
+    from nuscenes.map_expansion.map_api import NuScenesMap
+
+    write_root(tmp_path, [short_scene()])
+    maps = {city: NuScenesMap(dataroot=str(tmp_path), map_name=city) for city in OFFICIAL_LOCATIONS}
+    assert {city for city, found in maps.items() if found.node} == {"boston-seaport"}
+    # Where there is a map of a city, nothing empty takes its place.
+    path = tmp_path / "maps" / "expansion" / "singapore-queenstown.json"
+    path.write_text('{"version": "1.4"}')
+    write_root(tmp_path, [short_scene()])
+    assert path.read_text() == '{"version": "1.4"}'

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.constants import CAMERA_NAMES, NUSCENES_TABLES
+from benchmark.constants import CAMERA_NAMES, CATEGORIES, NUMBERED_CATEGORIES, NUSCENES_TABLES
 from benchmark.datasets.integrity import check_tables
 from benchmark.errors import InputError
 from benchmark.scene import Scene
@@ -39,7 +39,7 @@ def test_counts_and_links_of_two_scenes(tmp_path: Path) -> None:
     assert {table: len(rows) for table, rows in tables.items()} == {
         "attribute": 8,
         "calibrated_sensor": 2 * 7,
-        "category": 23,
+        "category": 32,
         "ego_pose": 2 * 7 * 30,
         "instance": 2 * 3,
         "log": 2,
@@ -252,3 +252,22 @@ def test_foreign_labels_get_rows(tmp_path: Path) -> None:
     tables = read(tmp_path)
     assert [row["name"] for row in tables["category"]][-1] == "other.thing"
     assert check_tables(tmp_path) == []
+
+
+def test_categories_have_the_numbers_of_the_table_of_32(tmp_path: Path) -> None:
+    write_root(tmp_path / "made", [short_scene()])
+    made = [row["name"] for row in read(tmp_path / "made")["category"]]
+    assert made == list(NUMBERED_CATEGORIES) and made.index("human.pedestrian.adult") == 2
+    assert (made.index("vehicle.bicycle"), made.index("vehicle.truck")) == (14, 23)
+    # What derives from a root with the older table keeps its tokens and gets the same numbers.
+    folder = tmp_path / "made" / "v1.0-trainval"
+    kept = [{"token": f"old-{name}", "name": name, "description": ""} for name in CATEGORIES]
+    own = {"token": "own", "name": "vehicle.hovercraft", "description": ""}
+    (folder / "category.json").write_text(json.dumps([own, *kept]))
+    source = SourceInfo("made", "0", root=tmp_path / "made")
+    write_root(tmp_path / "derived", [short_scene()], source=source)
+    rows = read(tmp_path / "derived")["category"]
+    assert [row["name"] for row in rows] == [*NUMBERED_CATEGORIES, "vehicle.hovercraft"]
+    assert rows[17]["token"] == "old-vehicle.car" and rows[32] == own
+    used = {row["category_token"] for row in read(tmp_path / "derived")["instance"]}
+    assert used == {"old-vehicle.car"} and check_tables(tmp_path / "derived") == []

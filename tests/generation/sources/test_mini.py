@@ -1,5 +1,8 @@
+import json
 from dataclasses import replace
 from pathlib import Path
+
+import pytest
 
 from benchmark.datasets.roots import open_data
 from generation.sources.mini import TownSettings, build_town
@@ -21,3 +24,20 @@ def test_finished_work_is_left_alone(tmp_path: Path) -> None:
     times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
     build_town(tmp_path, ONE, workers=1)
     assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_a_town_of_before_gets_the_shared_tables_of_now(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, drawn = ONE.folder_name("town"), ONE.drawn_name("town")
+    monkeypatch.setattr("generation.sources.mini.SHARED_TABLES_VERSION", 1)
+    # What is measured depends on the scenes and not on what they share.
+    assert ONE.folder_name("town") != now and ONE.drawn_name("town") == drawn
+    build_town(tmp_path, ONE, workers=1)
+    categories = tmp_path / "v1.0-mini" / "category.json"
+    categories.write_text("[]")
+    images = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}
+    build_town(tmp_path, ONE, workers=1)
+    assert categories.read_text() == "[]"
+    monkeypatch.undo()
+    build_town(tmp_path, ONE, workers=1)
+    assert len(json.loads(categories.read_text())) == 32
+    assert images == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}

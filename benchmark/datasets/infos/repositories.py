@@ -1,0 +1,90 @@
+"""The repositories that read info files: how these are called there, and which scenes their converters put where."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from benchmark.errors import InputError
+
+RepositoryName = Literal["uniad", "vad", "sparsedrive"]
+Part = Literal["train", "val", "test"]
+
+MINI: Final = "v1.0-mini"
+TRAINVAL: Final = "v1.0-trainval"
+TEST: Final = "v1.0-test"
+VERSIONS: Final = (MINI, TRAINVAL, TEST)
+"""Version folders that the converters and readers know."""
+
+
+@dataclass(frozen=True, slots=True)
+class Repository:
+    """One repository.
+
+    Attributes:
+        name: What it is called here.
+        title: What people call it.
+        stem: Beginning of the names of its info files.
+        mini_folder: Folder that the files of v1.0-mini lie in, if not beside those of other versions.
+        has_can_bus: Whether its infos hold prev, next, frame_idx and can_bus.
+        image_size: Width and height that its image pipeline takes for granted; ``None`` where it follows the images.
+    """
+
+    name: RepositoryName
+    title: str
+    stem: str
+    mini_folder: str = ""
+    has_can_bus: bool = True
+    image_size: tuple[int, int] | None = None
+
+    def file_name(self, version: str, part: Part) -> str:
+        """Where its converter writes a file, relative to the folder it is given."""
+        folder = f"{self.mini_folder}/" if self.mini_folder and version == MINI else ""
+        return f"{folder}{self.stem}_{part}.pkl"
+
+
+REPOSITORIES: Final = {
+    found.name: found
+    for found in (
+        Repository("uniad", "UniAD", "nuscenes_infos_temporal"),
+        Repository("vad", "VAD", "vad_nuscenes_infos_temporal"),
+        Repository(
+            "sparsedrive",
+            "SparseDrive and DiffusionDrive",
+            "nuscenes_infos",
+            mini_folder="mini",
+            has_can_bus=False,
+            image_size=(1600, 900),
+        ),
+    )
+}
+
+
+def repository(name: str) -> Repository:
+    """A repository by name; raises `InputError` for any other name."""
+    for found in REPOSITORIES.values():
+        if found.name == name:
+            return found
+    raise InputError(f"--for {name} is no repository with info files; they are {', '.join(REPOSITORIES)}")
+
+
+def require_version(version: str, where: str) -> None:
+    """Refuse tables that official code would not open.
+
+    Args:
+        version: Version folder.
+        where: The root, for the message.
+
+    Raises:
+        InputError: If its name is not one of nuScenes'.
+    """
+    if version not in VERSIONS:
+        raise InputError(
+            f"{where} has its tables in {version}/, and official code opens {', '.join(VERSIONS)} alone; copy the root "
+            f"and call that folder {TRAINVAL}"
+        )
+
+
+def official_training_scenes(version: str) -> frozenset[str]:
+    """Scenes that a converter puts into the first file of a version: all others go into the second."""
+    from nuscenes.utils import splits
+
+    return frozenset({MINI: splits.mini_train, TRAINVAL: splits.train, TEST: splits.test}[version])
