@@ -70,6 +70,22 @@ class DataFacts(Stored):
     fingerprint: str
 
 
+class ReviewFacts(Stored):
+    """What inspectors said of the scenes of a split (`benchmark.records.review`).
+
+    Attributes:
+        content: Hash of the verdicts: which scene, which content of it, accepted or rejected.
+        accepted: Scenes that were accepted.
+        rejected: Scenes that were rejected; none of them is judged.
+        not_reviewed: Scenes without a verdict; they are judged.
+    """
+
+    content: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    accepted: SceneCount
+    rejected: SceneCount
+    not_reviewed: SceneCount
+
+
 class RunFacts(Stored):
     """``run.json``.
 
@@ -79,6 +95,7 @@ class RunFacts(Stored):
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
         scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
+        review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
@@ -96,6 +113,7 @@ class RunFacts(Stored):
     scenes_in_split: SceneCount
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     frozen_split: str | None = None
+    review: ReviewFacts | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, Version]
     seed: Seed

@@ -14,7 +14,7 @@ from pydantic import Field
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, file_sha256, read_json
 from benchmark.records.attempts import Attempt
-from benchmark.records.run_schema import DataFacts, Stored
+from benchmark.records.run_schema import DataFacts, ReviewFacts, Stored
 from benchmark.records.statistics import Runtime, SplitStatistics
 from benchmark.records.store import validated
 
@@ -249,6 +249,7 @@ class SplitSheet(Stored):
         statistics: The split in numbers.
         attempts: What the search tried, for generated splits.
         runtime: Seconds of each stage of generation, if this machine measured them.
+        review: What inspectors said of its scenes; null where no verdict stands.
     """
 
     schema_version: int = Field(alias="schema")
@@ -258,6 +259,7 @@ class SplitSheet(Stored):
     statistics: SplitStatistics
     attempts: tuple[AttemptFacts, ...] = ()
     runtime: Runtime | None = None
+    review: ReviewFacts | None = None
 
 
 _Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)

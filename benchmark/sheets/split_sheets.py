@@ -35,7 +35,9 @@ def write_split_sheet(
     Raises:
         InputError: If there is no such split, a table or ``attempts.jsonl`` is broken, or nothing can be written.
     """
-    key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split)
+    review = data.review(split).facts
+    reviewed = [] if review is None else [review.content]
+    key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split, *reviewed)
     sheet = SplitSheet(
         schema=SCHEMA,
         data=facts,
@@ -44,6 +46,7 @@ def write_split_sheet(
         statistics=_kept_statistics(directory, key) or statistics(data.root, split=split, version=data.version),
         attempts=_attempts(data, split),
         runtime=runtime,
+        review=review,
     )
     write_json(directory / SPLIT_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
     write_json(directory / KEY_FILE, {"key": key})

@@ -12,6 +12,7 @@ from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import canonical_json, only_writer
 from benchmark.machine.workspace import GENERATED_SPLITS
 from benchmark.records.attempts import ATTEMPTS_FILE
+from benchmark.records.review import Judged
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
@@ -27,7 +28,7 @@ from generation.search.chains import Chain, SearchResult, first_units, search_ch
 from generation.search.definition import Search
 from generation.search.eligibility import not_tried_together
 from generation.splits.building import require_not_frozen
-from generation.splits.format import Choice, require_freezable, write_frozen
+from generation.splits.format import Choice, FrozenRejection, require_freezable, write_frozen
 from generation.splits.freezing import freeze
 
 
@@ -166,6 +167,7 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
     )
     plan = _plan(source, "adv", settings)
     chosen = select(source, plan, found, settings)
+    plan = replace(plan, left_out=chosen.left_out)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     written = tuple(job.name for job in chosen.jobs)
     report = BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries)
@@ -182,12 +184,12 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
     chosen.take_over(plan)
     notes = _write(source, plan, chosen.jobs, settings)
     if settings.freeze is not None:
-        how = _choice(report, settings)
+        how = _choice(report, settings, plan.left_out)
         write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
 
 
-def _choice(report: BuildReport, settings: BuildSettings) -> Choice:
+def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, Judged]]) -> Choice:
     return Choice(
         scenes=report.scenes,
         tried=report.tried,
@@ -195,7 +197,13 @@ def _choice(report: BuildReport, settings: BuildSettings) -> Choice:
         per_scene=settings.per_scene,
         total=settings.total,
         surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
+        rejected=_frozen_rejections(rejected),
     )
+
+
+def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRejection, ...] | None:
+    said = [FrozenRejection(name=each.name, token=each.token, reason=each.reason) for _, each in rejected]
+    return tuple(said) or None
 
 
 def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:

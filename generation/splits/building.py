@@ -9,6 +9,7 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
+from benchmark.records.review import REJECTED, Judged
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import Estimate, rendering_estimate, workers_of
@@ -136,7 +137,7 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) ->
     report = FrozenReport(split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen))
     _require_recorded(source, recorded)
     _require_room(settings.out, split.name, content)
-    plan = _plan(source, split.name, content, settings)
+    plan = _plan(source, split, settings)
     if settings.dry_run:
         each = rendering_estimate(plan.renderer, source.scene(recorded[0]), plan.frames, settings.timing / "rendering")
         workers = workers_of(settings.where_rendered)
@@ -203,7 +204,8 @@ def _require_recorded(source: DataSet, recorded: Sequence[str]) -> None:
         )
 
 
-def _plan(source: DataSet, name: str, content: str, settings: BuildSettings) -> DataSetPlan:
+def _plan(source: DataSet, split: NamedSplit, settings: BuildSettings) -> DataSetPlan:
+    name, content = split.name, split.frozen.content_id
     return DataSetPlan(
         root=settings.out,
         version=settings.version,
@@ -215,6 +217,9 @@ def _plan(source: DataSet, name: str, content: str, settings: BuildSettings) -> 
         lossless=settings.lossless,
         source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
         frozen=(name, content),
+        left_out=tuple(
+            (0, Judged(each.name, each.token, REJECTED, each.reason)) for each in split.frozen.chosen.rejected or ()
+        ),
     )
 
 

@@ -5,12 +5,13 @@ recorded at its launch (docs/frozen-splits.md).
 """
 
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
+from benchmark.records.review import LONGEST_REASON
 from benchmark.records.store import validated
 
 FORMAT: Final = "challenger-bench frozen split"
@@ -97,6 +98,14 @@ class SearchFacts(_Frozen):
     seed: int
 
 
+class FrozenRejection(_Frozen):
+    """A scene that an inspector rejected before the split was frozen: its name, its token there, and why."""
+
+    name: _Name
+    token: _Name
+    reason: Annotated[str, Field(max_length=LONGEST_REASON)]
+
+
 class Choice(_Frozen):
     """How the scenes were chosen.
 
@@ -107,6 +116,7 @@ class Choice(_Frozen):
         per_scene: Most kept of one recorded scene, null for all.
         total: Most kept at all, null for all.
         surrogate: Planner that fails every scene, if one was asked.
+        rejected: Scenes that inspectors rejected, if they did; files without have no such field.
     """
 
     scenes: int
@@ -115,6 +125,13 @@ class Choice(_Frozen):
     per_scene: int | None
     total: int | None
     surrogate: str | None
+    rejected: tuple[FrozenRejection, ...] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_nothing(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Splits that nobody reviewed keep the bytes, and the content hash, that they had before there were reviews."""
+        said: dict[str, Any] = plain(self)
+        return said if self.rejected else {name: value for name, value in said.items() if name != "rejected"}
 
 
 class ImageFacts(_Frozen):

@@ -12,6 +12,7 @@ from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.machine.workspace import Workspace
+    from benchmark.records.review import SplitReview
     from generation.splits.packaged import NamedSplit
 
 _BYTES_OF_A_PIXEL: Final = 0.22
@@ -92,7 +93,7 @@ def require_data(
     Raises:
         InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
     """
-    from benchmark.datasets.listing import listed_scenes
+    from benchmark.datasets.listing import listed_review, listed_scenes
     from benchmark.datasets.split_names import NoSuchSplit
     from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, GENERATED_SPLITS, is_finished
 
@@ -102,10 +103,12 @@ def require_data(
         return _embedded(split, out, scenes, limit)
     root = space.demonstrated("val") if data == DEMONSTRATED else Path(data)
     if split in GENERATED_SPLITS and is_finished(made):
+        _require_not_rejected(scenes, listed_review(made, split), made)
         return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit))
     every = listed_scenes(root, version=tables)
     try:
         of_split = listed_scenes(root, split, version=tables)
+        _require_not_rejected(scenes, listed_review(root, split, version=tables), root)
     except NoSuchSplit as error:
         if split not in GENERATED_SPLITS or not every:
             raise
@@ -195,6 +198,12 @@ def _frozen_ahead(newest: "NamedSplit") -> list[str]:
     return [f"the frozen split {newest.name} in {cache_root()} (once, about two minutes, {gigabytes(needed)})"]
 
 
+def _require_not_rejected(scenes: Sequence[str] | None, review: "SplitReview", where: Path) -> None:
+    from benchmark.records.review import require_not_rejected
+
+    require_not_rejected(scenes or (), review.rejected, str(where))
+
+
 def _chosen(
     known: tuple[str, ...], split: str | None, scenes: Sequence[str] | None, limit: int | None
 ) -> tuple[str, ...]:
@@ -205,6 +214,8 @@ def _chosen(
             f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
             f"{did_you_mean(unknown[0], known)}it has {counted(len(known), 'scene')}, among them {', '.join(known[:3])}"
         )
+    if not known:
+        raise InputError(f"split {split!r} has no scene that could be used: inspectors rejected all, or it has none")
     wanted = known if scenes is None else tuple(name for name in known if name in set(scenes))
     if not wanted:
         raise InputError("--scenes names no scene; leave it out or name one")
