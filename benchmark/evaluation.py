@@ -23,6 +23,7 @@ from benchmark.planning import Planner
 from benchmark.protocols import STANDARD, protocol
 from benchmark.records.review import require_not_rejected
 from benchmark.records.run import RunRecord, write_record
+from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
@@ -141,6 +142,7 @@ def evaluate(
         "scene_facts": data.scene_facts(scenes),
         "frozen_split": frozen_split_of(data.provenance()),
         "review": data.review(split).facts,
+        "generated": generated_facts(data.provenance()),
         "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }

@@ -86,6 +86,18 @@ class ReviewFacts(Stored):
     not_reviewed: SceneCount
 
 
+class GeneratedFacts(Stored):
+    """Which search the scenes of a generated split come from.
+
+    Attributes:
+        seed: Its seed.
+        search: Hash of what else decided it; null where the data set does not say (`benchmark.records.seed_splits`).
+    """
+
+    seed: Seed
+    search: Annotated[str, Field(max_length=64)] | None = None
+
+
 class RunFacts(Stored):
     """``run.json``.
 
@@ -96,6 +108,7 @@ class RunFacts(Stored):
         scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
         review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
+        generated: Which search the scenes come from; null of recordings and in older records.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
@@ -114,6 +127,7 @@ class RunFacts(Stored):
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     frozen_split: str | None = None
     review: ReviewFacts | None = None
+    generated: GeneratedFacts | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, Version]
     seed: Seed

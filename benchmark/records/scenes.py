@@ -250,6 +250,7 @@ class SplitSheet(Stored):
         attempts: What the search tried, for generated splits.
         runtime: Seconds of each stage of generation, if this machine measured them.
         review: What inspectors said of its scenes; null where no verdict stands.
+        hyper: Settings of the search that its scenes come from; empty where they are not known.
     """
 
     schema_version: int = Field(alias="schema")
@@ -260,6 +261,7 @@ class SplitSheet(Stored):
     attempts: tuple[AttemptFacts, ...] = ()
     runtime: Runtime | None = None
     review: ReviewFacts | None = None
+    hyper: dict[str, Any] = Field(default_factory=dict)
 
 
 _Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)

@@ -30,8 +30,8 @@ _ASSETS: Final = {
 _PICTURE: Final = re.compile(r"picture/(\d{1,9})/(\d{1,9})/(cameras\.webp|above\.png)")
 _SCENE: Final = re.compile(r"scene/(\d{1,9})")
 _POLICY: Final = (
-    "default-src 'none'; img-src 'self' data:; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; "
-    "form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; img-src 'self' data:; style-src 'self'; script-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
 

@@ -10,6 +10,7 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.reviewed import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
+from benchmark.records.seed_splits import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
 from generation.nuscenes_writer.scenes import read_state, release_claim
@@ -200,6 +201,8 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
     }
     if plan.frozen is not None:
         made["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
+    if plan.search is not None:
+        made[SEARCH] = plan.search
     return made
 
 

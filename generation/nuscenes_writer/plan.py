@@ -56,6 +56,7 @@ class DataSetPlan:
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         source: What the data set derives from, or ``None``.
         frozen: Name and content hash of the frozen split that it is built from, if it is.
+        search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
         left_out: Scenes that are not written because an inspector rejected them, each with the number of its variant;
             none of another split.
     """
@@ -70,6 +71,7 @@ class DataSetPlan:
     lossless: bool = False
     source: SourceInfo | None = None
     frozen: tuple[str, str] | None = None
+    search: str | None = None
     left_out: tuple[tuple[int, Judged], ...] = ()
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
 from benchmark.records.review import LONGEST_REASON
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.records.store import validated
 
 FORMAT: Final = "challenger-bench frozen split"
@@ -230,7 +231,7 @@ def require_freezable(split: str, path: Path) -> None:
     Raises:
         InputError: If the split is not searched for, there is something else of this name, or no folder to put it into.
     """
-    if split != "adv":
+    if not is_adversarial(split):
         raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
     if path.exists():
         read_frozen(path)

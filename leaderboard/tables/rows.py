@@ -6,6 +6,7 @@ from dataclasses import replace
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.review import NOT_REVIEWED, review_words
 from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.words import counted
 
@@ -117,7 +118,7 @@ def review_notes(records: Iterable[RunRecord]) -> list[str]:
 
 def _has_adversaries(record: RunRecord) -> bool:
     known = record.run.scene_facts.values()
-    return record.run.split == "adv" or any(facts.adversaries for facts in known)
+    return is_adversarial(record.run.split) or any(facts.adversaries for facts in known)
 
 
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
