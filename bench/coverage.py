@@ -4,7 +4,7 @@ Data sets are made up whose true rates are known, and the project's own function
 samples; a scene of rate q collides on each with probability q. How different scenes are is a Beta distribution of q
 whose mean is the true rate.
 
-    python bench/coverage.py [--data-sets 600]
+    python bench/coverage.py [--data-sets 2000]
 """
 
 import argparse
@@ -138,7 +138,7 @@ def _holds(low: float | None, high: float | None, value: float) -> bool:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data-sets", type=int, default=600, help="Made up for each number.")
+    parser.add_argument("--data-sets", type=int, default=200, help="Made up for each number.")
     count = parser.parse_args(arguments).data_sets
 
     def percent(share: float) -> str:

@@ -19,6 +19,9 @@ from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_map
 from leaderboard.figures.refinement import refinement_figures
+from leaderboard.paper.contents import paper_tables
+from leaderboard.paper.document import paper_document
+from leaderboard.paper.runtime_chart import runtime_charts
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
@@ -143,6 +146,7 @@ def _made(
     for data_set in found:
         sections += _add_data_set(made, data_set, sheets)
     sections += _add_quality(made, quality)
+    sections += _add_paper(made, found, sheets, ablations)
     for name, tables in generation_tables(sheets, ablations).items():
         made.place(name, "scenes and their generation", tables)
         sections += [f"## {escape_markdown(name)}: scenes and their generation", ""]
@@ -268,6 +272,27 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
         links = [f"[{escape_markdown(name)}]({quote(_page(folder, name))})" for name in data_set.others]
         lines += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
         lines += [shown(collision) for collision, *_ in data_set.others.values()]
+    return lines
+
+
+def _add_paper(
+    made: _Made, found: Sequence[DataSetTables], sheets: Sheets, ablations: Sequence[AblationReport]
+) -> list[str]:
+    """Add the paper's tables in its own layout and one document of them for each data set; their sections."""
+    lines: list[str] = []
+    for data_name, tables in paper_tables({each.data_name: each.records for each in found}, sheets, ablations).items():
+        folder, charts = file_name(data_name), runtime_charts(data_name, sheets)
+        made.place(data_name, "the paper's layout", tables)
+        beside = [(f"paper-runtime-{number}.png", chart.title) for number, chart in enumerate(charts)]
+        for (name, _), chart in zip(beside, charts, strict=True):
+            made.draw(data_name, chart)
+            made.files[f"{TABLES_FOLDER}/{folder}/{name}"] = chart.png
+        made.files[f"{TABLES_FOLDER}/{folder}/paper.tex"] = paper_document(data_name, tables, beside).encode()
+        lines += [f"## {escape_markdown(data_name)}: the paper's layout", ""]
+        lines += [f"As one document: `{TABLES_FOLDER}/{folder}/paper.tex`, which any LaTeX compiles.", ""]
+        lines += [table.markdown() for table in tables]
+        for chart in charts:
+            lines += [f"![{escape_markdown(chart.title)}]({quote(_picture(folder, chart.name))})", ""]
     return lines
 
 
