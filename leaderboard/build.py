@@ -1,7 +1,7 @@
 """From run records to the files of a leaderboard; the same records give the same bytes."""
 
 import filecmp
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -256,9 +256,9 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
     said: set[str] = set()
 
     def shown(table: Table) -> str:
-        new = tuple(note for note in table.notes if note not in said)
-        said.update(new)
-        return replace(table, notes=new).markdown()
+        fresh = _without(table, said)
+        said.update(fresh.notes)
+        return fresh.markdown()
 
     lines = [f"## {escape_markdown(data_set.data_name)}", ""]
     lines += [*(f"- {escape_markdown(note)}" for note in data_set.notes), ""] if data_set.notes else []
@@ -290,10 +290,16 @@ def _add_paper(
         made.files[f"{TABLES_FOLDER}/{folder}/paper.tex"] = paper_document(data_name, tables, beside).encode()
         lines += [f"## {escape_markdown(data_name)}: the paper's layout", ""]
         lines += [f"As one document: `{TABLES_FOLDER}/{folder}/paper.tex`, which any LaTeX compiles.", ""]
-        lines += [table.markdown() for table in tables]
+        said = {note for each in found if each.data_name == data_name for table in each.front for note in table.notes}
+        lines += [_without(table, said).markdown() for table in tables]
         for chart in charts:
             lines += [f"![{escape_markdown(chart.title)}]({quote(_picture(folder, chart.name))})", ""]
     return lines
+
+
+def _without(table: Table, said: Collection[str]) -> Table:
+    """A table less the notes that a reader has read."""
+    return replace(table, notes=tuple(note for note in table.notes if note not in said))
 
 
 def _add_quality(made: _Made, records: Sequence[QualityRecord]) -> list[str]:

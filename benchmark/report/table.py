@@ -58,12 +58,14 @@ class LatexForm:
         alignment: Of the columns, with rules between them.
         rules_after: Numbers of rows below which a rule goes.
         bold_rows: Rows that stand out.
+        once: Columns that say the same in all rows between two rules, and are shown in the middle one alone.
         fit: Whether it is made as wide as the text.
     """
 
     alignment: str
     rules_after: tuple[int, ...] = ()
     bold_rows: tuple[int, ...] = ()
+    once: tuple[int, ...] = ()
     fit: bool = False
 
 
@@ -191,7 +193,7 @@ class Table:
         lines += [rf"  \begin{{tabular}}{{{form.alignment}}}", r"    \toprule"]
         lines += [f"    {line}" for line in _latex_groups(self.groups)]
         lines += [f"    {_latex_row(self.columns)}", r"    \midrule"]
-        for place, row in enumerate(self.rows):
+        for place, row in enumerate(_shown_once(self.rows, form)):
             lines += [r"    \midrule"] if place in form.rules_after else []
             lines.append(f"    {_latex_row(row, bold=place in form.bold_rows)}")
         lines += [r"    \bottomrule", r"  \end{tabular}" + ("}" if form.fit else "")]
@@ -304,6 +306,17 @@ def escape_markdown(text: str) -> str:
 
 def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
+
+
+def _shown_once(rows: Sequence[Sequence[str]], form: LatexForm) -> list[list[str]]:
+    """Rows in which the columns that are shown once are empty but in the middle of each block."""
+    first, shown = 0, []
+    for last in (*form.rules_after, len(rows)):
+        for place in range(first, last):
+            middle = place == first + (last - first - 1) // 2
+            shown.append([cell if middle or at not in form.once else "" for at, cell in enumerate(rows[place])])
+        first = last
+    return shown
 
 
 def _latex_row(cells: Sequence[str], *, bold: bool = False) -> str:

@@ -52,9 +52,7 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     rows: list[tuple[str | Shown, ...]] = []
     for left, right in _pairs(blocks):
         for split in splits:
-            # As in the paper the name stands once, in the middle of its lines.
-            named = split == splits[(len(splits) - 1) // 2]
-            rows.append((split, *_half(left, split, named), *_half(right, split, named)))
+            rows.append((split, *_half(left, split), *_half(right, split)))
     shown = [run for block in blocks for run in block.runs.values()]
     said = ", ".join(f"{split} is {DATA_SET_OF_SPLIT[split]}" for split in splits)
     return table_of(
@@ -73,6 +71,8 @@ def paper_table_1(data_name: str, records: Sequence[RunRecord]) -> Table | None:
         latex_form=LatexForm(
             alignment=r"llrrrrrrr@{\hspace{1.5em}}lrrrrrrr",
             rules_after=tuple(range(len(splits), len(rows), len(splits))),
+            # As in the paper the name stands once, in the middle of its lines.
+            once=(1, 1 + len(_HEADS)),
             bold_rows=tuple(place for place in range(len(rows)) if rows[place][0] == "adv"),
             fit=True,
         ),
@@ -107,14 +107,12 @@ def _pairs(blocks: Sequence[_Block]) -> list[tuple[_Block, _Block | None]]:
     return pairs
 
 
-def _half(block: _Block | None, split: str, named: bool) -> tuple[str | Shown, ...]:
+def _half(block: _Block | None, split: str) -> tuple[str | Shown, ...]:
     """One planner's part of a line."""
     if block is None:
         return ("",) * len(_HEADS)
     planner = block.first.run.planner
-    name: str | Shown = ""
-    if named:
-        name = name_cell(block.planner, privileged=planner.privileged, miniature=planner.miniature)
+    name = name_cell(block.planner, privileged=planner.privileged, miniature=planner.miniature)
     run = block.runs.get(split)
     if run is None:
         return (name, *(UNDEFINED,) * (len(_HEADS) - 1))
