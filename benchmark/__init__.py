@@ -45,6 +45,8 @@ _DEFINED_IN: Final = {
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
     "benchmark.protocols": ["PROTOCOLS"],
     "benchmark.records.run": ["RunRecord", "load_record", "find_records"],
+    "benchmark.records.review": ["Verdict"],
+    "benchmark.datasets.reviewed": ["record_verdicts", "scene_tokens"],
     "benchmark.metrics.frames": ["samples_frame"],
     "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
@@ -147,6 +149,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.contents import contents as _data_contents
     from benchmark.datasets.infos.exporting import InfoSettings as InfoSettings, export_infos as export_infos
     from benchmark.datasets.integrity.check import check_tables as _check_data
+    from benchmark.datasets.reviewed import record_verdicts as record_verdicts, scene_tokens as scene_tokens
     from benchmark.datasets.roots import DataSet as DataSet
     from benchmark.datasets.statistics import statistics as _data_statistics
     from benchmark.errors import InputError as InputError
@@ -169,6 +172,7 @@ if TYPE_CHECKING:
     from benchmark.protocols.explain.pictures import explain as _explain_protocols
     from benchmark.quality.definition import Definition as _QualityDefinition
     from benchmark.quality.measure import QualitySettings as QualitySettings, measure_quality as measure_quality
+    from benchmark.records.review import Verdict as Verdict
     from benchmark.records.run import RunRecord as RunRecord, find_records as find_records, load_record as load_record
     from benchmark.runs.rescoring import rescore as rescore, rescore_all as rescore_all
     from benchmark.runs.submissions import check_submission as check_submission

@@ -165,7 +165,7 @@ def open_split(
     Raises:
         InputError: If the split has not been generated, or was made from another version of the source.
     """
-    from benchmark.machine.workspace import EMBEDDED
+    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS
 
     def build() -> Path:
         if split == "adv":
@@ -180,7 +180,9 @@ def open_split(
         build_split(source, split, settings)
         return target
 
-    return workspace(out).open_split(source, split, build=build if source.name == EMBEDDED else None)
+    return workspace(out).open_split(
+        source, split, build=build if source.name == EMBEDDED and split in GENERATED_SPLITS else None
+    )
 
 
 def frozen_root(source: "DataSet", workers: int = 0) -> Path:
@@ -323,11 +325,15 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
     Raises:
         InputError: If the split or a scene is unknown, the data is broken, or rounds are asked for and none were kept.
     """
+    from benchmark.machine.workspace import is_generated
     from benchmark.sheets.writing import write_sheets as write
     from generation.build.profile import kept_runtime
+    from generation.build.said_settings import said_settings
     from generation.nuscenes_writer.plan import STATE_FOLDER
 
-    return write(dataset, split, root, settings, runtime=kept_runtime(dataset.root / STATE_FOLDER))
+    hyper = said_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
+    runtime = kept_runtime(dataset.root / STATE_FOLDER)
+    return write(dataset, split, root, settings, runtime=runtime, hyper=hyper)
 
 
 def write_leaderboard(

@@ -21,7 +21,9 @@ from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
 from benchmark.planning import Planner
 from benchmark.protocols import STANDARD, protocol
+from benchmark.records.review import require_not_rejected
 from benchmark.records.run import RunRecord, write_record
+from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
@@ -70,6 +72,7 @@ class EvalSettings:
         """
         names = data.scene_names(split)
         unknown = sorted(set(self.scenes or ()) - set(names))
+        require_not_rejected(unknown, data.review(split).rejected, str(data.root))
         if unknown:
             raise InputError(
                 f"split {split!r} has no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
@@ -80,8 +83,13 @@ class EvalSettings:
             raise InputError(f"--limit must be at least 1, got {self.limit}")
         wanted = names if self.scenes is None else tuple(name for name in names if name in set(self.scenes))
         if not wanted:
-            raise InputError(f"split {split!r} of {data.root} has no scenes to evaluate")
+            raise InputError(f"split {split!r} of {data.root} has no scenes to evaluate{_all_rejected(data, split)}")
         return wanted[: self.limit]
+
+
+def _all_rejected(data: "DataSet", split: str) -> str:
+    rejected = len(data.review(split).rejected)
+    return f": inspectors rejected all {rejected} (challenger-bench data review {data.root})" if rejected else ""
 
 
 def evaluate(
@@ -133,6 +141,8 @@ def evaluate(
         "scenes_in_split": len(every_scene),
         "scene_facts": data.scene_facts(scenes),
         "frozen_split": frozen_split_of(data.provenance()),
+        "review": data.review(split).facts,
+        "generated": generated_facts(data.provenance()),
         "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }

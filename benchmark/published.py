@@ -24,6 +24,22 @@ RUNTIME_MACHINE: Final = (
     "while all render"
 )
 
+HYPER_PARAMETERS_SOURCE: Final = f'{PAPER}, appendix "Hyperparameters"'
+HYPER_PARAMETERS: Final = {
+    "InitScale": "1e-3",
+    "CornerWeight": "0.2",
+    "H (planning horizon)": "12 timesteps",
+    "DACStepWeight": "Quadratically decreasing from 1.0 to 0.85",
+    "ColStepWeight": "Quadratically decreasing from 1.0 to 0.85",
+    "ACStepWeight": "Linearly increasing from 0.7 to 1.0",
+    "DACWeight": "5",
+    "CRWeight": "10",
+    "ACWeight": "1",
+    "Temperature": "1.0",
+    "#Refinement Rounds": "5",
+}
+"""As printed."""
+
 TABLE_1_SOURCE: Final = f"{PAPER}, Table 1"
 
 

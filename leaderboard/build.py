@@ -1,7 +1,7 @@
 """From run records to the files of a leaderboard; the same records give the same bytes."""
 
 import filecmp
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -19,6 +19,9 @@ from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_map
 from leaderboard.figures.refinement import refinement_figures
+from leaderboard.paper.contents import paper_tables
+from leaderboard.paper.document import paper_document
+from leaderboard.paper.runtime_chart import runtime_charts
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
@@ -146,6 +149,7 @@ def _made(
     for data_set in found:
         sections += _add_data_set(made, data_set, sheets)
     sections += _add_quality(made, quality)
+    sections += _add_paper(made, found, sheets, ablations)
     for name, tables in generation_tables(sheets, ablations).items():
         made.place(name, "scenes and their generation", tables)
         sections += [f"## {escape_markdown(name)}: scenes and their generation", ""]
@@ -258,9 +262,9 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
     said: set[str] = set()
 
     def shown(table: Table) -> str:
-        new = tuple(note for note in table.notes if note not in said)
-        said.update(new)
-        return replace(table, notes=new).markdown()
+        fresh = _without(table, said)
+        said.update(fresh.notes)
+        return fresh.markdown()
 
     lines = [f"## {escape_markdown(data_set.data_name)}", ""]
     lines += [*(f"- {escape_markdown(note)}" for note in data_set.notes), ""] if data_set.notes else []
@@ -278,6 +282,33 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
         lines += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
         lines += [shown(collision) for collision, *_ in data_set.others.values()]
     return lines
+
+
+def _add_paper(
+    made: _Made, found: Sequence[DataSetTables], sheets: Sheets, ablations: Sequence[AblationReport]
+) -> list[str]:
+    """Add the paper's tables in its own layout and one document of them for each data set; their sections."""
+    lines: list[str] = []
+    for data_name, tables in paper_tables({each.data_name: each.records for each in found}, sheets, ablations).items():
+        folder, charts = file_name(data_name), runtime_charts(data_name, sheets)
+        made.place(data_name, "the paper's layout", tables)
+        beside = [(f"paper-runtime-{number}.png", chart.title) for number, chart in enumerate(charts)]
+        for (name, _), chart in zip(beside, charts, strict=True):
+            made.draw(data_name, chart)
+            made.files[f"{TABLES_FOLDER}/{folder}/{name}"] = chart.png
+        made.files[f"{TABLES_FOLDER}/{folder}/paper.tex"] = paper_document(data_name, tables, beside).encode()
+        lines += [f"## {escape_markdown(data_name)}: the paper's layout", ""]
+        lines += [f"As one document: `{TABLES_FOLDER}/{folder}/paper.tex`, which any LaTeX compiles.", ""]
+        said = {note for each in found if each.data_name == data_name for table in each.front for note in table.notes}
+        lines += [_without(table, said).markdown() for table in tables]
+        for chart in charts:
+            lines += [f"![{escape_markdown(chart.title)}]({quote(_picture(folder, chart.name))})", ""]
+    return lines
+
+
+def _without(table: Table, said: Collection[str]) -> Table:
+    """A table less the notes that a reader has read."""
+    return replace(table, notes=tuple(note for note in table.notes if note not in said))
 
 
 def _add_quality(made: _Made, records: Sequence[QualityRecord]) -> list[str]:

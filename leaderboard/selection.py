@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from benchmark.errors import InputError
 from benchmark.records.planner_versions import labelled
+from benchmark.records.review import NOT_REVIEWED
 from benchmark.records.run import RunRecord
 from benchmark.report.words import split_of
 
@@ -48,6 +49,12 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
     seen: dict[tuple[str, str], RunRecord] = {}
     for record in records:
         first = seen.setdefault((record.run.data.name, record.run.split), record)
+        if first.judged_content[1] != record.judged_content[1]:
+            raise InputError(
+                f"{first.directory} and {record.directory} ran under different verdicts of inspectors on "
+                f"{split_of(record.run.split, record.run.data.name)} ({_verdicts(first)} and {_verdicts(record)}); run "
+                "challenger-bench eval again for the older one, or move it away"
+            )
         if first.run.data.fingerprint != record.run.data.fingerprint:
             raise InputError(
                 f"{first.directory} and {record.directory} ran on different content of "
@@ -55,6 +62,11 @@ def _require_same_content(records: Sequence[RunRecord]) -> None:
                 "challenger-bench eval again for the older "
                 "one, or move it away"
             )
+
+
+def _verdicts(record: RunRecord) -> str:
+    review = record.run.review
+    return NOT_REVIEWED if review is None else f"review {review.content[:12]}"
 
 
 def _require_one_split(records: Sequence[RunRecord]) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli import data, demo, evaluate, generate, models, show, train, verify, weights
+from benchmark.cli import data, demo, evaluate, generate, models, review, show, train, verify, weights
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
@@ -19,6 +19,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+data.app.command("review")(review.data_review_command)
 app.add_typer(data.app, name="data")
 app.add_typer(train.app, name="train")
 app.add_typer(weights.app, name="weights")

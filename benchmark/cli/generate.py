@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from benchmark import api
+from benchmark.cli.built_splits import build_one, splits_to_build
 from benchmark.cli.options import (
     AddressOption,
     AskedLook,
@@ -56,20 +57,9 @@ from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from benchmark.cli.beforehand.data_sets import Ahead
     from benchmark.machine.workers import Executor
-    from generation.build.report import BuildReport
     from generation.render.contract import Renderer
-    from generation.splits.packaged import NamedSplit
-
-_OF_THE_SEARCH: Final = (
-    "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
-    "candidates", "rounds", "parked", "preset", "changes", "denoiser", "calls", "dropout", "samples", "device",
-    "together", "keep_rounds", "profile",
-)  # fmt: skip
-"""Options of ``generate`` that say nothing to a split that is built from a frozen one."""
 
 
 def generate_command(
@@ -119,6 +109,9 @@ def generate_command(
     tflops: SpeedOption = None,
     frames: FramesOption = Frames.ALL,
     seed: SeedOption = 0,
+    seeds: Annotated[
+        str | None, typer.Option(help="Build one split for each seed, adv-seed-0, adv-seed-1, ...: 0,1,2.")
+    ] = None,
     workers: WorkersOption = 0,
     executor: ExecutorOption = ExecutorName.LOCAL,
     address: AddressOption = None,
@@ -134,12 +127,10 @@ def generate_command(
     from benchmark.cli.beforehand.places import require_place
     from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
-    from generation.splits.format import require_freezable
 
     _require_generated(split)
-    frozen = None if from_file is None else _frozen(from_file, split, context)
-    if freeze is not None:
-        require_freezable(split, freeze)
+    wanted = splits_to_build(split, seed, seeds, from_file, freeze, context)
+    frozen = wanted[0].frozen
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
     hyper = hyper_parameters(preset.value, shortcuts, changes or ())
     if surrogate is None and surrogate_checkpoint is not None:
@@ -152,13 +143,14 @@ def generate_command(
     if frozen is None:
         ahead = require_source(data, tables, source_split, out, scenes=named, limit=limit)
     else:
-        made = tuple(scene.name for scene, _ in frozen.chosen(named, limit))
+        chosen = [each.frozen.chosen(named, limit) for each in wanted if each.frozen is not None]
+        made = tuple(scene.name for of_seed in chosen for scene, _ in of_seed)
         ahead = replace(require_root(data, tables, out), scenes=made)
     require_place(out, "--out")
     if renderer is RendererName.SCHEMATIC and not dry_run:
         # How many a search finds is not known.
         least = 1 if split == "adv" and frozen is None else len(ahead.scenes)
-        require_room_to_draw(api.workspace(out), data, split, scenes=least, size=pixels, frames=frames.value)
+        require_room_to_draw(api.workspace(out), data, wanted[0].split, scenes=least, size=pixels, frames=frames.value)
     unlike = told(preset.value, hyper) if split == "adv" and frozen is None and dry_run else []
     if dry_run and ahead.builds:
         from_what = ahead.counted() if frozen is None else f"frozen split {frozen.name}, {ahead.counted()}"
@@ -167,7 +159,7 @@ def generate_command(
         return
     _require_cluster(place, ahead)
     from generation.build.settings import BuildSettings
-    from generation.build.split import build_split, source_scenes
+    from generation.build.split import source_scenes
 
     under_test = None
     if surrogate is not None:
@@ -195,7 +187,7 @@ def generate_command(
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     settings = BuildSettings(
-        out=api.workspace(out).split_root(source.name, split),
+        out=api.workspace(out).split_root(source.name, wanted[0].split),
         hyper=hyper,
         prior=trajectory_model(
             preset.value,
@@ -216,47 +208,38 @@ def generate_command(
         renderer=drawing,
         frames=frames.value,
         lossless=lossless,
-        seed=seed,
+        seed=wanted[0].seed,
         executor=place,
         rendering=rendering,
         together=together,
         keep_rounds=keep_rounds,
-        freeze=freeze,
+        freeze=wanted[0].freeze,
         dry_run=dry_run,
     )
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    if frozen is None:
-        _tell(build_split(source, split, settings), unlike, profile=profile, json_output=json_output)
-    else:
-        from generation.splits.building import build_frozen
-
-        built = build_frozen(source, frozen, settings)
-        print_json(built.as_json()) if json_output else typer.echo(built.summary())
+    own = [
+        replace(settings, out=api.workspace(out).split_root(source.name, one.split), seed=one.seed, freeze=one.freeze)
+        for one in wanted
+    ]
+    built = []
+    for one, of_split in zip(wanted, own, strict=True):
+        built.append(build_one(source, one, of_split, unlike, profile=profile))
+        if not json_output:
+            typer.echo(built[-1].text if seeds is None else f"{one.split}: {built[-1].text}")
+    if json_output:
+        print_json(built[0].said if seeds is None else [each.said for each in built])
     if not dry_run:
+        roots, files = ", ".join(str(each.out) for each in own), ", ".join(str(each.freeze) for each in own)
         say_next(
-            f"data set: {settings.out}" + ("" if freeze is None else f"; frozen split: {freeze}"),
-            (f"data show {settings.out} --to pictures", "a picture of each scene"),
+            f"data set: {roots}" + ("" if freeze is None else f"; frozen split: {files}"),
+            (f"data show {own[0].out} --to pictures", "a picture of each scene"),
             (
-                f"eval --split {split} --model idm{same_place(data, out, tables)}",
+                f"eval --split {wanted[0].split} --model idm{same_place(data, out, tables)}",
                 "a planner on it; yours: docs/planners.md",
             ),
             json_output=json_output,
         )
-
-
-def _frozen(file: str, split: str, context: typer.Context) -> "NamedSplit":
-    """The frozen split to build; raises `InputError` if there is none or options of the search stand beside it."""
-    from generation.splits.packaged import frozen_split
-
-    if split != "adv":
-        raise InputError(f"--from builds split adv, not {split}; leave --split out")
-    for name in _OF_THE_SEARCH:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name != "DEFAULT":
-            option = {"changes": "set"}.get(name, name).replace("_", "-")
-            raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")
-    return frozen_split(file)
 
 
 def _require_generated(split: str) -> None:
@@ -301,18 +284,6 @@ def _require_cluster(place: "Executor", ahead: "Ahead") -> None:
 
     if ahead.builds and isinstance(place, RayCluster) and place.address is not None:
         require_answer(place.address)
-
-
-def _tell(report: "BuildReport", unlike: "Sequence[str]", *, profile: bool, json_output: bool) -> None:
-    """What was done, where the preset departs from its name and, if asked for, where the time went."""
-    runtime = report.runtime if profile else None
-    if json_output:
-        said = {"departures": list(unlike)} if unlike else {}
-        print_json(report.as_json() | said | ({} if runtime is None else {"runtime": runtime.model_dump()}))
-        return
-    typer.echo("\n".join([report.summary(), *unlike]))
-    if runtime is not None:
-        typer.echo(runtime.table().plain(indent="  ", least=(10, 9, 9, 9)), nl=False)
 
 
 def ablate_command(

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+from benchmark.datasets.reviewed import joined, review_of_rows, scene_tokens
 from benchmark.datasets.split_names import read_splits, scenes_of_split
-from benchmark.datasets.table_rows import table_rows
 from benchmark.datasets.tables import find_version, variant_folders
 from benchmark.machine.storage import read_kept_json
+from benchmark.records.review import SplitReview, read_review
 
 
 def listed_scenes(root: Path, split: str | None = None, *, version: str | None = None) -> tuple[str, ...]:
@@ -22,17 +23,38 @@ def listed_scenes(root: Path, split: str | None = None, *, version: str | None =
     Raises:
         InputError: If there is no such data set or split, or its list of scenes is broken.
     """
+    if split is not None:
+        review = listed_review(root, split, version=version)
+        return review.kept(tuple(name for name in scene_tokens(root, version) if name in set(review.named)))
+    return tuple(scene_tokens(root, version))
+
+
+def listed_review(root: Path, split: str, *, version: str | None = None) -> SplitReview:
+    """What inspectors said of a split (`benchmark.datasets.nuscenes.NuScenesData.review`).
+
+    Args:
+        root: A nuScenes-format root, or a folder of variant roots.
+        split: The split.
+        version: Version folder; needed only where there are several.
+
+    Returns:
+        The review.
+
+    Raises:
+        InputError: If there is no such data set or split, or its list of scenes or its file of verdicts is broken.
+    """
     variants = variant_folders(root)
-    if variants:
-        return tuple(f"{folder}/{name}" for folder in variants for name in _listed(root / folder, split, version))
-    return _listed(root, split, version)
+    if not variants:
+        return _review(root, split, version)
+    parts = {folder: _review(root / folder, split, version) for folder in variants}
+    of_split = {name for folder, part in parts.items() for name in part.under(folder).named}
+    tokens = {name: token for name, token in scene_tokens(root, version).items() if name in of_split}
+    return joined(parts, read_review(root), tokens)
 
 
-def _listed(root: Path, split: str | None, version: str | None) -> tuple[str, ...]:
-    version = find_version(root, version)
-    present = tuple(sorted(str(row["name"]) for row in table_rows(root / version / "scene.json", "name")))
-    if split is None:
-        return present
+def _review(root: Path, split: str, version: str | None) -> SplitReview:
+    version, tokens = find_version(root, version), scene_tokens(root, version)
     said = read_kept_json(root / version / "challenger.json")
     built_as = said.get("split") if isinstance(said, dict) else None
-    return scenes_of_split(split, present, read_splits(root, version), where=str(root), built_as=built_as)
+    names = scenes_of_split(split, tuple(tokens), read_splits(root, version), where=str(root), built_as=built_as)
+    return review_of_rows(root, {name: tokens[name] for name in names}, said, split)

@@ -14,6 +14,7 @@ from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.observations import observations_of_scene
+from benchmark.datasets.reviewed import review_of_rows
 from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.datasets.schema import FaultList
@@ -27,6 +28,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.planning import CameraView, Observation
+from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
 from benchmark.road_map import RoadMap
 from benchmark.scene import Scene
@@ -55,6 +57,7 @@ class NuScenesData:
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
         self._splits = read_splits(root, version)
         self._provenance = _read_provenance(root / version / "challenger.json", set(self._rows))
+        self._verdicts = read_review(root)
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
         self._maps: dict[str, RoadMap] = {}
         self._fingerprint: str | None = None
@@ -97,15 +100,27 @@ class NuScenesData:
             split: A split (the rules are those of `scenes_of_split`), or ``None`` for all scenes.
 
         Returns:
-            Sorted names.
+            Sorted names. Scenes that an inspector rejected are in no split.
 
         Raises:
             InputError: If there is no such split.
         """
-        present = tuple(sorted(self._rows))
-        if split is None:
-            return present
+        return tuple(sorted(self._rows)) if split is None else self.review(split).kept(self._listed(split))
+
+    def review(self, split: str | None = None) -> SplitReview:
+        """What inspectors said of a split (`benchmark.records.review`); without a split, of all scenes.
+
+        Raises:
+            InputError: If there is no such split.
+        """
+        names = tuple(sorted(self._rows)) if split is None else self._listed(split)
+        tokens = {name: str(self._rows[name]["token"]) for name in names}
+        return review_of_rows(self.root, tokens, self._provenance, split, self._verdicts)
+
+    def _listed(self, split: str) -> tuple[str, ...]:
+        """Scenes of a split, whatever inspectors said of them."""
         built_as = self._provenance.get("split") if self._provenance else None
+        present = tuple(sorted(self._rows))
         return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=built_as)
 
     def scene(self, name: str) -> Scene:

@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.reviewed import joined, scene_tokens
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from benchmark.planning import CameraView, Observation
+from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
@@ -38,7 +40,10 @@ class DataSet(Protocol):
         """Custom splits."""
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
-        """Sorted names of the scenes of a split, or of all."""
+        """Sorted names of the scenes of a split, less those that inspectors rejected, or of all."""
+
+    def review(self, split: str | None = None) -> SplitReview:
+        """What inspectors said of a split, or of all scenes."""
 
     def scene(self, name: str) -> Scene:
         """One scene."""
@@ -79,6 +84,7 @@ class VariantRoots:
         self.name = name
         self.version = next(iter(variants.values())).version
         self._variants = variants
+        self._verdicts = read_review(root)
 
     @classmethod
     def open(
@@ -119,7 +125,23 @@ class VariantRoots:
         Raises:
             InputError: If a variant has no such split.
         """
-        return tuple(f"{folder}/{name}" for folder, data in self._variants.items() for name in data.scene_names(split))
+        names = tuple(f"{folder}/{name}" for folder, data in self._variants.items() for name in data.scene_names(split))
+        return names if split is None or not self._verdicts else self.review(split).kept(names)
+
+    def review(self, split: str | None = None) -> SplitReview:
+        """What inspectors said of a split, or of all scenes, beside the variants and beside all of them together.
+
+        Raises:
+            InputError: If a variant has no such split.
+        """
+        parts = {folder: data.review(split) for folder, data in self._variants.items()}
+        of_split = {name for folder, part in parts.items() for name in part.under(folder).named}
+        tokens = {name: token for name, token in self._tokens().items() if name in of_split}
+        return joined(parts, self._verdicts, tokens)
+
+    def _tokens(self) -> dict[str, str]:
+        every = {folder: scene_tokens(data.root, data.version) for folder, data in self._variants.items()}
+        return {f"{folder}/{name}": token for folder, part in every.items() for name, token in part.items()}
 
     def scene(self, name: str) -> Scene:
         """One scene, called by its prefixed name.

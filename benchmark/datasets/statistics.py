@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.datasets.split_names import read_splits, scenes_of_split
-from benchmark.datasets.table_rows import count_rows, table_rows
+from benchmark.datasets.listing import listed_scenes
+from benchmark.datasets.table_rows import count_rows
 from benchmark.datasets.tables import find_version, variant_folders
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
@@ -61,7 +61,8 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
 
     Args:
         root: A nuScenes-format root, or a folder of variant roots, which are summed. Only tables are read.
-        split: Split to count, by the rules of `scenes_of_split`; ``None`` for every row of the tables.
+        split: Split to count, by the rules of `scenes_of_split`, without scenes that inspectors rejected; ``None`` for
+            every row of the tables.
         version: Version folder; needed only where there are several.
 
     Returns:
@@ -91,20 +92,23 @@ def statistics(root: Path, *, split: str | None = None, version: str | None = No
 
 
 def _roots(root: Path, split: str | None, version: str | None) -> list[_Root]:
-    variants = [root / name for name in variant_folders(root)] if root.is_dir() else []
-    return [_open(folder, split, version) for folder in variants or [root]]
-
-
-def _open(root: Path, split: str | None, version: str | None) -> _Root:
-    version = find_version(root, version)
-    provenance = _provenance(root / version / "challenger.json")
-    made: dict[str, Any] = provenance.get("scenes", {})
+    folders = variant_folders(root)
     if split is None:
+        return [_open(folder, version, None) for folder in ([root / name for name in folders] or [root])]
+    kept = listed_scenes(root, split, version=version)
+    if not folders:
+        return [_open(root, version, kept)]
+    return [
+        _open(root / folder, version, [name.partition("/")[2] for name in kept if name.startswith(f"{folder}/")])
+        for folder in folders
+    ]
+
+
+def _open(root: Path, version: str | None, names: Sequence[str] | None) -> _Root:
+    version = find_version(root, version)
+    made: dict[str, Any] = _provenance(root / version / "challenger.json").get("scenes", {})
+    if names is None:
         return _Root(root / version, None, made)
-    present = [str(row["name"]) for row in table_rows(root / version / "scene.json", "name")]
-    names = scenes_of_split(
-        split, present, read_splits(root, version), where=str(root), built_as=provenance.get("split")
-    )
     return _Root(root / version, frozenset(names), {name: made[name] for name in names if name in made})
 
 

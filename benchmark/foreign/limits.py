@@ -58,6 +58,8 @@ RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)
 """One row a sample: all of nuScenes has 34,149."""
 PLAN_COLUMNS: Final = 64
+VERDICTS: Final = Limits("file of verdicts", 64 * MIB, depth=8, values=1_000_000, line_bytes=64 * 1024)
+"""One a scene, with a reason of a few words; all of nuScenes has 1,000 scenes."""
 PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
 """Values are pixels: cameras have 1.4 to 12 million."""
 RECORDING_S: Final = 3600.0

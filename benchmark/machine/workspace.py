@@ -8,14 +8,22 @@ from pathlib import Path
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.split_names import NoSuchSplit
 from benchmark.errors import InputError
+from benchmark.records.seed_splits import seed_of
 
 GENERATED_SPLITS = ("val-r", "adv")
 """Splits that `generate` builds, beside the source's own."""
+# Beside these: one split for each seed (`benchmark.records.seed_splits`).
 EMBEDDED = "mini"
 DEMONSTRATED = "demo"
 """The small town, and the ``adv`` made from it, that ``challenger-bench demo`` leaves below ``--out``."""
 EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
 """What ``--data`` takes beside the root of a data set; a folder of such a name is written ``./demo``."""
+
+
+def how_generated(split: str) -> str:
+    """Options of ``generate`` that make a split; of a split of one seed, with another seed beside it."""
+    seed = seed_of(split)
+    return f"--split {split}" if seed is None else f"--seeds {seed},{seed + 1}"
 
 
 def cache_root() -> Path:
@@ -92,7 +100,7 @@ class Workspace:
             InputError: If the split has not been generated, or was made from another version of the source.
         """
         root = self.split_root(source.name, split)
-        if split not in GENERATED_SPLITS or (not root.exists() and _has_split(source, split)):
+        if not is_generated(split) or (not root.exists() and _has_split(source, split)):
             return source
         if not is_finished(root) and build is not None:
             root = build()
@@ -100,16 +108,22 @@ class Workspace:
             data = "" if source.name == EMBEDDED else f"--data {source.root} "
             raise InputError(
                 f"split {split!r} of {source.name} is not at {root}; make it with: "
-                f"challenger-bench generate {data}--split {split} --out {self.out}"
+                f"challenger-bench generate {data}{how_generated(split)} --out {self.out}"
             )
         generated = open_data(root, name=source.name)
         made_from = (generated.provenance() or {}).get("source") or {}
         if made_from.get("fingerprint") != source.fingerprint():
             raise InputError(
                 f"{root} was generated from another version of {source.name} (its fingerprint differs); "
-                f"run challenger-bench generate --data {source.root} --split {split} again or choose another --out"
+                f"run challenger-bench generate --data {source.root} {how_generated(split)} again or choose "
+                "another --out"
             )
         return generated
+
+
+def is_generated(split: str) -> bool:
+    """Whether `generate` builds splits of a name."""
+    return split in GENERATED_SPLITS or seed_of(split) is not None
 
 
 def is_finished(root: Path) -> bool:

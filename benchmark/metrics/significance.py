@@ -151,8 +151,8 @@ def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> Planner
         InputError: If the two are not of the same data, split and protocol.
     """
     runs = first.record.run, second.record.run
-    if (runs[0].data.fingerprint, runs[0].split, first.protocol) != (
-        runs[1].data.fingerprint,
+    if (first.record.judged_content, runs[0].split, first.protocol) != (
+        second.record.judged_content,
         runs[1].split,
         second.protocol,
     ):

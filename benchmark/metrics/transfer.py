@@ -194,11 +194,11 @@ def _judges(records: Sequence[RunRecord], protocol: str) -> tuple[str, ...]:
     judges = tuple(protocol_of(record, protocol) for record in records)
     for record, judge in zip(records, judges):
         run = record.run
-        if (run.data.fingerprint, run.split) != (first.data.fingerprint, first.split):
+        if (record.judged_content, run.split) != (records[0].judged_content, first.split):
             raise InputError(
                 f"{record.directory} is split {run.split!r} of {run.data.name!r} and {records[0].directory} is split "
-                f"{first.split!r} of {first.data.name!r} with other content; transfer compares records of the same "
-                "scenes"
+                f"{first.split!r} of {first.data.name!r} with other content or other verdicts of "
+                "inspectors; transfer compares records of the same scenes"
             )
         require_current(record, judge)
     return judges

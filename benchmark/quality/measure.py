@@ -131,6 +131,7 @@ def measure_quality(
         "definition": definition.as_json(),
         "weights": used,
         "device": device.type,
+        "review": data.review(split).facts,
         "environment": environment_facts() | {"transformers": libraries["transformers"]},
     }
     with only_writer(directory):

@@ -191,6 +191,13 @@ def read_attempts(path: Path) -> tuple[Attempt, ...]:
     return tuple(attempt(number, row) for number, row in enumerate(read_json_lines(path), start=1))
 
 
+def reports_of(report: Any) -> list[dict[str, Any]]:
+    """Reports on each adversary of a scene: the report itself, or those below its ``adversaries``; any JSON value."""
+    several = report.get("adversaries") if isinstance(report, dict) else None
+    reports = several if isinstance(several, list) else [report]
+    return [each for each in reports if isinstance(each, dict)]
+
+
 def stored_labels(report: Any) -> list[Any]:
     """What ``challenger.json`` says of the manoeuvres of a scene's adversaries.
 
@@ -201,9 +208,5 @@ def stored_labels(report: Any) -> list[Any]:
     Returns:
         The labels of each adversary that has any, not checked (`Labels`).
     """
-    if not isinstance(report, dict):
-        return []
-    several = report.get("adversaries")
-    reports = several if isinstance(several, list) else [report]
-    labels = (each.get("labels") for each in reports if isinstance(each, dict))
+    labels = (each.get("labels") for each in reports_of(report))
     return [found for found in labels if found is not None]

@@ -6,7 +6,7 @@ from typing import Any, Final, Self
 
 from pydantic import Field, field_validator
 
-from benchmark.records.run_schema import DataFacts, RateRow, SceneFacts, Stored
+from benchmark.records.run_schema import DataFacts, RateRow, ReviewFacts, SceneFacts, Stored
 
 QUALITY_SCHEMA: Final = 1
 """Version of the format and of the numbers: raised whenever either changes."""
@@ -159,6 +159,7 @@ class QualityFacts(Stored):
         weights: By name.
         device: ``cpu`` or ``cuda``.
         environment: Packages, processor, commit.
+        review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
         files: SHA-256 of the files of rows.
         summary: Derived from the rows alone.
     """
@@ -173,6 +174,7 @@ class QualityFacts(Stored):
     weights: dict[str, WeightsFacts]
     device: str
     environment: dict[str, Any]
+    review: ReviewFacts | None = None
     files: dict[str, str]
     summary: QualitySummary
 

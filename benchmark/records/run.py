@@ -73,7 +73,14 @@ class RunRecord:
         settings = json.dumps(planner.settings, sort_keys=True)
         ran = [planner.name, planner.weights_sha256, planner.code_sha256, planner.seed, settings]
         on = [run.data.name, run.data.fingerprint, run.split, run.scenes]
+        # As it was before there were reviews, where there is none.
+        on += [] if run.review is None else [run.review.content]
         return content_key(ran, on, run.protocols, run.seed, run.files)[:12]
+
+    @property
+    def judged_content(self) -> tuple[str, str | None]:
+        """What records that stand beside each other share: the data set's fingerprint and the inspectors' verdicts."""
+        return self.run.data.fingerprint, None if self.run.review is None else self.run.review.content
 
     @property
     def complete(self) -> bool:

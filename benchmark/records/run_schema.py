@@ -78,6 +78,34 @@ class DataFacts(Stored):
     fingerprint: str
 
 
+class ReviewFacts(Stored):
+    """What inspectors said of the scenes of a split (`benchmark.records.review`).
+
+    Attributes:
+        content: Hash of the verdicts: which scene, which content of it, accepted or rejected.
+        accepted: Scenes that were accepted.
+        rejected: Scenes that were rejected; none of them is judged.
+        not_reviewed: Scenes without a verdict; they are judged.
+    """
+
+    content: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    accepted: SceneCount
+    rejected: SceneCount
+    not_reviewed: SceneCount
+
+
+class GeneratedFacts(Stored):
+    """Which search the scenes of a generated split come from.
+
+    Attributes:
+        seed: Its seed.
+        search: Hash of what else decided it; null where the data set does not say (`benchmark.records.seed_splits`).
+    """
+
+    seed: Seed
+    search: Annotated[str, Field(max_length=64)] | None = None
+
+
 class RunFacts(Stored):
     """``run.json``.
 
@@ -87,6 +115,8 @@ class RunFacts(Stored):
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
         scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
+        review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
+        generated: Which search the scenes come from; null of recordings and in older records.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
@@ -104,6 +134,8 @@ class RunFacts(Stored):
     scenes_in_split: SceneCount
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     frozen_split: str | None = None
+    review: ReviewFacts | None = None
+    generated: GeneratedFacts | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, Version]
     seed: Seed

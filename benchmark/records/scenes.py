@@ -14,7 +14,7 @@ from pydantic import Field
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, file_sha256, read_json
 from benchmark.records.attempts import Attempt
-from benchmark.records.run_schema import DataFacts, Stored
+from benchmark.records.run_schema import DataFacts, ReviewFacts, Stored
 from benchmark.records.statistics import Runtime, SplitStatistics
 from benchmark.records.store import validated
 
@@ -249,6 +249,8 @@ class SplitSheet(Stored):
         statistics: The split in numbers.
         attempts: What the search tried, for generated splits.
         runtime: Seconds of each stage of generation, if this machine measured them.
+        review: What inspectors said of its scenes; null where no verdict stands.
+        hyper: Settings of the search that its scenes come from; empty where they are not known.
     """
 
     schema_version: int = Field(alias="schema")
@@ -258,6 +260,8 @@ class SplitSheet(Stored):
     statistics: SplitStatistics
     attempts: tuple[AttemptFacts, ...] = ()
     runtime: Runtime | None = None
+    review: ReviewFacts | None = None
+    hyper: dict[str, Any] = Field(default_factory=dict)
 
 
 _Read = TypeVar("_Read", Sheet, SplitSheet, RefinementTrace)

@@ -37,10 +37,36 @@ _LATEX_SPECIAL = {
     "∞": r"$\infty$",
     "φ": r"$\phi$",
     "…": r"\ldots{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': "{''}",
     # After the end of a row these two would be taken for its options.
     "[": "{[}",
     "*": "{*}",
 }
+
+
+_LATEX_LETTERS = "äöüßÄÖÜáàâãåçéèêëíìîïñóòôõøúùûæÁÀÂÅÇÉÈÊÍÑÓÔØÚÆ"
+
+
+@dataclass(frozen=True, slots=True)
+class LatexForm:
+    """How LaTeX lays a table out, if not as all others.
+
+    Attributes:
+        alignment: Of the columns, with rules between them.
+        rules_after: Numbers of rows below which a rule goes.
+        bold_rows: Rows that stand out.
+        once: Columns that say the same in all rows between two rules, and are shown in the middle one alone.
+        fit: Whether it is made as wide as the text.
+    """
+
+    alignment: str
+    rules_after: tuple[int, ...] = ()
+    bold_rows: tuple[int, ...] = ()
+    once: tuple[int, ...] = ()
+    fit: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +104,7 @@ class Table:
         miniatures: Of each row whether it is about a miniature, whose numbers show the pipeline and rank nothing; none
             if no row is. CSV has a column more then.
         brief: What a terminal shows without being asked for more; ``None`` for everything.
+        latex_form: How LaTeX lays it out, if not plainly.
     """
 
     name: str
@@ -91,6 +118,7 @@ class Table:
     sources: tuple[str, ...] = ()
     miniatures: tuple[bool, ...] = ()
     brief: Brief | None = None
+    latex_form: LatexForm | None = None
 
     def __post_init__(self) -> None:
         width = len(self.columns)
@@ -160,12 +188,15 @@ class Table:
 
     def latex(self) -> str:
         """The table as a LaTeX ``table`` environment with booktabs rules, groups over their columns."""
-        alignment = "l" * self.text_columns + "r" * (len(self.columns) - self.text_columns)
-        lines = [r"\begin{table}", r"  \centering", rf"  \begin{{tabular}}{{{alignment}}}", r"    \toprule"]
+        form = self.latex_form or LatexForm("l" * self.text_columns + "r" * (len(self.columns) - self.text_columns))
+        lines = [r"\begin{table}", r"  \centering", *([r"  \resizebox{\textwidth}{!}{%"] if form.fit else [])]
+        lines += [rf"  \begin{{tabular}}{{{form.alignment}}}", r"    \toprule"]
         lines += [f"    {line}" for line in _latex_groups(self.groups)]
         lines += [f"    {_latex_row(self.columns)}", r"    \midrule"]
-        lines += [f"    {_latex_row(row)}" for row in self.rows]
-        lines += [r"    \bottomrule", r"  \end{tabular}"]
+        for place, row in enumerate(_shown_once(self.rows, form)):
+            lines += [r"    \midrule"] if place in form.rules_after else []
+            lines.append(f"    {_latex_row(row, bold=place in form.bold_rows)}")
+        lines += [r"    \bottomrule", r"  \end{tabular}" + ("}" if form.fit else "")]
         label = re.sub("[^A-Za-z0-9-]", "-", self.name)
         caption = " ".join([f"{self.title}.", *self.remarks])
         lines += [rf"  \caption{{{escape_latex(caption)}}}", rf"  \label{{tab:{label}}}", r"\end{table}"]
@@ -216,6 +247,7 @@ def table_of(
     groups: Sequence[tuple[str, int]] = (),
     sources: Sequence[str] = (),
     brief: Brief | None = None,
+    latex_form: LatexForm | None = None,
 ) -> Table:
     """A table of texts and of numbers that bring their facts.
 
@@ -229,6 +261,7 @@ def table_of(
         groups: Labels over columns; those over none are left out.
         sources: Where quoted numbers come from.
         brief: What a terminal shows of it, if not all.
+        latex_form: How LaTeX lays it out, if not plainly.
 
     Returns:
         The table.
@@ -247,12 +280,19 @@ def table_of(
         tuple(sources),
         miniatures if any(miniatures) else (),
         brief,
+        latex_form,
     )
 
 
 def escape_latex(text: str) -> str:
     """Text on one line in which nothing is LaTeX code."""
-    return "".join(_LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
+    return "".join(map(_latex_character, " ".join(text.split())))
+
+
+def _latex_character(character: str) -> str:
+    """What every LaTeX can set: ASCII, the usual letters with accents, and of anything else its number."""
+    plain = character.isascii() or character in _LATEX_LETTERS
+    return _LATEX_SPECIAL.get(character, character if plain else f"U+{ord(character):04X}")
 
 
 def escape_markdown(text: str) -> str:
@@ -268,8 +308,20 @@ def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
+def _shown_once(rows: Sequence[Sequence[str]], form: LatexForm) -> list[list[str]]:
+    """Rows in which the columns that are shown once are empty but in the middle of each block."""
+    first, shown = 0, []
+    for last in (*form.rules_after, len(rows)):
+        for place in range(first, last):
+            middle = place == first + (last - first - 1) // 2
+            shown.append([cell if middle or at not in form.once else "" for at, cell in enumerate(rows[place])])
+        first = last
+    return shown
+
+
+def _latex_row(cells: Sequence[str], *, bold: bool = False) -> str:
+    texts = (escape_latex(cell) for cell in cells)
+    return " & ".join(rf"\textbf{{{text}}}" if bold and text else text for text in texts) + r" \\"
 
 
 def _latex_groups(groups: Groups) -> Iterator[str]:

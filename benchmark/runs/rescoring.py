@@ -10,6 +10,7 @@ from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
 from benchmark.protocols import PROTOCOLS, protocol
+from benchmark.records.review import review_words
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
 from benchmark.records.run_schema import SCHEMA, SampleRow
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
@@ -140,12 +141,18 @@ def require_same_data(record: RunRecord, data: "DataSet") -> None:
         data: The data set.
 
     Raises:
-        InputError: If its content is another.
+        InputError: If its content is another, or inspectors said otherwise of it then.
     """
     if record.run.data.fingerprint != data.fingerprint():
         raise InputError(
             f"{record.directory} ran on other content of {record.run.data.name} than {data.root} holds (the data "
             "fingerprints differ); open the data set that it ran on with --data, or run challenger-bench eval again"
+        )
+    review = data.review(record.run.split).facts
+    if record.judged_content[1] != (None if review is None else review.content):
+        raise InputError(
+            f"{record.directory} ran under other verdicts of inspectors ({review_words(record.run.review)}) than lie "
+            f"beside {data.root} now ({review_words(review)}); run challenger-bench eval again, kept plans stay"
         )
 
 

@@ -1,7 +1,8 @@
 """What is shown of a whole split: its scenes, its numbers, and what the search for adversaries tried."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -18,7 +19,12 @@ if TYPE_CHECKING:
 
 
 def write_split_sheet(
-    directory: Path, data: "DataSet", split: str, facts: DataFacts, runtime: Runtime | None
+    directory: Path,
+    data: "DataSet",
+    split: str,
+    facts: DataFacts,
+    runtime: Runtime | None,
+    hyper: Mapping[str, Any] | None = None,
 ) -> SplitSheet:
     """Describe a split in ``split.json``.
 
@@ -28,6 +34,7 @@ def write_split_sheet(
         split: One of its splits.
         facts: Of the data set.
         runtime: Seconds of each stage of generation, if they are known.
+        hyper: Settings of the search, if they are known.
 
     Returns:
         What was written.
@@ -35,7 +42,9 @@ def write_split_sheet(
     Raises:
         InputError: If there is no such split, a table or ``attempts.jsonl`` is broken, or nothing can be written.
     """
-    key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split)
+    review = data.review(split).facts
+    reviewed = [] if review is None else [review.content]
+    key = content_key("split sheet", [MAKING_VERSION, SCHEMA], facts.model_dump(mode="json"), split, *reviewed)
     sheet = SplitSheet(
         schema=SCHEMA,
         data=facts,
@@ -44,6 +53,8 @@ def write_split_sheet(
         statistics=_kept_statistics(directory, key) or statistics(data.root, split=split, version=data.version),
         attempts=_attempts(data, split),
         runtime=runtime,
+        review=review,
+        hyper=dict(hyper or {}),
     )
     write_json(directory / SPLIT_FILE, sheet.model_dump(mode="json", by_alias=True), indent=None)
     write_json(directory / KEY_FILE, {"key": key})

@@ -1,7 +1,7 @@
 """The main path of scene sheets: data set in, sheets and pictures out; finished work is found and kept."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -102,6 +102,7 @@ def write_sheets(
     settings: SheetSettings,
     *,
     runtime: Runtime | None = None,
+    hyper: Mapping[str, Any] | None = None,
     reopen: Callable[[], "DataSet"] | None = None,
 ) -> WrittenSheets:
     """Write the sheets of a split; the same command goes on, and does nothing where nothing has changed.
@@ -112,6 +113,7 @@ def write_sheets(
         root: Folder of all sheets.
         settings: What to write.
         runtime: Seconds of each stage of generation, if they are known.
+        hyper: Settings of the search that the scenes come from, if they are known.
         reopen: Opens the data set in another process; by default from its root, version and name.
 
     Returns:
@@ -134,7 +136,7 @@ def write_sheets(
     directory = split_folder(root, data.name, split)
     with only_writer(directory):
         _tidy(directory, job.facts, data.scene_names(split))
-        write_split_sheet(directory, data, split, job.facts, runtime)
+        write_split_sheet(directory, data, split, job.facts, runtime, hyper)
         workers = settings.workers or default_workers()
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
         work = partial(written_sheet, job, data) if workers == 1 else partial(_in_worker, job, opener)

@@ -1,9 +1,11 @@
-"""Which generated scenes are written: after the surrogate, if there is one, the most challenging ones."""
+"""Which generated scenes are written: the most challenging ones that nobody rejected and that the surrogate fails."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmark.datasets.roots import DataSet
+from benchmark.records.review import Judged
+from generation.build.inspection import rejected_jobs
 from generation.build.settings import BuildSettings
 from generation.build.surrogate import Judgement, judge, staging_plan, take_over
 from generation.build.writing import WritingJob, write_scenes
@@ -22,6 +24,7 @@ class Selection:
         judgement: What the surrogate said, if there was one.
         staging: The data set that the surrogate was judged on.
         staged: Content keys in it by name of the scene.
+        left_out: Scenes that an inspector rejected, each with the number of its variant.
     """
 
     chains: list[Chain]
@@ -29,6 +32,7 @@ class Selection:
     judgement: Judgement | None = None
     staging: DataSetPlan | None = None
     staged: dict[str, str] | None = None
+    left_out: tuple[tuple[int, Judged], ...] = ()
 
     def take_over(self, plan: DataSetPlan) -> None:
         """Put pictures that were drawn for the surrogate where they belong."""
@@ -52,10 +56,18 @@ def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: Bu
         InputError: If the surrogate fails on a sample, or its data set cannot be written.
     """
     order = ranked(found.chains, per_scene=None, total=None)
+    # Variants keep their numbers whoever is left out, and with them their tokens, to which verdicts belong.
+    by_name = {job.name: job for job in writing_jobs(order, plan)}
+    rejected = rejected_jobs(plan, list(by_name.values()), source.scene)
+    for chain in order:
+        if chain.name in rejected:
+            found.drop(chain, Dropped.REJECTED)
+    order = [chain for chain in order if chain.name not in rejected]
+    left_out = tuple(rejected.values())
     if settings.surrogate is None or not order:
         kept = _most_challenging(found, order, settings)
-        return Selection(kept, writing_jobs(kept, plan))
-    staging, jobs = staging_plan(plan, settings.surrogate), writing_jobs(order, plan)
+        return Selection(kept, [by_name[chain.name] for chain in kept], left_out=left_out)
+    staging, jobs = staging_plan(plan, settings.surrogate), [by_name[chain.name] for chain in order]
     keys = write_scenes(
         staging,
         jobs,
@@ -73,10 +85,8 @@ def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: Bu
         else:
             found.drop(chain, Dropped.SURROGATE_COPES)
     kept = _most_challenging(found, failing, settings)
-    # Variants keep the numbers under which they were judged, and with them their pictures.
-    by_name = {job.name: job for job in jobs}
     staged = {job.name: key for job, key in zip(jobs, keys, strict=True)}
-    return Selection(kept, [by_name[chain.name] for chain in kept], judgement, staging, staged)
+    return Selection(kept, [by_name[chain.name] for chain in kept], judgement, staging, staged, left_out)
 
 
 def _most_challenging(found: SearchResult, chains: Sequence[Chain], settings: BuildSettings) -> list[Chain]:

@@ -10,8 +10,10 @@ from pathlib import Path
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import canonical_json, only_writer
-from benchmark.machine.workspace import GENERATED_SPLITS
+from benchmark.machine.workspace import is_generated
 from benchmark.records.attempts import ATTEMPTS_FILE
+from benchmark.records.review import Judged
+from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
@@ -27,8 +29,9 @@ from generation.search.chains import Chain, SearchResult, first_units, search_ch
 from generation.search.definition import Search
 from generation.search.eligibility import not_tried_together
 from generation.splits.building import require_not_frozen
-from generation.splits.format import Choice, require_freezable, write_frozen
-from generation.splits.freezing import freeze
+from generation.splits.format import Choice, FrozenRejection, require_freezable, write_frozen
+from generation.splits.freezing import freeze, search_facts
+from generation.splits.seeds import require_seed, search_hash
 
 
 class NothingSurvivedError(InputError):
@@ -48,7 +51,8 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
 
     Args:
         source: Recorded scenes.
-        split: ``adv`` (adversarial) or ``val-r`` (the originals, rendered again).
+        split: ``adv`` (adversarial), the same with one of several seeds (``adv-seed-3``), or ``val-r`` (the originals,
+            rendered again).
         settings: What and where.
 
     Returns:
@@ -60,6 +64,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
             output is built from a frozen split, or it cannot be written.
     """
     require_generated(split)
+    require_seed(split, settings.seed, f"--seed {settings.seed}")
     require_not_frozen(settings.out)
     if settings.freeze is not None:
         require_freezable(split, settings.freeze)
@@ -82,15 +87,18 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         state=settings.out / STATE_FOLDER,
     )
     if settings.dry_run:
-        return _counted(source, search, names, settings)
+        return replace(_counted(source, search, names, settings), split=split)
     with only_writer(settings.out):
-        return _build_adversarial(source, search, names, settings)
+        return _build_adversarial(source, split, search, names, settings)
 
 
 def require_generated(split: str) -> None:
     """Raise `InputError` for a split that cannot be generated."""
-    if split not in GENERATED_SPLITS:
-        raise InputError(f"cannot generate split {split!r}; the splits that can be generated are val-r and adv")
+    if not is_generated(split):
+        raise InputError(
+            f"cannot generate split {split!r}; the splits that can be generated are val-r and adv, and adv-seed-N with "
+            "seed N"
+        )
 
 
 def source_scenes(source: DataSet, settings: BuildSettings) -> tuple[str, ...]:
@@ -154,7 +162,9 @@ def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSet
     return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
 
 
-def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+def _build_adversarial(
+    source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
+) -> BuildReport:
     found = search_chains(
         search,
         source,
@@ -164,11 +174,12 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
         together=settings.together,
         keep_rounds=settings.keep_rounds,
     )
-    plan = _plan(source, "adv", settings)
+    plan = _plan(source, split, settings)
     chosen = select(source, plan, found, settings)
+    plan = replace(plan, left_out=chosen.left_out)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
     written = tuple(job.name for job in chosen.jobs)
-    report = BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries)
+    report = replace(BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries), split=split)
     files = _report_files(report, found, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
     publish_reports(settings.out, files)
@@ -180,14 +191,16 @@ def _build_adversarial(source: DataSet, search: Search, names: Sequence[str], se
             report,
         )
     chosen.take_over(plan)
+    how = _choice(report, settings, plan.left_out)
+    if seed_of(split) is not None:
+        plan = replace(plan, search=search_hash(search_facts(search), how, settings.adversaries))
     notes = _write(source, plan, chosen.jobs, settings)
     if settings.freeze is not None:
-        how = _choice(report, settings)
         write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
 
 
-def _choice(report: BuildReport, settings: BuildSettings) -> Choice:
+def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, Judged]]) -> Choice:
     return Choice(
         scenes=report.scenes,
         tried=report.tried,
@@ -195,7 +208,13 @@ def _choice(report: BuildReport, settings: BuildSettings) -> Choice:
         per_scene=settings.per_scene,
         total=settings.total,
         surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
+        rejected=_frozen_rejections(rejected),
     )
+
+
+def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRejection, ...] | None:
+    said = [FrozenRejection(name=each.name, token=each.token, reason=each.reason) for _, each in rejected]
+    return tuple(said) or None
 
 
 def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:

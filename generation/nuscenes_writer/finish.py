@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.reviewed import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
+from benchmark.records.seed_splits import SEARCH
 from generation.nuscenes_writer.maps import write_maps
 from generation.nuscenes_writer.plan import DataSetPlan, require_own_root
 from generation.nuscenes_writer.scenes import read_state, release_claim
@@ -62,7 +64,8 @@ def finish_data_set(
         _write_root(plan, plan.data_root(variant), vocabulary, members, splits)
     _remove_left_overs(plan, roots)
     for variant, members in sorted(roots.items()):
-        write_json(plan.data_root(variant) / plan.version / PROVENANCE, _provenance(plan, members))
+        made = _provenance(plan, members) | _left_out(plan, variant, sorted(roots))
+        write_json(plan.data_root(variant) / plan.version / PROVENANCE, made)
 
 
 def _read_fragment(plan: DataSetPlan, key: str) -> Fragment:
@@ -198,7 +201,20 @@ def _provenance(plan: DataSetPlan, members: Sequence[Fragment]) -> dict[str, Any
     }
     if plan.frozen is not None:
         made["frozen"] = dict(zip(("name", "content"), plan.frozen, strict=True))
+    if plan.search is not None:
+        made[SEARCH] = plan.search
     return made
+
+
+def _left_out(plan: DataSetPlan, variant: int, written: Sequence[int]) -> dict[str, Any]:
+    """What a root says of scenes that an inspector rejected: its own, and the first one those of roots without any."""
+    said = {}
+    for number, judged in plan.left_out:
+        own = plan.layout == "suffixed" or number == variant
+        if own or (variant == written[0] and number not in written):
+            name = judged.name.removeprefix(f"v{variant}/") if plan.layout == "per-variant" else judged.name
+            said[name] = {"token": judged.token, "reason": judged.reason}
+    return {LEFT_OUT: said} if said else {}
 
 
 def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:

@@ -13,6 +13,7 @@ import shapely
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, token
+from benchmark.records.review import Judged
 from benchmark.scene import Camera, Scene
 from generation.render.contract import Renderer
 
@@ -58,6 +59,9 @@ class DataSetPlan:
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         source: What the data set derives from, or ``None``.
         frozen: Name and content hash of the frozen split that it is built from, if it is.
+        search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
+        left_out: Scenes that are not written because an inspector rejected them, each with the number of its variant;
+            none of another split.
     """
 
     root: Path
@@ -70,6 +74,8 @@ class DataSetPlan:
     lossless: bool = False
     source: SourceInfo | None = None
     frozen: tuple[str, str] | None = None
+    search: str | None = None
+    left_out: tuple[tuple[int, Judged], ...] = ()
 
     def __post_init__(self) -> None:
         if not 1 <= self.jpeg_quality <= 100:

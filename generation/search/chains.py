@@ -29,6 +29,7 @@ class Dropped(StrEnum):
     OUTRANKED = "another-vehicle-ranked-higher"
     SURROGATE_COPES = "surrogate-does-not-fail"
     BEYOND_LIMIT = "beyond-the-number-kept"
+    REJECTED = "rejected-by-hand"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,8 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
+from benchmark.records.review import REJECTED, Judged
+from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import Estimate, rendering_estimate, workers_of
@@ -22,6 +24,7 @@ from generation.search.ground_truth_checks import masked_line, masked_steps, mas
 from generation.splits.digests import facts_of_row, tables_digest, written_digest
 from generation.splits.format import FrozenScene, ImageFacts
 from generation.splits.packaged import NamedSplit
+from generation.splits.seeds import require_seed, search_hash
 from generation.splits.tracks import adversarial, scene_report
 
 _MARK: Final = "frozen.json"
@@ -43,6 +46,7 @@ class FrozenReport:
         verified_by: Version of the search that verified the scenes; they are not verified anew.
         masked_steps: By protocol, steps that are masked whatever is planned (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
+        split: Name of the split.
     """
 
     name: str
@@ -55,6 +59,7 @@ class FrozenReport:
     verified_by: str = ALGORITHM_VERSION
     masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     estimate: Estimate | None = None
+    split: str = "adv"
 
     def as_json(self) -> dict[str, Any]:
         """The report as JSON values."""
@@ -71,7 +76,7 @@ class FrozenReport:
     def kept(self) -> dict[str, Any]:
         """What ``report.json`` says: what does not depend on the machine."""
         return {
-            "split": "adv",
+            "split": self.split,
             "frozen": {"name": self.name, "content": self.content},
             "scenes": self.scenes,
             "written": list(self.written),
@@ -115,13 +120,14 @@ class FrozenReport:
         return f"differ in {len(self.other_images)} of {count} scenes, because {why}"
 
 
-def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) -> FrozenReport:
+def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *, as_split: str = "adv") -> FrozenReport:
     """Build a frozen split from its recordings; the same command resumes.
 
     Args:
         source: The recordings.
         split: The frozen split (`generation.splits.packaged.frozen_split`).
         settings: What and where. What belongs to the search is not looked at.
+        as_split: Name of the split that is written: ``adv``, or that of the seed with which it was searched.
 
     Returns:
         What was built, and what is not as it was frozen.
@@ -130,13 +136,16 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings) ->
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
             of another frozen one, another command is writing there, or it cannot be written.
     """
+    require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
     chosen = split.chosen(settings.scenes, settings.limit)
     content = split.frozen.content_id
     recorded = sorted({frozen.source for frozen, _ in chosen})
-    report = FrozenReport(split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen))
+    report = FrozenReport(
+        split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen), split=as_split
+    )
     _require_recorded(source, recorded)
     _require_room(settings.out, split.name, content)
-    plan = _plan(source, split.name, content, settings)
+    plan = _plan(source, split, as_split, settings)
     if settings.dry_run:
         each = rendering_estimate(plan.renderer, source.scene(recorded[0]), plan.frames, settings.timing / "rendering")
         workers = workers_of(settings.where_rendered)
@@ -203,11 +212,14 @@ def _require_recorded(source: DataSet, recorded: Sequence[str]) -> None:
         )
 
 
-def _plan(source: DataSet, name: str, content: str, settings: BuildSettings) -> DataSetPlan:
+def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSettings) -> DataSetPlan:
+    name, content, frozen = split.name, split.frozen.content_id, split.frozen
+    adversaries = max(len(scene.adversaries) for scene in frozen.scenes)
+    of_seed = seed_of(as_split) is not None
     return DataSetPlan(
         root=settings.out,
         version=settings.version,
-        split="adv",
+        split=as_split,
         layout=settings.layout,
         renderer=settings.renderer,
         frames=settings.frames,
@@ -215,6 +227,10 @@ def _plan(source: DataSet, name: str, content: str, settings: BuildSettings) -> 
         lossless=settings.lossless,
         source=SourceInfo(name=source.name, fingerprint=source.fingerprint(), root=source.root, version=source.version),
         frozen=(name, content),
+        search=search_hash(frozen.search, frozen.chosen, adversaries) if of_seed else None,
+        left_out=tuple(
+            (0, Judged(each.name, each.token, REJECTED, each.reason)) for each in split.frozen.chosen.rejected or ()
+        ),
     )
 
 

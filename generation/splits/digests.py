@@ -31,7 +31,7 @@ def tables_digest(plan: DataSetPlan, scene: Scene, frozen: FrozenScene) -> str:
     Returns:
         64 hexadecimal digits, made of numbers rounded to a nanometre.
     """
-    like = replace(plan, layout="suffixed", renderer=None, frames="keyframes")
+    like = replace(plan, split="adv", layout="suffixed", renderer=None, frames="keyframes")
     names = SceneNames.of(
         like, scene, name=frozen.name, variant=0, source_scene=frozen.source, identity=frozen.identity
     )

@@ -5,12 +5,14 @@ recorded at its launch (docs/frozen-splits.md).
 """
 
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, content_key, read_json, write_bytes
+from benchmark.records.review import LONGEST_REASON
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.records.store import validated
 
 FORMAT: Final = "challenger-bench frozen split"
@@ -97,6 +99,14 @@ class SearchFacts(_Frozen):
     seed: int
 
 
+class FrozenRejection(_Frozen):
+    """A scene that an inspector rejected before the split was frozen: its name, its token there, and why."""
+
+    name: _Name
+    token: _Name
+    reason: Annotated[str, Field(max_length=LONGEST_REASON)]
+
+
 class Choice(_Frozen):
     """How the scenes were chosen.
 
@@ -107,6 +117,7 @@ class Choice(_Frozen):
         per_scene: Most kept of one recorded scene, null for all.
         total: Most kept at all, null for all.
         surrogate: Planner that fails every scene, if one was asked.
+        rejected: Scenes that inspectors rejected, if they did; files without have no such field.
     """
 
     scenes: int
@@ -115,6 +126,13 @@ class Choice(_Frozen):
     per_scene: int | None
     total: int | None
     surrogate: str | None
+    rejected: tuple[FrozenRejection, ...] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_nothing(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Splits that nobody reviewed keep the bytes, and the content hash, that they had before there were reviews."""
+        said: dict[str, Any] = plain(self)
+        return said if self.rejected else {name: value for name, value in said.items() if name != "rejected"}
 
 
 class ImageFacts(_Frozen):
@@ -213,7 +231,7 @@ def require_freezable(split: str, path: Path) -> None:
     Raises:
         InputError: If the split is not searched for, there is something else of this name, or no folder to put it into.
     """
-    if split != "adv":
+    if not is_adversarial(split):
         raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
     if path.exists():
         read_frozen(path)

@@ -63,14 +63,15 @@ def freeze(
     scenes = dict(zip(order, done, strict=True))
     return FrozenSplit(
         recordings=Recordings(name=plan.source.name, fingerprint=plan.source.fingerprint),
-        search=_search_facts(search),
+        search=search_facts(search),
         chosen=chosen,
         images=images,
         scenes=tuple(scenes[index] for index in range(len(chains))),
     )
 
 
-def _search_facts(search: Search) -> SearchFacts:
+def search_facts(search: Search) -> SearchFacts:
+    """Who searched, as frozen splits say it."""
     said = search.as_json()
     return SearchFacts(
         algorithm=said["algorithm"], hyper=said["hyper_fingerprint"], prior=said["prior"], seed=said["seed"]

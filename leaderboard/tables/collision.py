@@ -9,6 +9,7 @@ from benchmark.published import TABLE_1_SOURCE
 from benchmark.records.driving import PDM
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.run_schema import ProtocolSummary
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.driving import driving_table
@@ -196,7 +197,7 @@ def _increase(record: RunRecord, baseline: RunRecord | None, judge_of: Callable[
     judge = judge_of(record)
     compared = (
         baseline is not None
-        and record.run.split == "adv"
+        and is_adversarial(record.run.split)
         and judge_of(baseline) == judge
         and baseline.covers_split
         and record.covers_split

@@ -18,6 +18,7 @@ from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.consistency import consistency_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
+from leaderboard.tables.drawn_seeds import drawn_seeds_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.longer_plans import longer_table
@@ -78,6 +79,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         for name in names
     ]
     front += [seed_spread_table(data_name, name, records) for name in names]
+    front += [drawn_seeds_table(data_name, name, records) for name in names]
     front += [split_table(data_name, name, records, verdicts) for name in names]
     for split in splits:
         front += [planner_table(data_name, split, name, records, verdicts) for name in names if name != NATIVE]
@@ -123,6 +125,7 @@ def _tables_under(
         collision_table(data_name, protocol, records),
         further_table(data_name, protocol, records),
         seed_spread_table(data_name, protocol, records),
+        drawn_seeds_table(data_name, protocol, records),
         split_table(data_name, protocol, records, verdicts),
     ]
     for split in splits:

@@ -7,6 +7,7 @@ from typing import Final
 from benchmark.machine.storage import content_key
 from benchmark.published import DATA_SET_OF_SPLIT, QUALITY_SOURCE, TABLE_3
 from benchmark.records.quality import QualityRecord
+from benchmark.records.review import review_words
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.published import quoted
@@ -132,6 +133,8 @@ def _what_was_seen(records: Sequence[QualityRecord]) -> list[str]:
     else:
         notes.append(f"Frames: {next(iter(seen.values()))}.")
     for record in records:
+        if record.facts.review is not None:
+            notes.append(f"{record.facts.split}: {review_words(record.facts.review)}.")
         if not record.covers_split:
             part = part_of_split(len(record.facts.scenes), record.facts.scenes_in_split)
             notes.append(f"{record.facts.split}: {part} only.")

@@ -4,7 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.review import NOT_REVIEWED, review_words
 from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.words import counted
 
@@ -100,10 +102,23 @@ def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
         told: Sentences on single runs.
 
     Returns:
-        What marks mean, whether any has few recorded scenes, ``told``, and what is not whole.
+        What marks mean, whether any has few recorded scenes, what inspectors said, ``told``, and what is not whole.
     """
     few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
-    return [*notes_of_marks(records), *few, *told, *completeness_notes(records)]
+    return [*notes_of_marks(records), *few, *review_notes(records), *told, *completeness_notes(records)]
+
+
+def review_notes(records: Iterable[RunRecord]) -> list[str]:
+    """What inspectors said of each split that has adversaries or a review; one sentence for all that have none."""
+    said = {record.run.split: record.run.review for record in records if record.run.review is not None}
+    notes = [f"{split}: {review_words(said[split])}." for split in sorted(said, key=split_place)]
+    made = {record.run.split for record in records if record.run.split not in said and _has_adversaries(record)}
+    return [*notes, *([f"{', '.join(sorted(made, key=split_place))}: {NOT_REVIEWED} by hand."] if made else [])]
+
+
+def _has_adversaries(record: RunRecord) -> bool:
+    known = record.run.scene_facts.values()
+    return is_adversarial(record.run.split) or any(facts.adversaries for facts in known)
 
 
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:

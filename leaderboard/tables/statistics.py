@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 from benchmark.published import ADV_NUSC, DATA_SET_SOURCE
+from benchmark.records.review import review_words
 from benchmark.records.scenes import AttemptFacts, Sheets, SplitSheet
 from benchmark.records.statistics import Quantiles
 from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, named_record
@@ -70,7 +71,10 @@ def _counts(data_name: str, splits: Sequence[SplitSheet]) -> Table:
         f"{data_name}: the data set in numbers",
         ("rows of", *(split.split for split in splits), "Adv-nuSc (paper)"),
         rows,
-        notes=("Rows of the tables of each split. Adv-nuSc: made from the nuScenes validation split.",),
+        notes=(
+            "Rows of the tables of each split. Adv-nuSc: made from the nuScenes validation split.",
+            *(f"{split.split}: {review_words(split.review)}." for split in splits if split.review is not None),
+        ),
         groups=(("", 1), ("here", len(splits)), ("paper", 1)),
         sources=(DATA_SET_SOURCE,),
     )

@@ -13,6 +13,7 @@ from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_key, token
 from benchmark.planning import CameraView, Command, Observation
+from benchmark.records.review import SplitReview
 from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
@@ -47,6 +48,9 @@ class FakeData:
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         return tuple(sorted(self.scenes))
+
+    def review(self, split: str | None = None) -> SplitReview:
+        return SplitReview(waiting=self.scene_names(split))
 
     def scene(self, name: str) -> Scene:
         return self.scenes[name]

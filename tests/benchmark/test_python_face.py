@@ -39,6 +39,7 @@ FUNCTION_OF = {
     "data stats": "data_statistics",
     "data show": "write_pictures",
     "data check": "check_data",
+    "data review": "record_verdicts",
     "data import": "import_scenarionet",
     "data build": "build_town",
     "train denoiser": "train_denoiser",

@@ -12,6 +12,7 @@ from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.machine.workspace import Workspace
+    from benchmark.records.review import SplitReview
     from generation.splits.packaged import NamedSplit
 
 _BYTES_OF_A_PIXEL: Final = 0.22
@@ -92,26 +93,28 @@ def require_data(
     Raises:
         InputError: If there is no such data set, split or scene, or no room or right to build what is absent.
     """
-    from benchmark.datasets.listing import listed_scenes
+    from benchmark.datasets.listing import listed_review, listed_scenes
     from benchmark.datasets.split_names import NoSuchSplit
-    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, GENERATED_SPLITS, is_finished
+    from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, how_generated, is_finished, is_generated
 
     space, name = api.workspace(out), Path(data).resolve().name
     made = space.split_root(name, split)
     if data == EMBEDDED:
         return _embedded(split, out, scenes, limit)
     root = space.demonstrated("val") if data == DEMONSTRATED else Path(data)
-    if split in GENERATED_SPLITS and is_finished(made):
+    if is_generated(split) and is_finished(made):
+        _require_not_rejected(scenes, listed_review(made, split), made)
         return Ahead(_chosen(listed_scenes(made, split), split, scenes, limit))
     every = listed_scenes(root, version=tables)
     try:
         of_split = listed_scenes(root, split, version=tables)
+        _require_not_rejected(scenes, listed_review(root, split, version=tables), root)
     except NoSuchSplit as error:
-        if split not in GENERATED_SPLITS or not every:
+        if not is_generated(split) or not every:
             raise
         raise InputError(
             f"split {split!r} of {name} is not at {made}; make it with: challenger-bench generate --data {data} "
-            f"--split {split} --out {out}"
+            f"{how_generated(split)} --out {out}"
         ) from error
     return Ahead(_chosen(of_split, split, scenes, limit))
 
@@ -147,13 +150,19 @@ def require_root(root: str, tables: str | None, out: Path, scenes: Sequence[str]
 def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | None) -> Ahead:
     """The embedded data set, of which everything is known before it is built."""
     from benchmark.datasets.listing import listed_scenes
-    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, is_finished
+    from benchmark.machine.workspace import EMBEDDED, GENERATED_SPLITS, cache_root, how_generated, is_finished
+    from benchmark.records.seed_splits import seed_of
     from generation.sources.mini import TownSettings
     from generation.sources.town.scenes import town_scene_names
     from generation.splits.packaged import newest_split
 
     splits = ("val", *GENERATED_SPLITS)
-    if split not in splits:
+    if seed_of(split) is not None and not is_finished(made_by_seed := api.workspace(out).split_root(EMBEDDED, split)):
+        raise InputError(
+            f"split {split!r} of {EMBEDDED} is not at {made_by_seed}; make it with: challenger-bench generate "
+            f"{how_generated(split)} --out {out}"
+        )
+    if seed_of(split) is None and split not in splits:
         raise InputError(
             f"the embedded data set mini has no split {split!r}; {did_you_mean(split, splits)}it has "
             f"{', '.join(splits)}"
@@ -195,6 +204,12 @@ def _frozen_ahead(newest: "NamedSplit") -> list[str]:
     return [f"the frozen split {newest.name} in {cache_root()} (once, about two minutes, {gigabytes(needed)})"]
 
 
+def _require_not_rejected(scenes: Sequence[str] | None, review: "SplitReview", where: Path) -> None:
+    from benchmark.records.review import require_not_rejected
+
+    require_not_rejected(scenes or (), review.rejected, str(where))
+
+
 def _chosen(
     known: tuple[str, ...], split: str | None, scenes: Sequence[str] | None, limit: int | None
 ) -> tuple[str, ...]:
@@ -205,6 +220,8 @@ def _chosen(
             f"{where} no scene {', '.join(unknown[:3])}{' ...' if len(unknown) > 3 else ''}; "
             f"{did_you_mean(unknown[0], known)}it has {counted(len(known), 'scene')}, among them {', '.join(known[:3])}"
         )
+    if not known:
+        raise InputError(f"split {split!r} has no scene that could be used: inspectors rejected all, or it has none")
     wanted = known if scenes is None else tuple(name for name in known if name in set(scenes))
     if not wanted:
         raise InputError("--scenes names no scene; leave it out or name one")

@@ -1,0 +1,132 @@
+"""What one ``generate`` command builds: a split, or one for each of several seeds; searched for, or frozen."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import typer
+
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from benchmark.datasets.roots import DataSet
+    from generation.build.settings import BuildSettings
+    from generation.splits.packaged import NamedSplit
+
+OF_THE_SEARCH: Final = (
+    "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
+    "candidates", "rounds", "parked", "preset", "changes", "denoiser", "calls", "dropout", "samples", "device",
+    "together", "keep_rounds", "profile",
+)  # fmt: skip
+"""Options of ``generate`` that say nothing to a split that is built from a frozen one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SplitToBuild:
+    """One split of a command.
+
+    Attributes:
+        split: Its name.
+        seed: Seed of its search.
+        freeze: File to freeze it to.
+        frozen: What it is built from, without a search.
+    """
+
+    split: str
+    seed: int
+    freeze: Path | None = None
+    frozen: "NamedSplit | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """What came of one split: for people, and as JSON."""
+
+    text: str
+    said: Mapping[str, Any]
+
+
+def splits_to_build(
+    split: str, seed: int, seeds: str | None, from_file: str | None, freeze: Path | None, context: typer.Context
+) -> tuple[SplitToBuild, ...]:
+    """The splits that a command builds.
+
+    Args:
+        split: What ``--split`` says.
+        seed: What ``--seed`` says.
+        seeds: What ``--seeds`` says.
+        from_file: What ``--from`` says.
+        freeze: What ``--freeze`` says.
+        context: Which options were given.
+
+    Returns:
+        They; one without ``--seeds``.
+
+    Raises:
+        InputError: If options contradict each other, or there is no frozen split of that name.
+    """
+    from generation.splits.format import require_freezable
+    from generation.splits.packaged import frozen_split
+    from generation.splits.seeds import file_of_seed, frozen_of_seed, seeds_of
+
+    if from_file is not None:
+        _require_no_search(split, context)
+    if seeds is None:
+        found: tuple[SplitToBuild, ...] = (
+            SplitToBuild(split, seed, freeze, None if from_file is None else frozen_split(from_file)),
+        )
+    else:
+        if split != "adv":
+            raise InputError(f"--seeds builds one adv for each seed, not {split}; leave --split out")
+        if _is_given(context, "seed"):
+            raise InputError("--seed and --seeds contradict each other; leave one of them out")
+        found = tuple(
+            SplitToBuild(
+                f"adv-seed-{each}",
+                each,
+                None if freeze is None else file_of_seed(freeze, each),
+                None if from_file is None else frozen_of_seed(Path(from_file), each),
+            )
+            for each in seeds_of(seeds)
+        )
+    for one in found:
+        if one.freeze is not None:
+            require_freezable(one.split, one.freeze)
+    return found
+
+
+def build_one(
+    source: "DataSet", one: SplitToBuild, settings: "BuildSettings", unlike: "Sequence[str]", *, profile: bool
+) -> Built:
+    """Build a split; what is said of it names where the preset departs from its name and where the time went."""
+    if one.frozen is not None:
+        from generation.splits.building import build_frozen
+
+        built = build_frozen(source, one.frozen, settings, as_split=one.split)
+        return Built(built.summary(), built.as_json())
+    from generation.build.split import build_split
+
+    report = build_split(source, one.split, settings)
+    runtime = report.runtime if profile else None
+    told = {"departures": list(unlike)} if unlike else {}
+    timed = {} if runtime is None else {"runtime": runtime.model_dump()}
+    table = "" if runtime is None else "\n" + runtime.table().plain(indent="  ", least=(10, 9, 9, 9)).rstrip("\n")
+    return Built("\n".join([report.summary(), *unlike]) + table, report.as_json() | told | timed)
+
+
+def _require_no_search(split: str, context: typer.Context) -> None:
+    """Refuse options of the search beside a frozen split."""
+    if split != "adv":
+        raise InputError(f"--from builds split adv, not {split}; leave --split out")
+    for name in OF_THE_SEARCH:
+        if _is_given(context, name):
+            option = {"changes": "set"}.get(name, name).replace("_", "-")
+            raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")
+
+
+def _is_given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name != "DEFAULT"

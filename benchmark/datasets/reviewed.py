@@ -1,0 +1,135 @@
+"""Verdicts of inspectors beside a data set: which stand on a split, and how more are recorded."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from benchmark.datasets.table_rows import table_rows
+from benchmark.datasets.tables import find_version, variant_folders
+from benchmark.errors import InputError, did_you_mean
+from benchmark.foreign.files import one_line
+from benchmark.machine.storage import only_writer, write_json
+from benchmark.records.review import (
+    REJECTED,
+    REVIEW_FILE,
+    SCHEMA,
+    Judged,
+    ReviewFile,
+    SplitReview,
+    Verdict,
+    read_review,
+    standing,
+)
+from benchmark.report.words import counted
+
+LEFT_OUT: Final = "left_out"
+"""In ``challenger.json``: scenes that a build left out because they were rejected."""
+
+
+def left_out_of(made: Any, split: str | None) -> dict[str, Judged]:
+    """Scenes of a split that a build left out because they were rejected.
+
+    Args:
+        made: What ``challenger.json`` says of the data set, unchecked.
+        split: The split; a build says it of its own alone.
+
+    Returns:
+        What was said of each, by name; what is none is no scene.
+    """
+    said = made.get(LEFT_OUT) if isinstance(made, dict) and split in (None, made.get("split")) else None
+    found = {}
+    for name, entry in said.items() if isinstance(said, dict) else ():
+        if isinstance(entry, dict) and isinstance(entry.get("token"), str):
+            found[name] = Judged(name, entry["token"], REJECTED, one_line(entry.get("reason", "")), left_out=True)
+    return found
+
+
+def review_of_rows(
+    root: Path, tokens: Mapping[str, str], made: Any, split: str | None, verdicts: Mapping[str, Verdict] | None = None
+) -> SplitReview:
+    """What inspectors said of a split of one root.
+
+    Args:
+        root: The root.
+        tokens: Of the rows of the split's scenes, by name.
+        made: What ``challenger.json`` says.
+        split: The split.
+        verdicts: Those beside the root, if they were read before.
+
+    Returns:
+        The review.
+
+    Raises:
+        InputError: If the file of verdicts is damaged.
+    """
+    given = read_review(root) if verdicts is None else verdicts
+    return standing(given, tokens, left_out_of(made, split))
+
+
+def joined(parts: Mapping[str, SplitReview], outer: Mapping[str, Verdict], tokens: Mapping[str, str]) -> SplitReview:
+    """The review of roots side by side, which may have verdicts each and all together.
+
+    Args:
+        parts: Reviews of the roots by folder.
+        outer: Verdicts beside the folder that holds them, by prefixed name.
+        tokens: Of the rows of all scenes of the split, by prefixed name.
+
+    Returns:
+        The review; a scene that either rejects is rejected.
+    """
+    every = [part.under(folder) for folder, part in parts.items()]
+    judged = {each.name: each for part in every for each in part.judged}
+    above = standing(outer, tokens)
+    for each in above.judged:
+        if each.name not in judged or each.verdict == REJECTED:
+            judged[each.name] = each
+    outdated = {*above.outdated, *(name for part in every for name in part.outdated)}
+    waiting = tuple(name for name in tokens if name not in judged)
+    return SplitReview(tuple(judged[name] for name in sorted(judged)), waiting, tuple(sorted(outdated)))
+
+
+def scene_tokens(root: Path, version: str | None = None) -> dict[str, str]:
+    """Tokens of all scenes of a data set, by name.
+
+    Args:
+        root: A nuScenes-format root, or a folder of variant roots.
+        version: Version folder; needed only where there are several.
+
+    Returns:
+        They, sorted by name within each root.
+
+    Raises:
+        InputError: If there is no such data set, or its list of scenes is broken.
+    """
+    folders = variant_folders(root)
+    if folders:
+        parts = {folder: scene_tokens(root / folder, version) for folder in folders}
+        return {f"{folder}/{name}": token for folder, part in parts.items() for name, token in part.items()}
+    rows = table_rows(root / find_version(root, version) / "scene.json", "name", "token")
+    return dict(sorted((row["name"], row["token"]) for row in rows))
+
+
+def record_verdicts(root: Path, verdicts: Mapping[str, Verdict | None]) -> None:
+    """Add verdicts to the file beside a data set; those that are there on other scenes stay.
+
+    Args:
+        root: Root of the data set.
+        verdicts: By name of the scene; ``None`` takes the one that is there back.
+
+    Raises:
+        InputError: If the file is damaged or cannot be written, or another command is writing there.
+    """
+    with only_writer(root):
+        kept = {**read_review(root), **verdicts}
+        stored = ReviewFile(schema=SCHEMA, verdicts={name: said for name, said in kept.items() if said is not None})
+        write_json(root / REVIEW_FILE, stored.model_dump(mode="json", by_alias=True))
+
+
+def require_scenes(names: Mapping[str, Any], tokens: Mapping[str, str], path: Path, root: Path) -> None:
+    """Raise `InputError` if a file of verdicts names a scene that a data set does not have."""
+    unknown = sorted(set(names) - set(tokens))
+    if unknown:
+        raise InputError(
+            f"{path} names {one_line(unknown[0], 80)}, and {root} has no such scene; "
+            f"{did_you_mean(unknown[0], list(tokens))}it has {counted(len(tokens), 'scene')}; nothing was recorded"
+        )

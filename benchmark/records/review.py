@@ -1,0 +1,273 @@
+"""What inspectors say of scenes: the file beside a split, and which of its verdicts stand.
+
+The paper inspects scenes by hand (appendix "The Adv-nuSc Dataset"). ``review.json`` in the root of a data set holds the
+verdicts. A verdict is about a scene as it was when it was looked at: it names the token of its row, which for generated
+scenes is made of their motion. On another scene of the same name it does not stand.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from benchmark.errors import InputError
+from benchmark.foreign.json_text import read_json
+from benchmark.foreign.limits import VERDICTS
+from benchmark.machine.storage import content_key
+from benchmark.records.run_schema import ReviewFacts, Stored
+from benchmark.records.store import validated
+from benchmark.report.words import counted
+
+REVIEW_FILE: Final = "review.json"
+FORMAT: Final = "challenger-bench review"
+SCHEMA: Final = 1
+ACCEPTED: Final = "accepted"
+REJECTED: Final = "rejected"
+LONGEST_REASON: Final = 500
+"""Characters."""
+
+
+def _one_line(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be one line of printable text")
+    return text
+
+
+Decision = Literal["accepted", "rejected"]
+Line = Annotated[str, Field(max_length=LONGEST_REASON), AfterValidator(_one_line)]
+
+
+class Verdict(Stored):
+    """What an inspector says of one scene.
+
+    Attributes:
+        verdict: Whether it may be judged.
+        reason: Why; a rejection has one.
+        inspector: Who says so, if they want to be named.
+        token: Of the scene's row when it was looked at.
+    """
+
+    verdict: Decision
+    reason: Line = ""
+    inspector: Line = ""
+    token: Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
+
+    @model_validator(mode="after")
+    def _rejected_for_something(self) -> Self:
+        if self.verdict == REJECTED and not self.reason.strip():
+            raise ValueError("a rejected scene needs a reason")
+        return self
+
+
+class ReviewFile(Stored):
+    """``review.json``: verdicts by name of the scene, as the opened data set calls it."""
+
+    format: Literal["challenger-bench review"] = FORMAT
+    schema_version: int = Field(alias="schema")
+    verdicts: dict[str, Verdict]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Judged:
+    """A verdict that stands.
+
+    Attributes:
+        name: Of the scene.
+        token: Of its row.
+        verdict: `ACCEPTED` or `REJECTED`.
+        reason: Why.
+        left_out: Whether a build did not write the scene for it, so that it is not there.
+    """
+
+    name: str
+    token: str
+    verdict: Decision
+    reason: str = ""
+    left_out: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SplitReview:
+    """What inspectors said of the scenes of a split.
+
+    Attributes:
+        judged: Verdicts that stand, by name of the scene; those on scenes that a build left out for them among them.
+        waiting: Scenes without one.
+        outdated: Scenes whose verdict was on another scene of the same name.
+    """
+
+    judged: tuple[Judged, ...] = ()
+    waiting: tuple[str, ...] = ()
+    outdated: tuple[str, ...] = ()
+
+    @property
+    def rejected(self) -> dict[str, str]:
+        """Reasons by name of the scenes that were rejected."""
+        return {each.name: each.reason for each in self.judged if each.verdict == REJECTED}
+
+    @property
+    def present(self) -> tuple[str, ...]:
+        """Every scene that is there to be looked at, whatever was said of it."""
+        return tuple(sorted({*(each.name for each in self.judged if not each.left_out), *self.waiting}))
+
+    @property
+    def facts(self) -> ReviewFacts | None:
+        """What records say; ``None`` where no verdict stands."""
+        if not self.judged:
+            return None
+        rejected = len(self.rejected)
+        return ReviewFacts(
+            content=content_key("review", sorted([each.name, each.token, each.verdict] for each in self.judged)),
+            accepted=len(self.judged) - rejected,
+            rejected=rejected,
+            not_reviewed=len(self.waiting),
+        )
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Every scene that it is about."""
+        return (*(each.name for each in self.judged), *self.waiting)
+
+    def sentence(self) -> str:
+        """What is said of it, without the split's name."""
+        outdated = f"; {counted(len(self.outdated), 'older verdict')} on other content" if self.outdated else ""
+        return f"{review_words(self.facts)}{outdated}"
+
+    def kept(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Those of some scenes that are not rejected."""
+        rejected = self.rejected
+        return tuple(name for name in names if name not in rejected)
+
+    def under(self, folder: str) -> "SplitReview":
+        """The same of a root that lies beside others: its scenes are called after its folder, too."""
+        judged = tuple(replace(one, name=f"{folder}/{one.name}") for one in self.judged)
+        outdated = tuple(f"{folder}/{name}" for name in self.outdated)
+        return SplitReview(judged, tuple(f"{folder}/{name}" for name in self.waiting), outdated)
+
+
+NOT_REVIEWED: Final = "not reviewed"
+
+
+def review_words(facts: ReviewFacts | None) -> str:
+    """What inspectors said, in words: ``not reviewed``, or how many scenes they rejected and accepted."""
+    if facts is None:
+        return NOT_REVIEWED
+    return (
+        f"{counted(facts.rejected, 'scene')} rejected by hand, {facts.accepted} accepted, "
+        f"{facts.not_reviewed} {NOT_REVIEWED} (review {facts.content[:12]})"
+    )
+
+
+def require_not_rejected(names: Sequence[str], rejected: Mapping[str, str], where: str) -> None:
+    """Refuse scenes that were asked for by name and that an inspector rejected.
+
+    Args:
+        names: What was asked for.
+        rejected: Reasons by name.
+        where: The data set, for the message.
+
+    Raises:
+        InputError: If one was rejected.
+    """
+    for name in names:
+        if name in rejected:
+            raise InputError(
+                f"scene {name} was rejected by hand ({rejected[name]}), and rejected scenes are not judged; leave it "
+                f"out, or take the verdict back with: challenger-bench data review {where}"
+            )
+
+
+def read_review(root: Path) -> dict[str, Verdict]:
+    """Verdicts that lie beside a data set.
+
+    Args:
+        root: Its root.
+
+    Returns:
+        By name of the scene; none where there is no file.
+
+    Raises:
+        InputError: If the file is damaged, or of a newer version.
+    """
+    path = root / REVIEW_FILE
+    if not path.exists():
+        return {}
+    return dict(checked_review(read_json(path, VERDICTS), path).verdicts)
+
+
+def checked_review(stored: Any, path: Path) -> ReviewFile:
+    """What a file of verdicts says, checked.
+
+    Args:
+        stored: JSON value.
+        path: Where it is from, for the message.
+
+    Returns:
+        The verdicts.
+
+    Raises:
+        InputError: If it is none.
+    """
+    if isinstance(stored, dict) and stored.get("format") == FORMAT and stored.get("schema") != SCHEMA:
+        raise InputError(
+            f"{path} has version {str(stored.get('schema'))[:20]} of the format, this version reads {SCHEMA}; upgrade "
+            "challenger-bench"
+        )
+    return validated(
+        ReviewFile.model_validate,
+        stored,
+        lambda where, why: (
+            f"{path} is not a valid review: {f'{where[:120]}: ' if where else ''}{why}; mend it, or move it away and "
+            "run challenger-bench data review again"
+        ),
+    )
+
+
+def checked_verdict(stored: Any, what: str) -> Verdict:
+    """A verdict that somebody gives.
+
+    Args:
+        stored: JSON value.
+        what: How to name it.
+
+    Returns:
+        The verdict.
+
+    Raises:
+        InputError: If it is none.
+    """
+    return validated(
+        Verdict.model_validate,
+        stored,
+        lambda where, why: (
+            f"{what} is none: {f'{where}: ' if where else ''}{why.removeprefix('Value error, ')}; a verdict is "
+            "accepted or rejected, and a rejection has a reason"
+        ),
+    )
+
+
+def standing(
+    verdicts: Mapping[str, Verdict], tokens: Mapping[str, str], left_out: Mapping[str, Judged] | None = None
+) -> SplitReview:
+    """Which verdicts stand.
+
+    Args:
+        verdicts: By name of the scene.
+        tokens: Of the rows of the split's scenes, by name.
+        left_out: Scenes that a build left out because they were rejected, by name.
+
+    Returns:
+        They, and what has none.
+    """
+    judged = dict(left_out or {})
+    waiting, outdated = [], []
+    for name, token in tokens.items():
+        said = verdicts.get(name)
+        if said is not None and said.token == token:
+            judged[name] = Judged(name, token, said.verdict, said.reason)
+        else:
+            waiting.append(name)
+            outdated += [] if said is None else [name]
+    return SplitReview(tuple(judged[name] for name in sorted(judged)), tuple(waiting), tuple(outdated))

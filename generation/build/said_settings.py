@@ -1,0 +1,33 @@
+"""Settings of the search that a generated root comes from, as far as it says them."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from benchmark.machine.storage import read_kept_json
+from generation.search.hyperparameters import HyperParameters
+from generation.splits.packaged import frozen_split, packaged_splits
+
+
+def said_settings(root: Path, made: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Settings of the search behind a root.
+
+    Args:
+        root: The root.
+        made: What ``challenger.json`` says of it.
+
+    Returns:
+        Those in ``search.json`` of a root that was searched. A frozen split says the hash of its settings alone: for a
+        packaged one, those of the default or of a preset that have this hash. Empty where neither is known.
+    """
+    said = read_kept_json(root / "search.json")
+    if isinstance(said, dict) and isinstance(said.get("hyper"), dict):
+        return {name: value for name, value in said["hyper"].items() if isinstance(value, bool | int | float | str)}
+    frozen = made.get("frozen") if made is not None else None
+    name = frozen.get("name") if isinstance(frozen, dict) else None
+    if name not in packaged_splits():
+        return {}
+    search = frozen_split(str(name)).frozen.search
+    known = (HyperParameters(), HyperParameters.paper(), HyperParameters.reference())
+    return next((asdict(hyper) for hyper in known if hyper.fingerprint == search.hyper), {})

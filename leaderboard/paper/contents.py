@@ -1,0 +1,34 @@
+"""Which of the paper's tables the records of each data set give."""
+
+from collections.abc import Mapping, Sequence
+
+from benchmark.records.ablation import AblationReport
+from benchmark.records.run import RunRecord
+from benchmark.records.scenes import Sheets
+from benchmark.report.table import Table
+from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
+from leaderboard.paper.table_1 import paper_table_1
+
+
+def paper_tables(
+    records: Mapping[str, Sequence[RunRecord]], sheets: Sheets, ablations: Sequence[AblationReport]
+) -> dict[str, tuple[Table, ...]]:
+    """The paper's tables in the paper's order: Table 1, hyper-parameters, runtime, the data set in numbers.
+
+    Args:
+        records: Runs by name of the data set, at most one for each planner and split.
+        sheets: Scene sheets.
+        ablations: Ablation studies.
+
+    Returns:
+        Tables by name of the data set, in the order of the names.
+    """
+    first = {name: paper_table_1(name, runs) for name, runs in records.items()}
+    parts: list[dict[str, tuple[Table, ...]]] = [
+        {name: (table,) for name, table in first.items() if table is not None},
+        hyper_parameter_tables(sheets, ablations),
+        paper_runtime_tables(sheets),
+        paper_data_set_tables(sheets),
+    ]
+    names = sorted({name for part in parts for name in part})
+    return {name: tuple(table for part in parts for table in part.get(name, ())) for name in names}

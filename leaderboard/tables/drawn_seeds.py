@@ -1,0 +1,136 @@
+"""How far collision rates on adversarial scenes move with the seed of their search, beside the interval over scenes."""
+
+from collections.abc import Sequence
+
+from benchmark.errors import InputError
+from benchmark.metrics.drawn_seeds import DrawnSeeds, over_seeds, seeds_in_words
+from benchmark.metrics.rates import HORIZONS, SceneSums
+from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.records.run import NATIVE, RunRecord, protocol_of
+from benchmark.records.seed_splits import seed_of
+from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, record_name
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.rows import in_table_order, judges, name_cell, run_notes
+
+_AVERAGE = HORIZONS.index("avg")
+_RULE = (
+    "Splits adv-seed-N: the same recordings, searched with seed N (generate --seeds). The row of all: the mean "
+    "of the rates. Over scenes: 95 % bootstrap interval over recorded scenes, of all seeds with everything that they "
+    "made of a recording; it holds the chance of the search, which comes in once for each recording and seed. "
+    "Deviation: of the rates of the seeds around their mean (n − 1); over seeds: 95 % interval of that mean (Student) "
+    "on these very recordings, as wide as drawing the search again makes it (docs/metrics.md)."
+)
+
+
+def drawn_seeds_table(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Table | None:
+    """Average collision rate of each planner on the splits of several seeds.
+
+    Args:
+        data_name: Name of the data set, for the title.
+        protocol: Whose verdicts; ``native`` is that of the planner's own repository.
+        records: Runs on this data set. Those on ``adv-seed-N`` count; what does not belong to the others is named below
+            the table.
+
+    Returns:
+        For each planner that ran on at least two seeds a row a seed, and one for all; ``None`` where there is none.
+    """
+    rows: list[tuple[str | Shown, ...]] = []
+    notes, shown = [_RULE], []
+    for runs in _by_planner(records):
+        kept, refused = _comparable(runs, protocol)
+        if len(kept) < 2:
+            continue
+        notes += refused
+        rows += _rows(kept, protocol)
+        shown += list(kept.values())
+    if not rows:
+        return None
+    who = "own protocol" if protocol == NATIVE else protocol
+    return table_of(
+        f"drawn-seeds-{protocol}",
+        f"{data_name}: average collision rate (%) over seeds of the search, {judges(protocol)}",
+        ("planner", "protocol", "seed", "scenes", "recordings", "avg", "over scenes", "deviation", "over seeds"),
+        rows,
+        notes=(*notes, *run_notes(shown, ())),
+        text_columns=3,
+        groups=(("", 3), ("counted", 2), (f"average collision rate in %, {who}", 4)),
+    )
+
+
+def _by_planner(records: Sequence[RunRecord]) -> list[dict[int, RunRecord]]:
+    """Runs on splits of seeds, by planner and then by seed."""
+    found: dict[str, dict[int, RunRecord]] = {}
+    for record in in_table_order(records):
+        seed = seed_of(record.run.split)
+        if seed is not None:
+            found.setdefault(record.planner, {})[seed] = record
+    return [dict(sorted(runs.items())) for runs in found.values()]
+
+
+def _comparable(runs: dict[int, RunRecord], protocol: str) -> tuple[dict[int, RunRecord], list[str]]:
+    """Runs that differ in the seed of the search alone, and why the others do not count."""
+    kept: dict[int, RunRecord] = {}
+    refused = []
+    for seed, run in runs.items():
+        reason = _refusal(seed, run, next(iter(kept.values()), None), protocol)
+        if reason is None:
+            kept[seed] = run
+        else:
+            refused.append(f"Left out: {run.planner} on {run.run.split}: {reason}.")
+    return kept, refused
+
+
+def _refusal(seed: int, run: RunRecord, first: RunRecord | None, protocol: str) -> str | None:
+    made = run.run.generated
+    if made is None or made.seed != seed:
+        return "its data set does not say that it was searched with this seed"
+    if not (run.covers_split and run.complete):
+        return "it has no plan for some samples of the split"
+    if first is not None and first.run.generated is not None and first.run.generated.search != made.search:
+        return f"it comes from another search than {first.run.split}, not from another seed alone"
+    weights = None if first is None else first.run.planner
+    if weights is not None and weights != run.run.planner:
+        return f"the planner has other weights, settings, code or seed than on {first.run.split if first else ''}"
+    try:
+        scored(run, protocol=protocol)
+    except InputError as refusal:
+        return str(refusal)
+    return None
+
+
+def _rows(runs: dict[int, RunRecord], protocol: str) -> list[tuple[str | Shown, ...]]:
+    found = over_seeds({seed: _sums(run, protocol) for seed, run in runs.items()})
+    first = next(iter(runs.values()))
+    planner, judge = first.run.planner, protocol_of(first, protocol)
+    name = name_cell(first.planner, privileged=planner.privileged, miniature=planner.miniature)
+    rows: list[tuple[str | Shown, ...]] = []
+    for one, run in zip(found.seeds, runs.values(), strict=True):
+        origin = Origin(judge, record_name(run))
+        rate = origin.percent(one.rate)
+        sources = set(source_of_scenes(run).values())
+        counts = (origin.count(len(run.run.scenes), "scenes"), origin.count(len(sources), "recorded scenes"))
+        numbers = (*(count.shown() for count in counts), rate.shown(2), rate.interval())
+        rows.append((name, judge, str(one.seed), *numbers, UNDEFINED, UNDEFINED))
+    return [*rows, (name, judge, "all", *_together(found, runs, judge))]
+
+
+def _together(found: DrawnSeeds, runs: dict[int, RunRecord], judge: str) -> tuple[Shown, ...]:
+    origin = Origin(judge, record_name(*runs.values()))
+    mean, count = origin.percent(found.mean), len(found.seeds)
+    value = found.mean.value
+    spread = origin.cell(value, PERCENT, count, "seeds", low=found.low, high=found.high, scale=100.0)
+    return (
+        origin.count(sum(len(run.run.scenes) for run in runs.values()), "scenes").shown(),
+        origin.count(found.recordings, "recorded scenes").shown(),
+        mean.shown(2),
+        mean.interval(),
+        origin.cell(found.deviation, PERCENT, count, f"seeds {seeds_in_words(list(runs))}", scale=100.0).shown(2),
+        spread.interval(),
+    )
+
+
+def _sums(run: RunRecord, protocol: str) -> SceneSums:
+    """What each recording adds to the average rate."""
+    whole = scored(run, protocol=protocol).sums(source_of_scenes(run))
+    column = slice(_AVERAGE, _AVERAGE + 1)
+    return SceneSums(whole.names, whole.numerators[:, column], whole.denominators[:, column])

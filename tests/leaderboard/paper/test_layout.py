@@ -1,0 +1,172 @@
+"""The paper's tables in the paper's layout, and that LaTeX sets them."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from benchmark.published import ADV_NUSC, HYPER_PARAMETERS, RUNTIME_S
+from benchmark.report.table import LatexForm, escape_latex, table_of
+from leaderboard.build import leaderboard_files
+from leaderboard.paper.appendix import hyper_parameter_tables, paper_data_set_tables, paper_runtime_tables
+from leaderboard.paper.document import PREAMBLE
+from leaderboard.paper.runtime_chart import runtime_charts, runtime_shares
+from leaderboard.paper.table_1 import paper_table_1
+from tests.leaderboard.made_up import sheets_of, split_sheet, study
+from tests.leaderboard.paper.papers import AS_PRINTED, OWN, paper_runs, paper_sheets
+
+
+def test_table_1_has_two_planners_beside_each_other_as_in_the_paper() -> None:
+    table = paper_table_1("d", paper_runs())
+    assert table is not None and len(table.columns) == 17 and table.columns[1:9] == table.columns[9:]
+    assert [row[0] for row in table.rows] == ["val", "val-r", "adv"] * 3
+    names = [(row[1], row[9]) for row in table.rows]
+    pairs = [("uniad", "sparsedrive"), ("vad-base", "diffusiondrive"), ("constant-velocity", "idm")]
+    assert names == [pair for pair in pairs for _ in range(3)]
+    # Print shows the name once, in the middle of its three lines.
+    lines = [line.split("&") for line in table.latex().splitlines() if line.strip().startswith(("val", r"\textbf{adv"))]
+    assert [(line[1].strip(), line[9].strip()) for line in lines] == [
+        name if place % 3 == 1 else ("", "") for place, name in enumerate(names)
+    ]
+
+
+def test_rates_are_those_of_the_records_and_published_ones_have_their_own_columns() -> None:
+    runs = paper_runs()
+    table = paper_table_1("d", runs)
+    assert table is not None and table.cells is not None
+    adv = next(run for run in runs if run.planner == "uniad" and run.run.split == "adv")
+    val = next(run for run in runs if run.planner == "uniad" and run.run.split == "val")
+    rates = [run.summary.protocols["uniad"].columns["collision"]["avg"].value for run in (val, adv)]
+    assert rates[0] is not None and rates[1] is not None and rates[0] > 0
+    row = table.rows[2]
+    assert row[5] == f"{100 * rates[1]:.2f}" and row[6] == f"{(rates[1] - rates[0]) / rates[0]:.1f}×"
+    assert row[7:9] == ("3.95", "12.6×") and table.rows[0][7:9] == ("0.29", "")
+    cell = table.cells[2][7]
+    assert cell is not None and cell.source is not None and cell.record is None and cell.protocol == "uniad"
+    # SparseDrive is printed with three digits; who is not in the paper has no published number.
+    assert re.fullmatch(r"\d+\.\d{3}", row[13]) and row[15] == "1.026"
+    assert table.rows[-1][7:9] == table.rows[-1][15:] == ("", "")
+
+
+def test_an_odd_number_of_planners_and_missing_splits_leave_dashes() -> None:
+    runs = [run for run in paper_runs() if run.planner in ("uniad", "vad-base", "sparsedrive")]
+    table = paper_table_1("d", [run for run in runs if (run.planner, run.run.split) != ("uniad", "val-r")])
+    assert table is not None and len(table.rows) == 6
+    assert table.rows[1][2] == "–" and table.rows[4][9:] == ("",) * 8
+    assert paper_table_1("d", []) is None
+
+
+def test_hyper_parameters_stand_beside_the_printed_ones_and_differences_are_named() -> None:
+    (table,) = hyper_parameter_tables(paper_sheets(), [])["d"]
+    assert [(row[0], row[-1]) for row in table.rows] == list(HYPER_PARAMETERS.items())
+    differing = [row[0] for row in table.rows if row[1] != row[2]]
+    assert differing == ["#Refinement Rounds"] and table.rows[-1][1:] == ("7", "5")
+    assert table.notes[0] == "adv differs from the paper in #Refinement Rounds."
+    searched = study().model_copy(update={"hyper": AS_PRINTED})
+    (of_study,) = hyper_parameter_tables(sheets_of(), [searched])["d"]
+    assert of_study.notes[0] == "As the paper prints them: ablation, p."
+    assert hyper_parameter_tables(sheets_of(split_sheet("val")), []) == {}
+
+
+def test_the_defaults_of_the_search_are_as_printed() -> None:
+    from dataclasses import asdict
+
+    from generation.search.hyperparameters import HyperParameters
+
+    sheet = split_sheet("adv").model_copy(update={"hyper": asdict(HyperParameters())})
+    (table,) = hyper_parameter_tables(sheets_of(sheet), [])["d"]
+    assert table.notes[0] == "As the paper prints them: adv."
+
+
+def test_runtime_and_data_set_are_as_the_paper_has_them() -> None:
+    sheets = paper_sheets()
+    (runtime,) = paper_runtime_tables(sheets)["d"]
+    assert [row[0] for row in runtime.rows] == [
+        "Traj. sampling", "Physics", "Traj. scoring", "Rendering", "Other", "Total"
+    ]  # fmt: skip
+    assert [row[2] for row in runtime.rows] == ["17.36", "211.36", "194.72", "395.18", "–", "818.62"]
+    assert float(runtime.rows[-1][1]) == pytest.approx(sum(float(row[1]) for row in runtime.rows[:-1]))
+    (data_set,) = paper_data_set_tables(sheets)["d"]
+    assert data_set.columns == ("Attribute", "val", "adv", "Adv-nuSc")
+    assert [row[-1] for row in data_set.rows] == [f"{count:,}" for count in ADV_NUSC.values()]
+
+
+def test_the_chart_shows_shares_that_are_a_whole() -> None:
+    sheets = paper_sheets()
+    shares = runtime_shares(sheets.splits["d", "adv"])
+    assert sum(shares.values()) == pytest.approx(1.0) and set(RUNTIME_S) <= set(shares)
+    # Five attempts took 10 s of sampling, two scenes 8 s of rendering.
+    assert shares["sampling"] / shares["rendering"] == pytest.approx((10 / 5) / (8 / 2))
+    (chart,) = runtime_charts("d", sheets)
+    assert chart.name == "runtime-adv" and chart.png.startswith(b"\x89PNG") and chart.svg != chart.dark
+    assert runtime_charts("d", sheets_of(split_sheet("val"))) == ()
+    assert runtime_charts("d", sheets)[0] == chart
+
+
+def test_a_leaderboard_has_them_all_and_one_document() -> None:
+    files = leaderboard_files(paper_runs(), sheets=paper_sheets())
+    wanted = ("paper-table-1", "paper-hyper-parameters", "paper-runtime-adv", "paper-data-set")
+    for name in wanted:
+        for suffix in (".tex", ".csv", ".json"):
+            assert f"tables/d/{name}{suffix}" in files
+    document = files["tables/d/paper.tex"].decode()
+    assert all(files[f"tables/d/{name}.tex"].decode() in document for name in wanted)
+    assert "{paper-runtime-0.png}" in document and "tables/d/paper-runtime-0.png" in files
+    assert b"the paper's layout" in files["README.md"]
+
+
+def test_latex_is_laid_out_as_asked() -> None:
+    form = LatexForm("l|r", rules_after=(1,), bold_rows=(1,), fit=True)
+    text = table_of("t", "T", ("a", "b"), [("x", "1"), ("y", "")], latex_form=form).latex()
+    assert r"\begin{tabular}{l|r}" in text and r"\resizebox{\textwidth}{!}{%" in text and r"\end{tabular}}" in text
+    assert text.index(r"x & 1 \\") < text.rindex(r"\midrule") < text.index(r"\textbf{y} &  \\")
+
+
+def test_letters_that_latex_may_not_have_are_numbers() -> None:
+    assert escape_latex('a < b | "é" ≠ 字') == r"a \textless{} b \textbar{} {''}é{''} U+2260 U+5B57"
+
+
+def _latex() -> list[str] | None:
+    """The command of a LaTeX that is here."""
+    if (found := shutil.which("pdflatex")) is not None:
+        return [found, "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape"]
+    return None if (found := shutil.which("tectonic")) is None else [found, "--only-cached"]
+
+
+def compiled(folder: Path, name: str) -> str:
+    """What LaTeX says of a document, which it must set."""
+    command = _latex()
+    if command is None:
+        pytest.skip("no LaTeX here (pdflatex or tectonic); Debian has it in texlive-latex-recommended")
+    done = subprocess.run([*command, name], cwd=folder, capture_output=True, timeout=300, check=False)
+    said = done.stdout.decode(errors="replace") + done.stderr.decode(errors="replace")
+    assert done.returncode == 0, said[-2000:]
+    assert (folder / name).with_suffix(".pdf").read_bytes().startswith(b"%PDF")
+    return said
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("leaderboard")
+    for name, data in leaderboard_files(paper_runs(), sheets=paper_sheets(), ablations=[study()]).items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    return folder
+
+
+def test_latex_sets_the_paper_s_tables_within_the_page(written: Path) -> None:
+    said = compiled(written / "tables" / "d", "paper.tex")
+    assert "Overfull" not in said
+
+
+def test_latex_sets_every_table_of_a_leaderboard(written: Path) -> None:
+    tables = sorted((written / "tables" / "d").glob("*.tex"))
+    texts = [path.read_text() for path in tables if path.name != "paper.tex"]
+    assert len(texts) > 10
+    document = "\n".join([PREAMBLE, r"\begin{document}", "\n\\clearpage\n".join(texts), r"\end{document}", ""])
+    (written / "all.tex").write_text(document)
+    compiled(written, "all.tex")
+    assert set(OWN) <= set(re.findall(r"[a-z-]+", document))
