@@ -234,6 +234,7 @@ def load_planner(
     seed: int = 0,
     device: str | None = None,
     precision: str | None = None,
+    as_published: "Sequence[str]" = (),
 ) -> "NamedPlanner":
     """A planner by name, for `benchmark.evaluate`.
 
@@ -244,6 +245,8 @@ def load_planner(
         seed: For planners that take one.
         device: Where a network runs: cpu, cuda, cuda:1; the first GPU by default, if there is one.
         precision: Of a network: float32 or bfloat16.
+        as_published: What a network does as in its published runs: ``memory``, ``can-once``, ``can-after``, or ``all``
+            that it knows of these (docs/models.md).
 
     Returns:
         What builds it in any process.
@@ -256,7 +259,9 @@ def load_planner(
     chosen = model_that_runs(name, checkpoint, data=data)
     if chosen != name:
         say_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
-    return planner_factory(chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    return planner_factory(
+        chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision, as_published=as_published
+    )
 
 
 def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Path = "mini") -> str:

@@ -75,6 +75,15 @@ class AskedLook(StrEnum):
     NIGHT = "night"
 
 
+class AsPublished(StrEnum):
+    """What networks do as in the published runs of their repositories."""
+
+    MEMORY = "memory"
+    CAN_ONCE = "can-once"
+    CAN_AFTER = "can-after"
+    ALL = "all"
+
+
 class Verifiable(StrEnum):
     """What has golden numbers."""
 
@@ -161,6 +170,13 @@ WideOption = Annotated[
     bool, typer.Option("--wide", help="Print every column of the tables, however wide the terminal is.")
 ]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
+AsPublishedOption = Annotated[
+    list[AsPublished] | None,
+    typer.Option(
+        "--as-published",
+        help="What networks do as in the published runs of their repositories (docs/models.md); may be repeated.",
+    ),
+]
 PresetOption = Annotated[
     Preset,
     typer.Option(
