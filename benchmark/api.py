@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
     from leaderboard.tables.quality import quality_tables as quality_tables
+    from leaderboard.tables.reproduction import reproduction_table as reproduction_table
     from leaderboard.tables.transfer import (
         agreement_table as agreement_table,
         transfer_matrices as transfer_matrices,
@@ -373,6 +374,7 @@ def _shown(
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.quality import find_quality
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
     from benchmark.records.scenes import find_sheets
 
@@ -380,7 +382,9 @@ def _shown(
     quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
     no_runs = bool(quality or sheets.splits or ablations) and folders is None and not space.run_root().exists()
-    return [] if no_runs else find_records(*(folders or [space.run_root()])), quality, sheets, ablations
+    roots = folders or [space.run_root()]
+    records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
+    return records, quality, sheets, ablations
 
 
 def verify(what: str, golden: Path | None = None, model: str | None = None) -> "list[Check]":

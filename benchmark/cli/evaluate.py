@@ -89,6 +89,7 @@ def eval_command(
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate, require_whole_split
     from benchmark.protocols import PROTOCOLS, STANDARD
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
 
     if not model and plans is None:
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
@@ -132,6 +133,7 @@ def eval_command(
         say_plan([f"would run {names} on {where}"], json_output=json_output)
         return
     records = [evaluate(dataset, split, each, run_root, _also_by_its_own(settings, each)) for each in factories]
+    records = with_reproductions(records, find_reproductions([run_root]))
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
     sound = _show_runs(source.name, records, shown, allow_partial=allow_partial, wide=wide, json_output=json_output)
