@@ -140,6 +140,6 @@ def _read(path: Path) -> Reproduction:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the whole file"
         raise InputError(
-            f"{path} does not say what was reproduced: {where}: {first['msg']}; run challenger-bench reproduce again or "
-            "delete it"
+            f"{path} does not say what was reproduced: {where}: {first['msg']}; run challenger-bench reproduce again "
+            "or delete it"
         ) from error
