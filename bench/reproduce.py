@@ -11,6 +11,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, cast
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from adapters.as_published import ALL
 from adapters.models import MODELS
 from adapters.registry import planner_factory

@@ -71,7 +71,7 @@ def with_other_weights(network: torch.nn.Module) -> None:
         for weight in network.parameters():
             if weight.is_floating_point() and weight.numel() > 1:
                 noise = torch.randn(weight.shape, generator=generator, dtype=weight.dtype)
-                weight += OTHER_WEIGHTS * weight.std() * noise
+                weight.add_(OTHER_WEIGHTS * weight.std() * noise)
 
 
 RIGHT = SetUp("right")

@@ -387,13 +387,14 @@ def _shown(
     return records, quality, sheets, ablations
 
 
-def verify(what: str, golden: Path | None = None, model: str | None = None) -> "list[Check]":
+def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``model`` does not have.
         model: With ``model``: which one.
+        noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
 
     Returns:
         One check for each quantity.
@@ -402,7 +403,9 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         InputError: If there is nothing of that name to compare, or the golden numbers cannot be used.
     """
     if what == "model":
-        return _verify_model(model, golden)
+        return _verify_model(model, golden, noise=noise)
+    if noise:
+        raise InputError("--noise belongs to verify model; leave it out")
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
     from benchmark.pdm.verification import verify_pdm
@@ -423,7 +426,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
     return known[what](golden)
 
 
-def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
+def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
     from adapters.verification.models import verified_models, verify_model
 
     known = (*verified_models(), "magicdrive")
@@ -433,7 +436,9 @@ def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
     if golden is None:
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
     if model != "magicdrive":
-        return verify_model(model, golden)
+        return verify_model(model, golden, noise=noise)
+    if noise:
+        raise InputError("--noise is for driving models; leave it out for magicdrive")
     from generation.verification.magicdrive import verify_magicdrive
 
     return verify_magicdrive(golden)

@@ -110,8 +110,8 @@ PLANNING: Final = (
 )
 """Planning results of the published checkpoints. Where one number is printed twice it was measured twice."""
 PLANNING_ALLOWED: Final = {"collision": 0.03, "l2": 0.02}
-"""How far ours may be from the nearest published value, per cent and metres. Two evaluations of one checkpoint by others
-are 0.03 % apart (DiffusionDrive at 1 s: 0.03 and 0.059), for VAD up to 0.07 %, and their L2 up to 0.03 m."""
+"""How far ours may be from the nearest published value, per cent and metres. Two evaluations of one checkpoint by
+others are 0.03 % apart (DiffusionDrive at 1 s: 0.03 and 0.059), for VAD up to 0.07 %, and their L2 up to 0.03 m."""
 VAL_SAMPLES: Final = {"uniad": 6019, "vad": 5119, "sparsedrive": 5119, "diffusiondrive": 5119}
 """Samples of the nuScenes validation split that each protocol counts: all, or those with 3 s to come."""
 

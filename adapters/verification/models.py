@@ -1,9 +1,11 @@
 """`challenger-bench verify model`: networks of ours against numbers of their official code, with synthetic weights."""
 
+from functools import partial
 from pathlib import Path
 from typing import cast
 
 from adapters.models import published_models, resolve
+from adapters.verification.own_rounding import with_own_rounding
 from benchmark.errors import InputError
 from benchmark.verification.checks import Check
 
@@ -14,13 +16,14 @@ def verified_models() -> dict[str, str]:
     return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))
 
 
-def verify_model(name: str, golden: Path, device: str = "cpu") -> list[Check]:
+def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = False) -> list[Check]:
     """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
 
     Args:
         name: One of `verified_models`.
         golden: A set's folder, or a model's folder whose sets are all compared.
         device: What the network runs on; tolerances are those of single precision on a processor.
+        noise: Whether our own network runs twice more, to know how far its own rounding moves each quantity.
 
     Returns:
         One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
@@ -31,4 +34,5 @@ def verify_model(name: str, golden: Path, device: str = "cpu") -> list[Check]:
     known = verified_models()
     if name not in known:
         raise InputError(f"no model {name!r} can be verified; choose one of {', '.join(known)}")
-    return cast("list[Check]", resolve(known[name])(published_models()[name], golden, device))
+    verify = partial(resolve(known[name]), published_models()[name], golden, device)
+    return cast("list[Check]", with_own_rounding(verify) if noise else verify())
