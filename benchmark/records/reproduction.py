@@ -124,7 +124,7 @@ def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproductio
     for each in found:
         key = version_key(each.planner)
         if each.reproduced:
-            whose[key] = f"{each.of} on {each.data.name}, {each.split}"
+            whose[key] = f"{each.of} (on {each.data.name}, {each.split})"
         else:
             failed.add(key)
     # A version that reproduced its numbers in one place and not in another did not.

@@ -19,7 +19,7 @@ def reproduction_table(found: Reproduction) -> Table:
         f"reproduction-{found.planner.name}",
         f"{found.planner.name} on {found.data.name}, {found.split}, protocol {found.protocol} (version "
         f"{found.version}): {found.of}",
-        ("", "number", "at", "published", "ours", "difference", "allowed", "from"),
+        ("", "number", "at", "expected", "ours", "difference", "allowed", "from"),
         rows,
         notes=(*(f"{place}: {source}." for place, source in enumerate(sources, 1)), f"Verdict: {verdict}."),
         text_columns=3,
@@ -29,7 +29,8 @@ def reproduction_table(found: Reproduction) -> Table:
 def _row(number: ComparedNumber, source: int) -> tuple[str, ...]:
     digits = 0 if number.column == "samples" else 3
     ours = UNDEFINED if number.ours is None else f"{number.ours:.{digits}f}"
-    apart = UNDEFINED if number.difference is None else f"{number.difference:+.{digits}f}"
+    # Adding zero makes minus zero zero.
+    apart = UNDEFINED if number.difference is None else f"{round(number.difference, digits) + 0.0:+.{digits}f}"
     allowed = f"{number.allowed:g}" if UNITS[number.column] else "none"
     return (
         "ok" if number.ok else "FAIL",

@@ -77,8 +77,7 @@ def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
             miniature=any(planner.miniature for planner in planners),
         ),
         *(
-            f"{REPRODUCED_MARK} {planner}: reproduced; the same weights, code and options gave {whose} "
-            "(challenger-bench reproduce)."
+            f"{REPRODUCED_MARK} {planner}: reproduced: the same weights, code and options gave {whose}."
             for planner, whose in said
         ),
     ]

@@ -78,7 +78,7 @@ def test_the_right_planner_gives_its_numbers_and_marks_runs_of_its_version(
     assert [each.reproduced is not None for each in known] == [True, True, False, False]
     (table, *_) = run_tables("elsewhere", [known[1]])
     assert "drives ✓" in table.plain(wide=True)
-    assert "✓ drives: reproduced; the same weights, code and options gave" in table.plain(wide=True)
+    assert "✓ drives: reproduced: the same weights, code and options gave" in table.plain(wide=True)
     assert "✓" not in run_tables("elsewhere", [known[2]])[0].plain(wide=True)
     files = leaderboard_files(known[:2])
     assert any("✓" in content.decode(errors="ignore") for path, content in files.items() if path.endswith(".md"))
