@@ -87,11 +87,12 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", default="vad-mini")
-    parser.add_argument("--scenes", type=int, default=3, help="scenes of the embedded validation split")
+    parser.add_argument("--split", default="val", help="of the embedded data: val, or adv, where planners collide")
+    parser.add_argument("--scenes", type=int, default=2, help="of the split, how many")
     parser.add_argument("--out", type=Path, help="folder of the runs; a temporary one by default")
     given = parser.parse_args()
-    data = api.open_data("mini")
-    scenes = data.scene_names("val")[: given.scenes]
+    data = api.open_split(api.open_data("mini"), given.split)
+    scenes = data.scene_names(given.split)[: given.scenes]
     with tempfile.TemporaryDirectory() as temporary:
         right, found = measured(given.model, data, scenes, given.out or Path(temporary))
     print("\n".join(rows(right, found)))
