@@ -13,7 +13,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
-from adapters.as_published import CAN_AFTER, CAN_ONCE, MEMORY
 from benchmark.errors import InputError, did_you_mean
 
 PACKAGED: Final = Path(__file__).parent / "weights"
@@ -231,7 +230,7 @@ _VAD: Final = Network(
     example="adapters.networks.vad.planner:example_frame",
     published_normalisation="bgr-mean",
     verify="adapters.verification.vad:verify_vad",
-    as_published={CAN_AFTER: {}},
+    as_published={"can-after": {}},
 )
 _SPARSE: Final = Network(
     build="adapters.networks.sparse.model:SparseDrive",
@@ -240,7 +239,7 @@ _SPARSE: Final = Network(
     published_normalisation="rgb-mean-std",
     verify="adapters.verification.sparse:verify_sparse",
     clustered=True,
-    as_published={MEMORY: {"memory_crosses_scenes": True}},
+    as_published={"memory": {"memory_crosses_scenes": True}},
 )
 _DIFFUSION: Final = replace(
     _SPARSE,
@@ -263,7 +262,7 @@ _UNIAD: Final = Network(
         r"^pts_bbox_head\.transformer\.reference_points\.",
     ),
     anchors=MOTION_ANCHORS,
-    as_published={CAN_ONCE: {"motion_across_scenes": True}, CAN_AFTER: {}},
+    as_published={"can-once": {"motion_across_scenes": True}, "can-after": {}},
 )
 _VAD_PLANNER: Final = "adapters.networks.vad.planner:VADPlanner"
 _SPARSE_PLANNER: Final = "adapters.networks.sparse.planner:SparsePlanner"
