@@ -186,13 +186,15 @@ def lidar_pose(observation: Observation) -> Floats:
     return global_T_ego @ transform_matrix(observation.lidar.rotation, observation.lidar.translation)
 
 
-def can_bus_vector(ego: EgoState, *, repeat_w: bool = True) -> Floats:
+def can_bus_vector(ego: EgoState, *, repeat_w: bool = True, after: bool = False) -> Floats:
     """The 18 numbers that VAD and UniAD call ``can_bus``, as their data-set code gives them.
 
     Args:
         ego: Ego motion at the sample.
         repeat_w: Put the scalar part of the rotation into all four places of the quaternion. The published code does so
             by a mistake, and the published weights have never seen anything else.
+        after: Take the message after the sample instead of the last one before it, as the published code does by a
+            slip.
 
     Returns:
         (18,) position; quaternion; acceleration, rotation rate and velocity of the last CAN message, zeros where
@@ -201,8 +203,9 @@ def can_bus_vector(ego: EgoState, *, repeat_w: bool = True) -> Floats:
     vector = np.zeros(18)
     vector[0:3] = ego.position
     vector[3:7] = ego.rotation[0] if repeat_w else ego.rotation
-    if ego.can_motion is not None:
-        velocity, acceleration, rotation_rate = ego.can_motion.reshape(3, 3)
+    motion = ego.can_motion_after if after else ego.can_motion
+    if motion is not None:
+        velocity, acceleration, rotation_rate = motion.reshape(3, 3)
         vector[7:16] = np.concatenate([acceleration, rotation_rate, velocity])
     heading_deg = float(np.degrees(yaw_of_quaternion(ego.rotation)))
     vector[17] = heading_deg + 360 if heading_deg < 0 else heading_deg

@@ -39,6 +39,8 @@ class Network:
         anchors: Tensor of the network that official checkpoints lack, because it is published in a file of its own
             (`adapters.checkpoints.motion_anchors`).
         clustered: Whether its queries start from cluster centres of a data set (`adapters.checkpoints.anchor_files`).
+        as_published: What it may do as in its published runs (`adapters.as_published`), and what of the configuration
+            that changes.
     """
 
     build: str
@@ -53,6 +55,7 @@ class Network:
     ignored: tuple[str, ...] = ()
     anchors: str | None = None
     clustered: bool = False
+    as_published: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,19 +142,29 @@ class Model:
         make = resolve(self.net.config)
         return make(shapes or {}) if self.net.fitted else make()
 
-    def build(self, shapes: Mapping[str, Sequence[int]] | None = None, *, seed: int = 0, device: str = "cpu") -> Any:
+    def build(
+        self,
+        shapes: Mapping[str, Sequence[int]] | None = None,
+        *,
+        seed: int = 0,
+        device: str = "cpu",
+        as_published: Sequence[str] = (),
+    ) -> Any:
         """Its network as it is evaluated, with random weights.
 
         Args:
             shapes: Of the tensors that the network is for, by name, where it depends on them.
             seed: Of the run.
             device: Where it is made; ``meta`` needs no memory.
+            as_published: What it does as in its published runs, of those that the entry knows.
 
         Returns:
             A `torch.nn.Module`.
         """
         # Read before the device is set: constants of modules need memory whatever the network is built on.
         make, config = resolve(self.net.build), self.configuration(shapes)
+        for option in as_published:
+            config = replace(config, **self.net.as_published[option])
         settings = {**self.net.settings, **({"seed": seed} if self.net.seeded else {})}
         with import_module("torch").device(device):
             return make(config, **settings)
@@ -217,6 +230,7 @@ _VAD: Final = Network(
     example="adapters.networks.vad.planner:example_frame",
     published_normalisation="bgr-mean",
     verify="adapters.verification.vad:verify_vad",
+    as_published={"can-after": {}},
 )
 _SPARSE: Final = Network(
     build="adapters.networks.sparse.model:SparseDrive",
@@ -225,6 +239,7 @@ _SPARSE: Final = Network(
     published_normalisation="rgb-mean-std",
     verify="adapters.verification.sparse:verify_sparse",
     clustered=True,
+    as_published={"memory": {"memory_crosses_scenes": True}},
 )
 _DIFFUSION: Final = replace(
     _SPARSE,
@@ -247,6 +262,7 @@ _UNIAD: Final = Network(
         r"^pts_bbox_head\.transformer\.reference_points\.",
     ),
     anchors=MOTION_ANCHORS,
+    as_published={"can-once": {"motion_across_scenes": True}, "can-after": {}},
 )
 _VAD_PLANNER: Final = "adapters.networks.vad.planner:VADPlanner"
 _SPARSE_PLANNER: Final = "adapters.networks.sparse.planner:SparsePlanner"

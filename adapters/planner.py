@@ -1,12 +1,14 @@
 """What all native networks share as planners: device, precision, and what identifies a run."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 
+from adapters.as_published import CAN_AFTER, CROSS_SCENES
 from adapters.camera_inputs import ImageFormat, Normalisation
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.geometry import Floats
@@ -30,6 +32,12 @@ class NativePlanner(ABC, Generic[Network]):
         native_protocol: Protocol of the repository that it comes from.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
         precision: ``bfloat16`` computes the matrix products in half the bytes.
+        as_published: What is done as in the published runs (`adapters.as_published`); the network has to be built for
+            it (`adapters.models.Model.build`).
+
+    Attributes:
+        memory_crosses_scenes: Whether `reset` leaves what is remembered; `begin_run` does not.
+        reads_message_after: Whether it is given the CAN message after the sample.
 
     Raises:
         InputError: If there is no such device or precision.
@@ -46,8 +54,11 @@ class NativePlanner(ABC, Generic[Network]):
         native_protocol: str | None = None,
         device: str = "auto",
         precision: Precision = "float32",
+        as_published: Sequence[str] = (),
     ) -> None:
         require_precision(precision)
+        self.memory_crosses_scenes = not CROSS_SCENES.isdisjoint(as_published)
+        self.reads_message_after = CAN_AFTER in as_published
         self.name = name
         self.weights_sha256 = weights_sha256
         self.native_protocol = native_protocol
@@ -64,10 +75,16 @@ class NativePlanner(ABC, Generic[Network]):
             "device": self._device.type,
             "precision": precision,
             "forecast_score": FORECAST_SCORE,
+            **({"as_published": "+".join(as_published)} if as_published else {}),
         }
 
     def reset(self, scene: SceneInfo) -> None:
-        """Forget the previous scene."""
+        """Forget the previous scene, unless memory outlives it as in the published runs."""
+        if not self.memory_crosses_scenes:
+            self.begin_run()
+
+    def begin_run(self) -> None:
+        """Forget everything."""
         network: Any = self._network
         network.reset()
 

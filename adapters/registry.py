@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import inspect
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
@@ -36,6 +37,7 @@ class NamedPlanner:
         facts: Identity of what is built.
         device: Passed to planners that take one.
         precision: Passed to planners that take one.
+        as_published: Passed to planners that take it.
     """
 
     name: str
@@ -44,11 +46,17 @@ class NamedPlanner:
     facts: PlannerFacts
     device: str | None = None
     precision: str | None = None
+    as_published: tuple[str, ...] = ()
 
     def __call__(self) -> Planner:
         """Build it."""
         return planner(
-            self.name, checkpoint=self.checkpoint, seed=self.seed, device=self.device, precision=self.precision
+            self.name,
+            checkpoint=self.checkpoint,
+            seed=self.seed,
+            device=self.device,
+            precision=self.precision,
+            as_published=self.as_published,
         )
 
 
@@ -60,6 +68,7 @@ def planner_factory(
     seed: int = 0,
     device: str | None = None,
     precision: str | None = None,
+    as_published: Sequence[str] = (),
 ) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
@@ -70,6 +79,7 @@ def planner_factory(
         seed: Of whatever is drawn.
         device: cpu, cuda, cuda:1.
         precision: float32, bfloat16.
+        as_published: What networks do as in their published runs (`adapters.as_published`).
 
     Returns:
         The factory with the planner's identity.
@@ -77,7 +87,16 @@ def planner_factory(
     Raises:
         InputError: As `planner` does.
     """
-    built = planner(name, checkpoint=checkpoint, data=data, seed=seed, device=device, precision=precision)
+    published = tuple(as_published)
+    built = planner(
+        name,
+        checkpoint=checkpoint,
+        data=data,
+        seed=seed,
+        device=device,
+        precision=precision,
+        as_published=published,
+    )
     facts = facts_of(built, made_by=made_by(name))
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
@@ -89,7 +108,7 @@ def planner_factory(
         known["code_sha256"] = content_key(facts.code_sha256, model.identity)
         known["miniature"] = model.miniature is not None
     facts = facts.model_copy(update=known)
-    return NamedPlanner(name, checkpoint, seed, facts, device, precision)
+    return NamedPlanner(name, checkpoint, seed, facts, device, precision, published)
 
 
 def planner(
@@ -100,6 +119,7 @@ def planner(
     seed: int = 0,
     device: str | None = None,
     precision: str | None = None,
+    as_published: Sequence[str] = (),
 ) -> Planner:
     """Build a planner.
 
@@ -110,6 +130,7 @@ def planner(
         seed: For planners that take ``seed``.
         device: For planners that take ``device``: cpu, cuda, cuda:1.
         precision: For planners that take ``precision``: float32, bfloat16.
+        as_published: For planners that take ``as_published``.
 
     Returns:
         The planner.
@@ -131,6 +152,8 @@ def planner(
     if checkpoint is not None and not checkpoint.exists():
         raise InputError(f"there is no checkpoint {checkpoint}")
     offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
+    if as_published:
+        offered["as_published"] = tuple(as_published)
     return _checked(_build(made, name, offered), name)
 
 
@@ -209,9 +232,10 @@ def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
         raise InputError(f"model {name!r} is {made!r}, not a class or a function that makes a planner") from error
     takes_any = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters)
     taken = {parameter.name for parameter in parameters}
-    for option in ("checkpoint", "device", "precision"):
-        if offered[option] is not None and not takes_any and option not in taken:
-            raise InputError(f"model {name!r} takes no {option}; leave --{option} out")
+    for option in ("checkpoint", "device", "precision", "as_published"):
+        if offered.get(option) is not None and not takes_any and option not in taken:
+            said = option.replace("_", "-")
+            raise InputError(f"model {name!r} takes no {said}; leave --{said} out")
     missing = [
         parameter.name
         for parameter in parameters

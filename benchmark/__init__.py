@@ -51,6 +51,8 @@ _DEFINED_IN: Final = {
     "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
     "benchmark.runs.submissions": ["check_submission"],
+    "benchmark.runs.reproducing": ["reproduce", "published_numbers", "expected_file", "store_expected"],
+    "leaderboard.tables.reproduction": ["reproduction_table"],
     "benchmark.metrics.transfer": ["transfer"],
     "leaderboard.tables.transfer": ["transfer_matrices", "transfer_table", "agreement_table"],
     "leaderboard.tables.collision": ["run_tables"],
@@ -124,6 +126,7 @@ if TYPE_CHECKING:
         plan_file_factory as plan_file_factory,
         planner_under_test as planner_under_test,
         quality_tables as quality_tables,
+        reproduction_table as reproduction_table,
         run_tables as run_tables,
         schematic_renderer as schematic_renderer,
         slice_tables as slice_tables,
@@ -174,6 +177,12 @@ if TYPE_CHECKING:
     from benchmark.quality.measure import QualitySettings as QualitySettings, measure_quality as measure_quality
     from benchmark.records.review import Verdict as Verdict
     from benchmark.records.run import RunRecord as RunRecord, find_records as find_records, load_record as load_record
+    from benchmark.runs.reproducing import (
+        expected_file as expected_file,
+        published_numbers as published_numbers,
+        reproduce as reproduce,
+        store_expected as store_expected,
+    )
     from benchmark.runs.rescoring import rescore as rescore, rescore_all as rescore_all
     from benchmark.runs.submissions import check_submission as check_submission
     from benchmark.scene import Scene as Scene

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
     from leaderboard.tables.quality import quality_tables as quality_tables
     from leaderboard.tables.slices import slice_tables as slice_tables
+    from leaderboard.tables.reproduction import reproduction_table as reproduction_table
     from leaderboard.tables.transfer import (
         agreement_table as agreement_table,
         transfer_matrices as transfer_matrices,
@@ -237,6 +238,7 @@ def load_planner(
     seed: int = 0,
     device: str | None = None,
     precision: str | None = None,
+    as_published: "Sequence[str]" = (),
 ) -> "NamedPlanner":
     """A planner by name, for `benchmark.evaluate`.
 
@@ -247,6 +249,8 @@ def load_planner(
         seed: For planners that take one.
         device: Where a network runs: cpu, cuda, cuda:1; the first GPU by default, if there is one.
         precision: Of a network: float32 or bfloat16.
+        as_published: What a network does as in its published runs: ``memory``, ``can-once``, ``can-after``, or ``all``
+            that it knows of these (docs/models.md).
 
     Returns:
         What builds it in any process.
@@ -259,7 +263,9 @@ def load_planner(
     chosen = model_that_runs(name, checkpoint, data=data)
     if chosen != name:
         say_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
-    return planner_factory(chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    return planner_factory(
+        chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision, as_published=as_published
+    )
 
 
 def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Path = "mini") -> str:
@@ -375,6 +381,7 @@ def _shown(
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.quality import find_quality
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
     from benchmark.records.scenes import find_sheets
 
@@ -382,16 +389,19 @@ def _shown(
     quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
     no_runs = bool(quality or sheets.splits or ablations) and folders is None and not space.run_root().exists()
-    return [] if no_runs else find_records(*(folders or [space.run_root()])), quality, sheets, ablations
+    roots = folders or [space.run_root()]
+    records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
+    return records, quality, sheets, ablations
 
 
-def verify(what: str, golden: Path | None = None, model: str | None = None) -> "list[Check]":
+def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``infos`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
         model: With ``model``: which one.
+        noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
 
     Returns:
         One check for each quantity.
@@ -400,7 +410,9 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         InputError: If there is nothing of that name to compare, or the golden numbers cannot be used.
     """
     if what == "model":
-        return _verify_model(model, golden)
+        return _verify_model(model, golden, noise=noise)
+    if noise:
+        raise InputError("--noise belongs to verify model; leave it out")
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
     if what == "infos":
@@ -425,7 +437,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
     return known[what](golden)
 
 
-def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
+def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
     from adapters.verification.models import verified_models, verify_model
 
     known = (*verified_models(), "magicdrive")
@@ -435,7 +447,9 @@ def _verify_model(model: str | None, golden: Path | None) -> "list[Check]":
     if golden is None:
         raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
     if model != "magicdrive":
-        return verify_model(model, golden)
+        return verify_model(model, golden, noise=noise)
+    if noise:
+        raise InputError("--noise is for driving models; leave it out for magicdrive")
     from generation.verification.magicdrive import verify_magicdrive
 
     return verify_magicdrive(golden)

@@ -1,7 +1,8 @@
 """The main path of an evaluation: plan every sample, judge every plan, write the record.
 
 Read from the top: `evaluate` chooses scenes, hands each to `benchmark.runs.scene_work`, and writes what comes back. One
-scene is one unit of work, because planners have memory. What the planner said about a scene is kept under a content key
+scene is one unit of work, because planners have memory; of planners whose memory outlives a change of scene the whole
+split is (`benchmark.runs.whole_split`). What the planner said about a scene is kept under a content key
 (`benchmark.runs.plan_rows`), so the same command goes on where it stopped; verdicts are computed anew each time, so a
 changed protocol never needs the planner.
 """
@@ -19,7 +20,7 @@ from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
-from benchmark.planning import Planner
+from benchmark.planning import Planner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
 from benchmark.records.review import require_not_rejected
 from benchmark.records.run import RunRecord, write_record
@@ -29,6 +30,7 @@ from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
 from benchmark.runs.run_directory import run_directory, tidy
 from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
+from benchmark.runs.whole_split import work_through
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -92,6 +94,27 @@ def _all_rejected(data: "DataSet", split: str) -> str:
     return f": inspectors rejected all {rejected} (challenger-bench data review {data.root})" if rejected else ""
 
 
+def require_whole_split(planner: str, scenes: object, limit: int | None, workers: int) -> None:
+    """Refuse a part of a split, or several processes, for a planner whose memory outlives a change of scene.
+
+    Args:
+        planner: Its name.
+        scenes: What ``--scenes`` says, or ``None``.
+        limit: What ``--limit`` says.
+        workers: What ``--workers`` says.
+
+    Raises:
+        InputError: If any is given; one process is what the default means then.
+    """
+    given = {"--scenes": scenes is not None, "--limit": limit is not None, f"--workers {workers}": workers > 1}
+    wrong = next((option for option, is_given in given.items() if is_given), None)
+    if wrong is not None:
+        raise InputError(
+            f"{planner} remembers across scenes, so that the whole split is planned in one process, in the published "
+            f"order; leave {wrong} out"
+        )
+
+
 def evaluate(
     data: "DataSet",
     split: str,
@@ -124,6 +147,8 @@ def evaluate(
         raise InputError(f"--workers must be at least 1, got {settings.workers}")
     factory = None if hasattr(planner, "plan") else planner
     ready = cast("Planner", planner) if factory is None else factory()
+    if remembers_across_scenes(ready):
+        require_whole_split(ready.name, settings.scenes, settings.limit, settings.workers)
     facts = facts_of(ready) if factory is None else factory.facts
     versions = {name: protocol(name).version for name in settings.protocols}
     scenes, every_scene = settings.chosen(data, split), data.scene_names(split)
@@ -148,8 +173,13 @@ def evaluate(
     }
     with only_writer(directory):
         label = f"{facts.name} on {split}"
-        found = _results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, label)
+        if remembers_across_scenes(ready):
+            found = work_through(run, data, ready, scenes)
+        else:
+            found = _results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, label)
         results = list(progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)))
+        # Rows are by scene and time, in whatever order scenes were planned.
+        results.sort(key=lambda result: scenes.index(result.scene))
         rows = [row for result in results for row in result.rows]
         record = write_record(directory, described, rows, versions, seed=settings.seed)
         write_failures(directory, record.rows)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,9 @@ class EgoState:
         can_motion: (9,) velocity, acceleration and rotation rate (x, y, z each) as the CAN bus has them, or ``None``
             where it has none. Networks that were trained on the raw message want it; others want the fields above. At
             the start of a scene whose messages begin milliseconds later it is the first message, as in training.
+        can_motion_after: The same of the first message after the sample, of the last one where none comes after, some
+            20 ms of the future: the code of published UniAD and VAD runs reads it by a slip. Only planners that say
+            ``reads_message_after`` are given it.
     """
 
     pose: Floats
@@ -70,6 +73,7 @@ class EgoState:
     steering_angle: float | None
     source: Literal["can_bus", "derived"]
     can_motion: Floats | None = None
+    can_motion_after: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +218,31 @@ class Planner(Protocol):
 
         An exception is recorded as a failure of this sample with its traceback, never as a zero.
         """
+
+
+@runtime_checkable
+class ContinuousPlanner(Planner, Protocol):
+    """A planner that may remember beyond a change of scene, as published runs do (docs/models.md).
+
+    Attributes:
+        memory_crosses_scenes: Whether it does. Then a split is one unit of work: all of its scenes in one order, in one
+            process.
+    """
+
+    memory_crosses_scenes: bool
+
+    def begin_run(self) -> None:
+        """Forget everything: the next scene is the first one of a run. `Planner.reset` forgets less."""
+
+
+def remembers_across_scenes(planner: Planner) -> TypeGuard[ContinuousPlanner]:
+    """Whether a planner's plans depend on the scenes that it saw before."""
+    return isinstance(planner, ContinuousPlanner) and planner.memory_crosses_scenes
+
+
+def reads_message_after(planner: Planner) -> bool:
+    """Whether a planner asks for `EgoState.can_motion_after`."""
+    return getattr(planner, "reads_message_after", False) is True
 
 
 @runtime_checkable

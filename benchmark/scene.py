@@ -229,6 +229,31 @@ class Scene:
         """(T,) seconds since the first frame."""
         return np.asarray((self.timestamps_us - self.timestamps_us[0]) * 1e-6)
 
+    def first_frames(self, count: int) -> Self:
+        """The beginning of the scene.
+
+        Args:
+            count: Frames that stay, at least one.
+
+        Returns:
+            A scene of so many frames, and of the keyframes among them; objects that come later never do.
+        """
+        keyframes = self.keyframes[self.keyframes < count]
+        agents, known, sweeps = self.agents, self.annotations, self.sweep_poses
+        return replace(
+            self,
+            timestamps_us=self.timestamps_us[:count],
+            keyframes=keyframes,
+            ego=EgoTrack(self.ego.position[:count], self.ego.rotation[:count]),
+            agents=replace(
+                agents, position=agents.position[:, :count], yaw=agents.yaw[:, :count], valid=agents.valid[:, :count]
+            ),
+            annotations=Annotations(
+                **{name: getattr(known, name)[:, : len(keyframes)] for name in Annotations.__dataclass_fields__}
+            ),
+            sweep_poses=None if sweeps is None else SweepPoses(sweeps.lidar[:count], sweeps.cameras[:, :count]),
+        )
+
     def with_adversary(self, agent: int, frames: slice, poses: Floats) -> Self:
         """Replace part of one agent's track; everything else stays as recorded.
 

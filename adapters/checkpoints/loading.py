@@ -1,8 +1,10 @@
 """Planners of the table with their weights: the network is built, filled, and put under test."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from adapters.as_published import options_of
 from adapters.camera_inputs import normalisation_of
 from adapters.checkpoints.cache import load_weights, read_shapes
 from adapters.checkpoints.importing import resolve_checkpoint
@@ -19,6 +21,7 @@ def planner_of(
     seed: int = 0,
     device: str = "auto",
     precision: Precision = "float32",
+    as_published: Sequence[str] = (),
 ) -> NativePlanner[Any]:
     """A network under test.
 
@@ -29,17 +32,20 @@ def planner_of(
         seed: Of the noise, where there is some.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` is the first GPU where there is one.
         precision: ``bfloat16`` computes the matrix products in half the bytes.
+        as_published: What is done as in the published runs (`adapters.as_published`).
 
     Returns:
         The planner.
 
     Raises:
-        InputError: If the weights are absent, broken or of another model, or a package is absent.
+        InputError: If the weights are absent, broken or of another model, a package is absent, or the model has
+            nothing of the kind to do as published.
     """
+    options = options_of(model.name, model.net.as_published, as_published)
     if model.requires is not None:
         resolve(model.requires)()
     path = _weights_file(model, checkpoint)
-    network = model.build(read_shapes(path) if model.net.fitted else None, seed=seed)
+    network = model.build(read_shapes(path) if model.net.fitted else None, seed=seed, as_published=options)
     provenance = load_weights(network, path)
     made: NativePlanner[Any] = resolve(model.planner)(
         network,
@@ -50,6 +56,7 @@ def planner_of(
         native_protocol=model.native_protocol,
         device=device,
         precision=precision,
+        as_published=options,
     )
     return made
 

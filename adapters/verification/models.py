@@ -1,5 +1,6 @@
 """`challenger-bench verify model`: networks of ours against numbers of their official code, with synthetic weights."""
 
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -14,13 +15,14 @@ def verified_models() -> dict[str, str]:
     return dict(sorted(known.items(), key=lambda item: item[1], reverse=True))
 
 
-def verify_model(name: str, golden: Path, device: str = "cpu") -> list[Check]:
+def verify_model(name: str, golden: Path, device: str = "cpu", *, noise: bool = False) -> list[Check]:
     """Fill a network by the names of its tensors, run the golden frames in order, and compare what is stored.
 
     Args:
         name: One of `verified_models`.
         golden: A set's folder, or a model's folder whose sets are all compared.
         device: What the network runs on; tolerances are those of single precision on a processor.
+        noise: Whether our own network runs twice more, to know how far its own rounding moves each quantity.
 
     Returns:
         One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
@@ -31,4 +33,10 @@ def verify_model(name: str, golden: Path, device: str = "cpu") -> list[Check]:
     known = verified_models()
     if name not in known:
         raise InputError(f"no model {name!r} can be verified; choose one of {', '.join(known)}")
-    return cast("list[Check]", resolve(known[name])(published_models()[name], golden, device))
+    verify = partial(resolve(known[name]), published_models()[name], golden, device)
+    if not noise:
+        return cast("list[Check]", verify())
+    # It imports torch, which a refusal does not wait for.
+    from adapters.verification.own_rounding import with_own_rounding
+
+    return with_own_rounding(verify)

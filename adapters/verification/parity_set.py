@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from torch import Tensor
 
 from adapters.models import Model, resolve
+from adapters.verification.own_rounding import Run
 from benchmark.errors import InputError
 from benchmark.machine.devices import single_precision
 from benchmark.machine.storage import read_json
@@ -236,6 +237,7 @@ def compare_sets(
     device: str,
     read: Callable[[Path], list[ParitySet]],
     compare: Callable[[Comparison, Any, list[ParitySet]], None],
+    run: Run | None = None,
 ) -> list[Check]:
     """Fill a network for each golden set and compare it; errors as of `adapters.verification.models.verify_model`.
 
@@ -245,11 +247,13 @@ def compare_sets(
         device: What the network runs on.
         read: Reads a set.
         compare: Compares a network, already filled, with what was read.
+        run: How it is run; plainly by default.
 
     Returns:
         One check for each quantity; the first alone if names or shapes differ, since weights cannot be filled then.
     """
-    comparison = Comparison()
+    run = run or Run()
+    comparison = run.comparison
     for folder in set_folders(golden):
         sets = read(folder)
         shapes, manifest = sets[0].shapes, sets[0].manifest
@@ -257,6 +261,6 @@ def compare_sets(
         if not same_names_and_shapes(comparison, network, shapes):
             break
         fill(comparison, network, manifest, shapes, manifest.weights_sha256, folder / "manifest.json")
-        with single_precision():
+        with single_precision(), run.varied(network):
             compare(comparison, network, sets)
     return comparison.checks()

@@ -13,6 +13,7 @@ from adapters.models import Model, resolve
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.keyframe_pose import KeyframeMotion
 from adapters.networks.sparse.model import DiffusionDrive, SparseNetwork, pose_of
+from adapters.verification.own_rounding import Run
 from adapters.verification.parity_set import set_folders
 from adapters.verification.sparse_order import Order, follow
 from adapters.verification.sparse_quantities import Quantity, Rule, frame_quantities, map_quantities
@@ -37,7 +38,9 @@ MODULES: Final = "modules: mean and deviation of what they give (of the deviatio
 LARGEST: Final = "modules: largest number that they give (of the deviation)"
 
 
-def verify_sparse(model: Model, golden: Path, device: str = "cpu", config: SparseConfig | None = None) -> list[Check]:
+def verify_sparse(
+    model: Model, golden: Path, device: str = "cpu", run: Run | None = None, config: SparseConfig | None = None
+) -> list[Check]:
     """Compare a sparse network with golden sets; as `adapters.verification.models.verify_model`, but for the sizes.
 
     Args:
@@ -45,6 +48,7 @@ def verify_sparse(model: Model, golden: Path, device: str = "cpu", config: Spars
         golden: A set's folder, or a model's folder whose sets are all compared. A set without weights of its own, as
             that of the full resolution, has the set of its salt beside it.
         device: What the network runs on.
+        run: How it is run; plainly by default.
         config: Sizes, but for those of images; the published ones by default.
 
     Returns:
@@ -53,7 +57,8 @@ def verify_sparse(model: Model, golden: Path, device: str = "cpu", config: Spars
     Raises:
         InputError: If the set cannot be used.
     """
-    comparison = Comparison()
+    run = run or Run()
+    comparison = run.comparison
     for folder in set_folders(golden):
         golden_set = SparseSet.read(folder, model.name)
         height, width = golden_set.manifest.image_hw
@@ -62,7 +67,7 @@ def verify_sparse(model: Model, golden: Path, device: str = "cpu", config: Spars
         if not same_names_and_shapes(comparison, network, golden_set.shapes):
             break
         fill(comparison, network, golden_set.recipe, golden_set.shapes, None, folder / "manifest.json")
-        with single_precision(), torch.inference_mode():
+        with single_precision(), torch.inference_mode(), run.varied(network):
             for frame in range(len(golden_set.outputs)):
                 _compare_frame(comparison, network, golden_set, frame)
     return comparison.checks()

@@ -11,6 +11,7 @@ from torch import Tensor
 from adapters.models import Model
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD, UniADInputs
+from adapters.verification.own_rounding import Run
 from adapters.verification.parity_set import ParityManifest, ParitySet, StoredTensor, compare_sets, read_sets
 from adapters.verification.quantities import SAMPLED, STATISTICS, Quantity, compare_frame
 from adapters.verification.taps import tapped
@@ -24,9 +25,9 @@ ELSEWHERE: Final = ("sdc_traj", "col_optim_cells")
 """What `compare_optimiser` compares."""
 
 
-def verify_uniad(model: Model, golden: Path, device: str = "cpu") -> list[Check]:
+def verify_uniad(model: Model, golden: Path, device: str = "cpu", run: Run | None = None) -> list[Check]:
     """Compare UniAD with golden sets; arguments and errors as of `adapters.verification.models.verify_model`."""
-    return compare_sets(model, golden, device, read_frames, compare_uniad)
+    return compare_sets(model, golden, device, read_frames, compare_uniad, run)
 
 
 def compare_uniad(comparison: Comparison, network: UniAD, frames: list[ParitySet]) -> None:

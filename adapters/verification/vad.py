@@ -14,6 +14,7 @@ from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.selection import SelectedBoxes, SelectedLines, select, select_boxes, select_lines
+from adapters.verification.own_rounding import Run
 from adapters.verification.parity_set import ParitySet, compare_sets
 from adapters.verification.quantities import Quantity, Tolerance, compare_frame, golden_list
 from adapters.verification.taps import tapped
@@ -42,9 +43,9 @@ SAME_M: Final = 1.0
 PARTS: Final = ("motion_decoder", "motion_map_decoder", "ego_agent_decoder", "ego_map_decoder")
 
 
-def verify_vad(model: Model, golden: Path, device: str = "cpu") -> list[Check]:
+def verify_vad(model: Model, golden: Path, device: str = "cpu", run: Run | None = None) -> list[Check]:
     """Compare a VAD with golden sets; arguments and errors as of `adapters.verification.models.verify_model`."""
-    return compare_sets(model, golden, device, lambda folder: [ParitySet.read(folder)], compare_vad)
+    return compare_sets(model, golden, device, lambda folder: [ParitySet.read(folder)], compare_vad, run)
 
 
 def compare_vad(comparison: Comparison, network: VAD, sets: list[ParitySet]) -> None:

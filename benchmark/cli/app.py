@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli import data, demo, evaluate, generate, models, review, show, train, verify, weights
+from benchmark.cli import data, demo, evaluate, generate, models, reproduce, review, show, train, verify, weights
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
@@ -35,6 +35,7 @@ app.command("sheets")(show.sheets_command)
 app.command("film")(show.film_command)
 app.command("verify")(verify.verify_command)
 app.command("demo")(demo.demo_command)
+app.command("reproduce")(reproduce.reproduce_command)
 app.command("doctor")(verify.doctor_command)
 
 

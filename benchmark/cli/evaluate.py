@@ -10,6 +10,7 @@ import typer
 
 from benchmark import api
 from benchmark.cli.options import (
+    AsPublishedOption,
     ByOption,
     DataOption,
     DryRunOption,
@@ -61,6 +62,7 @@ def eval_command(
         str | None, typer.Option(help="With --plans: the protocol of the repository that the planner comes from.")
     ] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    as_published: AsPublishedOption = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     allow_partial: Annotated[
@@ -86,10 +88,11 @@ def eval_command(
 ) -> None:
     """Run planners on a split, write run records, and print the table."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models
+    from benchmark.cli.beforehand.names import require_models, require_published_runs
     from benchmark.cli.beforehand.places import require_place, require_plans
-    from benchmark.evaluation import EvalSettings, evaluate
+    from benchmark.evaluation import EvalSettings, evaluate, require_whole_split
     from benchmark.protocols import PROTOCOLS, STANDARD
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
 
     if not model and plans is None:
         raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
@@ -97,6 +100,10 @@ def eval_command(
         raise InputError("--native belongs to --plans; planners that --model names say it themselves")
     shown, count = _protocols_to_show(protocol), api.worker_count(workers)
     require_models(model, checkpoint, data=data, device=device, precision=precision)
+    published = tuple(each.value for each in as_published or ())
+    if require_published_runs(model, checkpoint, published, data=data):
+        require_whole_split("the model", name_list(scenes), limit, workers)
+        count = 1
     if plans is not None:
         require_plans(plans, native)
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
@@ -110,7 +117,10 @@ def eval_command(
     settings = EvalSettings(judges, name_list(scenes), limit, count, seed)
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
-        api.load_planner(name, checkpoint, data=data, seed=seed, device=device, precision=precision) for name in model
+        api.load_planner(
+            name, checkpoint, data=data, seed=seed, device=device, precision=precision, as_published=published
+        )
+        for name in model
     ]
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     dataset = api.open_split(source, split, out, workers=workers)
@@ -126,6 +136,7 @@ def eval_command(
         say_plan([f"would run {names} on {where}"], json_output=json_output)
         return
     records = [evaluate(dataset, split, each, run_root, _also_by_its_own(settings, each)) for each in factories]
+    records = with_reproductions(records, find_reproductions([run_root]))
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
     sound = _show_runs(

@@ -101,7 +101,7 @@ def generate_command(
     renderer: Annotated[RendererName, typer.Option(help="Who draws the images.")] = RendererName.SCHEMATIC,
     size: SizeOption = "448x256",
     render_size: DrawnSizeOption = DrawnSize.SMALL,
-    written_size: WrittenSizeOption = WrittenSize.MODEL,
+    written_size: WrittenSizeOption = WrittenSize.CAMERA,
     prompt_look: AskedLookOption = AskedLook.RECORDED,
     lossless: LosslessOption = False,
     weights_folder: WeightsFolderOption = None,

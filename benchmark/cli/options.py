@@ -85,6 +85,15 @@ class AskedLook(StrEnum):
     NIGHT = "night"
 
 
+class AsPublished(StrEnum):
+    """What networks do as in the published runs of their repositories."""
+
+    MEMORY = "memory"
+    CAN_ONCE = "can-once"
+    CAN_AFTER = "can-after"
+    ALL = "all"
+
+
 class Verifiable(StrEnum):
     """What has golden numbers."""
 
@@ -176,6 +185,13 @@ ByOption = Annotated[
     typer.Option("--by", help="Also the same numbers by place, light, manoeuvre, speed or command; may be repeated."),
 ]
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
+AsPublishedOption = Annotated[
+    list[AsPublished] | None,
+    typer.Option(
+        "--as-published",
+        help="What networks do as in the published runs of their repositories (docs/models.md); may be repeated.",
+    ),
+]
 PresetOption = Annotated[
     Preset,
     typer.Option(

@@ -1,6 +1,7 @@
 """Ego motion at a sample: measured (CAN bus expansion) or derived from past poses, and never from the future.
 
-The one exception is `EgoState.can_motion` at the start of a scene whose messages begin after its first sample.
+The two exceptions are `EgoState.can_motion` at the start of a scene whose messages begin after its first sample, and
+`EgoState.can_motion_after`, which few planners are given.
 
 The files are those of the CAN bus expansion. The devkit's reader refuses scene names that are not ``scene-dddd``, which
 the published Adv-nuSc has, so they are read here.
@@ -97,6 +98,18 @@ class CanMessages:
             return np.asarray(self.values[0])
         return self.before(timestamp_us)
 
+    def after_or_last(self, timestamp_us: int) -> Floats:
+        """The first values later than a time, however much later; the last ones where none are.
+
+        Args:
+            timestamp_us: Now.
+
+        Returns:
+            (F,) values.
+        """
+        index = int(np.searchsorted(self.times_us, timestamp_us, side="right"))
+        return np.asarray(self.values[min(index, len(self.times_us) - 1)])
+
 
 @dataclass(frozen=True, slots=True)
 class CanBus:
@@ -165,6 +178,7 @@ def ego_state(ego: EgoTrack, timestamps_us: NDArray[np.int64], frame: int, can_b
         steering_angle=None if steering is None else float(steering[0]),
         source="derived" if measured is None else "can_bus",
         can_motion=can_bus.motion.before_or_first(now_us) if can_bus.motion else None,
+        can_motion_after=can_bus.motion.after_or_last(now_us) if can_bus.motion else None,
     )
 
 

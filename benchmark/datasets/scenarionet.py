@@ -6,7 +6,7 @@ one lidar point), attributes and visibility. Files have no clock; see `_timestam
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +22,7 @@ from benchmark.constants import (
 from benchmark.datasets.scenarionet_map import map_of_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
 from benchmark.datasets.scenarionet_values import name_of, real_numbers
+from benchmark.datasets.scene_words import described, place_and_light, traffic_and_road
 from benchmark.datasets.sensors import standard_lidar
 from benchmark.datasets.tables import scene_number
 from benchmark.errors import InputError
@@ -107,7 +108,8 @@ def read_scenarionet(path: Path) -> Scene:
         path: The file.
 
     Returns:
-        The scene, without cameras, with a map cropped to 200 m around the ego's path.
+        The scene, without cameras, with a map cropped to 200 m around the ego's path, and described in words
+        (`benchmark.datasets.scene_words`).
 
     Raises:
         InputError: If the file is refused, broken, or its numbers make no sense.
@@ -133,11 +135,11 @@ def read_scenarionet(path: Path) -> Scene:
         others, recording.seconds, frame_seconds, keyframes, shift=shift, ground_z=ground_z
     )
     name = _scene_name(recording)
-    return Scene(
+    scene = Scene(
         name=name,
         token=_scene_token(recording),
         # Words of a description name the look, and an identifier may contain any word.
-        description="Imported from ScenarioNet",
+        description="",
         log=f"scenarionet-{recording.dataset}-{recording.identifier}",
         vehicle="scenarionet",
         date=_date(recording),
@@ -150,6 +152,7 @@ def read_scenarionet(path: Path) -> Scene:
         lidar=standard_lidar(),
         road_map=road_map,
     )
+    return replace(scene, description=described([*place_and_light(recording.metadata), *traffic_and_road(scene)]))
 
 
 def _read_recording(path: Path) -> _Recording:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import AS_PUBLISHED
 
 PLANS_SHA256 = "plans_sha256"
 """Setting of a planner whose plans come from a file: the file's hash."""
@@ -53,6 +54,10 @@ def _version(record: RunRecord) -> dict[str, str]:
     # Records of before name the code of native planners in their settings too (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
     facts: dict[str, Any] = {"seed": planner.seed, **settings}
+    if AS_PUBLISHED in facts:
+        # It says all that these do.
+        facts.pop("reads_message_after", None)
+        facts |= {"memory_crosses_scenes": False} if "memory_crosses_scenes" in facts else {}
     if planner.weights_sha256 is not None:
         # The hash says all that the name of the file they came from would.
         facts = {name: value for name, value in facts.items() if not name.startswith("checkpoint")}

@@ -52,6 +52,8 @@ class RunRecord:
         summary: Rates.
         label: What tells this version of the planner from others (`benchmark.records.planner_versions`), if there
             are others.
+        reproduced: Whose numbers this version of the planner gave (`benchmark.records.reproduction`), in words;
+            ``None`` where nobody knows.
     """
 
     directory: Path
@@ -59,6 +61,7 @@ class RunRecord:
     rows: tuple[SampleRow, ...]
     summary: Summary
     label: str | None = None
+    reproduced: str | None = None
 
     @property
     def planner(self) -> str:

@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 SCHEMA = 4
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
+AS_PUBLISHED: Final = "as_published"
+"""Setting of a planner that does something as in its published runs: what, joined by ``+`` (docs/models.md)."""
 Waypoints = list[list[float]]
 MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""

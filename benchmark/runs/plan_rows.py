@@ -19,7 +19,16 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
-from benchmark.planning import Forecasts, Observation, Plan, Planner, PrivilegedPlanner, SceneInfo
+from benchmark.planning import (
+    Forecasts,
+    Observation,
+    Plan,
+    Planner,
+    PrivilegedPlanner,
+    SceneInfo,
+    reads_message_after,
+    remembers_across_scenes,
+)
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256, parts_of
@@ -90,6 +99,9 @@ def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
         InputError: If its settings are not plain values, or its native protocol is not known.
     """
     settings = dict(getattr(planner, "settings", {}))
+    # Of these every record knows, whoever wrote the planner.
+    settings |= {"memory_crosses_scenes": True} if remembers_across_scenes(planner) else {}
+    settings |= {"reads_message_after": True} if reads_message_after(planner) else {}
     try:
         content_key(settings)
     except (TypeError, ValueError) as error:
@@ -164,7 +176,7 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     Raises:
         InputError: If an image is broken or the rows cannot be written.
     """
-    kept = None if fresh else _kept_rows(path, key)
+    kept = None if fresh else kept_rows(path, key)
     if kept is not None:
         return PlannedScene(kept, None)
     _seed_everything(content_seed(key))
@@ -178,7 +190,8 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     return PlannedScene(rows, seconds)
 
 
-def _kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
+def kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
+    """Rows of a scene that are there already under their content key, or ``None``."""
     if not path.exists():
         return None
     try:
@@ -216,8 +229,9 @@ def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -
 
 def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
     views = {name: replace(view, load=_loud(view.load)) for name, view in observation.views.items()}
+    ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
     try:
-        plan = planner.plan(replace(observation, views=views))
+        plan = planner.plan(replace(observation, views=views, ego=ego))
         if not isinstance(plan, Plan):
             raise TypeError(f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan")
         return _row(observation, _plan_json(plan), None)

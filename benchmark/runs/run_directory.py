@@ -6,7 +6,7 @@ from urllib.parse import unquote
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name, read_json, write_json, writing_to
-from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
 
 TIMING_FILE = "timing.json"
 
@@ -15,7 +15,7 @@ def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, 
     """Directory of a run.
 
     One planner on one split of one data set has one directory, so that a repeated run replaces its record. Another
-    checkpoint or seed and a part of the scenes are told apart by a short hash.
+    checkpoint or seed, what is done as published, and a part of the scenes are told apart by a short hash.
 
     Args:
         out: Folder of run directories.
@@ -32,6 +32,8 @@ def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, 
         "seed": planner.seed,
         "part": list(part),
     }
+    if AS_PUBLISHED in planner.settings:
+        special[AS_PUBLISHED] = planner.settings[AS_PUBLISHED]
     suffix = f"-{content_key(special)[:8]}" if any(special.values()) else ""
     return out / file_name(data_name) / file_name(split) / (file_name(planner.name) + suffix)
 

@@ -10,7 +10,7 @@ from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts, SampleRow
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
-from benchmark.runs.plan_rows import PlannerFactory, plan_scene, rows_path, scene_key
+from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, rows_path, scene_key
 from benchmark.surroundings.circumstances import circumstances_of
 
 if TYPE_CHECKING:
@@ -70,6 +70,11 @@ def work_here(run: Run, data: "DataSet", planner: Planner, scene: str) -> SceneR
     """
     key = scene_key(run.fingerprint, run.split, scene, run.planner)
     planned = plan_scene(planner, data, scene, rows_path(run.directory, scene), key, fresh=run.fresh)
+    return judged_scene(run, data, scene, planned)
+
+
+def judged_scene(run: Run, data: "DataSet", scene: str, planned: PlannedScene) -> SceneResult:
+    """Judge the plans of a scene; arguments and errors as of `work_here`."""
     judged = judge(
         planned.rows,
         data.truth(scene),

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from benchmark.geometry import Bools, wrap_angle
 from benchmark.report.table import table_of
 from benchmark.report.words import counted
+
+ROUNDING: Final = "as far as our own rounding moves it"
+AS_FAR: Final = 3.0
+"""Errors of up to so many times what rounding was seen to move: two runs do not see the worst that it does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +26,7 @@ class Check:
         tolerance: Largest difference that is allowed.
         count: Values compared.
         note: What else a reader should know, for example what was left out and why.
+        moved: By how much our own rounding moves it, where that was measured (`Comparison.moved_by`).
     """
 
     quantity: str
@@ -29,26 +34,53 @@ class Check:
     tolerance: float
     count: int
     note: str = ""
+    moved: float | None = None
 
     @property
     def ok(self) -> bool:
         """Whether the error is allowed; NaN never is, and nothing compared is not a success."""
         return bool(self.count > 0 and np.isfinite(self.error) and self.error <= self.tolerance)
 
+    @property
+    def rounding(self) -> bool:
+        """Whether the error is past its tolerance, and no further than our own rounding moves the quantity."""
+        known = self.moved is not None and self.moved > 0 and self.count > 0 and not np.isnan(self.error)
+        return bool(known and not self.ok and self.error <= AS_FAR * (self.moved or 0.0))
+
+    @property
+    def passes(self) -> bool:
+        """Whether nothing is wrong that is known to be wrong."""
+        return self.ok or self.rounding
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        return "ok" if self.ok else ROUNDING if self.rounding else "FAIL"
+
     def as_json(self) -> dict[str, Any]:
         """JSON values; an error that is not finite is ``null``, because JSON has no word for it."""
         return {
+            **self._plain(),
+            **({} if self.moved is None else {"verdict": self.verdict, "moved": _finite(self.moved)}),
+        }
+
+    def _plain(self) -> dict[str, Any]:
+        return {
             "quantity": self.quantity,
             "ok": self.ok,
-            "error": self.error if np.isfinite(self.error) else None,
+            "error": _finite(self.error),
             "tolerance": self.tolerance,
             "count": self.count,
             "note": self.note,
         }
 
 
+def _finite(number: float) -> float | None:
+    return number if np.isfinite(number) else None
+
+
 def report(checks: Sequence[Check]) -> str:
-    """One row a quantity, notes on them, and a closing sentence.
+    """One row a quantity, notes on them, and a closing sentence; with how far rounding moves each, where it is known.
 
     Args:
         checks: In the order to print.
@@ -56,26 +88,39 @@ def report(checks: Sequence[Check]) -> str:
     Returns:
         Lines of text.
     """
+    told = any(check.moved is not None for check in checks)
     rows = [
         (
-            "ok" if check.ok else "FAIL",
+            check.verdict,
             check.quantity,
             f"{check.error:.3g}",
             f"{check.tolerance:.3g}",
+            *((f"{check.moved or 0.0:.3g}",) if told else ()),
             f"{check.count:,}",
         )
         for check in checks
     ]
-    failed = sum(not check.ok for check in checks)
+    failed, rounded = sum(not check.ok for check in checks), sum(check.rounding for check in checks)
+    said = f", {rounded} {ROUNDING}" if rounded else ""
     table = table_of(
         "checks",
         "",
-        ("", "quantity", "largest error", "allowed", "values"),
+        ("", "quantity", "largest error", "allowed", *(("own rounding",) if told else ()), "values"),
         rows,
         notes=[f"{check.quantity}: {check.note}." for check in checks if check.note],
         text_columns=2,
     )
-    return f"{table.plain()}{len(checks) - failed} of {counted(len(checks), 'quantity')} agree"
+    return f"{table.plain()}{len(checks) - failed} of {counted(len(checks), 'quantity')} agree{said}"
+
+
+def _apart(sizes: list[NDArray[Any]], others: list[NDArray[Any]]) -> float:
+    """Largest difference of two errors, or how many verdicts differ."""
+    if sizes and sizes[0].dtype == np.bool_:
+        return float(sum(np.count_nonzero(ours != theirs) for ours, theirs in zip(sizes, others)))
+    with np.errstate(invalid="ignore"):
+        apart = [np.max(np.abs(ours - theirs), initial=0.0) for ours, theirs in zip(sizes, others)]
+    # Two infinite errors, of lists of other lengths, are as far apart as none.
+    return float(np.nan_to_num(np.max(apart, initial=0.0), nan=0.0, posinf=np.inf))
 
 
 @dataclass(slots=True)
@@ -94,6 +139,9 @@ class Comparison:
 
     def __init__(self) -> None:
         self._tallies: dict[str, _Tally] = {}
+        self._sizes: dict[str, list[NDArray[Any]]] = {}
+        self.remembers = False
+        """Whether sizes of errors are kept, for `moved_by`."""
 
     def numbers(
         self,
@@ -121,10 +169,12 @@ class Comparison:
         with np.errstate(invalid="ignore"):
             difference = np.asarray(ours, np.float64) - np.asarray(golden, np.float64)
             size = np.abs(wrap_angle(difference) if angle else difference)
+        self._keep(quantity, size)
         self._worst(quantity, float(size.max(initial=0.0)), size.size, tolerance, where)
 
     def errors(self, quantity: str, sizes: NDArray[Any], tolerance: float, *, where: str = "") -> None:
         """Take the sizes of errors that were computed elsewhere; arguments as in `numbers`."""
+        self._keep(quantity, np.abs(sizes))
         self._worst(quantity, float(np.max(np.abs(sizes), initial=0.0)), np.size(sizes), tolerance, where)
 
     def verdicts(self, quantity: str, wrong: Bools, *, where: str = "") -> None:
@@ -135,11 +185,36 @@ class Comparison:
             wrong: Any shape, one for each verdict compared.
             where: File or batch, named in the note if it is the last one with wrong verdicts.
         """
+        self._keep(quantity, np.asarray(wrong, np.bool_))
         tally = self._tallies.setdefault(quantity, _Tally(0.0))
         count = int(np.count_nonzero(wrong))
         tally.error += count
         tally.count += int(np.size(wrong))
         tally.worst_in = where if count else tally.worst_in
+
+    def moved_by(self, other: "Comparison") -> dict[str, float]:
+        """How far apart two comparisons of the same network are that differ by rounding alone.
+
+        An error of one and the error of the other differ by no more than the two values do, and sorting keeps that, so
+        this is never more than how far rounding really moves a quantity.
+
+        Args:
+            other: Of the same golden numbers, in the same order; both remember.
+
+        Returns:
+            By quantity the largest difference of two errors; of verdicts, how many differ. It is infinite where another
+            number of values was compared.
+        """
+        moved = {}
+        for quantity, sizes in self._sizes.items():
+            others = other._sizes.get(quantity, [])
+            alike = len(sizes) == len(others) and all(a.shape == b.shape for a, b in zip(sizes, others))
+            moved[quantity] = _apart(sizes, others) if alike else float("inf")
+        return moved
+
+    def _keep(self, quantity: str, sizes: NDArray[Any]) -> None:
+        if self.remembers:
+            self._sizes.setdefault(quantity, []).append(np.array(sizes))
 
     def note(self, quantity: str, text: str) -> None:
         """Add to the note of a quantity that has been compared."""

@@ -19,7 +19,7 @@ from generation.nuscenes_writer.plan import DataSetPlan, SceneNames, require_own
 from generation.nuscenes_writer.road_maps import pack_road_map
 from generation.nuscenes_writer.rows import Channel, channels_of, scene_tables, used_labels
 from generation.nuscenes_writer.vocabulary import Vocabulary
-from generation.render.contract import Images, SweepRenderer
+from generation.render.contract import CuttingRenderer, Images, SweepRenderer
 
 FRAGMENT_SCHEMA = 1
 
@@ -71,7 +71,7 @@ def written_scene(
 
     Args:
         plan: The data set it belongs to.
-        scene: What happens in it.
+        scene: What happens in it; a `CuttingRenderer` may leave its end out.
         name: Its name in the data set.
         source_scene: Name of the recorded scene it comes from.
         report: Provenance that ends up in ``challenger.json``; plain JSON values.
@@ -86,6 +86,8 @@ def written_scene(
             holds somebody else's data set, or the disk refuses.
     """
     require_sound(scene)
+    if isinstance(plan.renderer, CuttingRenderer):
+        scene = plan.renderer.cut(scene)
     require_own_root(plan, variant)
     names = SceneNames.of(plan, scene, name=name, variant=variant, source_scene=source_scene, identity=identity)
     cameras = () if plan.renderer is None else plan.renderer.cameras(scene)

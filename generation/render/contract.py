@@ -69,6 +69,14 @@ class SweepRenderer(Renderer, Protocol):
 
 
 @runtime_checkable
+class CuttingRenderer(Renderer, Protocol):
+    """A renderer that does not draw scenes of every length."""
+
+    def cut(self, scene: Scene) -> Scene:
+        """The part of a scene that is drawn, from its start; what is written ends with it."""
+
+
+@runtime_checkable
 class LongRenderer(Renderer, Protocol):
     """A renderer that takes so long that nobody draws a few pictures to find out."""
 

@@ -14,6 +14,7 @@ SPLIT_ORDER = ("val", "val-r", "adv")
 PRIVILEGED_MARK = "†"
 PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
 STALE_MARK = "‡"
+REPRODUCED_MARK = "✓"
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 FEW_SCENES = 20
 """Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
@@ -49,6 +50,8 @@ def row_name(record: RunRecord, judge: str) -> Shown:
     """The planner's name with its marks, among them that of an earlier version of the protocol."""
     planner = record.run.planner
     cell = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
+    if record.reproduced is not None:
+        cell = replace(cell, text=f"{cell.text} {REPRODUCED_MARK}")
     return replace(cell, text=f"{cell.text} {STALE_MARK}") if judge in record.stale_protocols else cell
 
 
@@ -67,11 +70,19 @@ def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
 
 def notes_of_marks(records: Iterable[RunRecord]) -> list[str]:
     """`mark_notes` of the planners of some runs."""
+    records = list(records)
     planners = [record.run.planner for record in records]
-    return mark_notes(
-        privileged=any(planner.privileged for planner in planners),
-        miniature=any(planner.miniature for planner in planners),
-    )
+    said = dict.fromkeys((record.planner, record.reproduced) for record in records if record.reproduced is not None)
+    return [
+        *mark_notes(
+            privileged=any(planner.privileged for planner in planners),
+            miniature=any(planner.miniature for planner in planners),
+        ),
+        *(
+            f"{REPRODUCED_MARK} {planner}: reproduced: the same weights, code and options gave {whose}."
+            for planner, whose in said
+        ),
+    ]
 
 
 def stale_notes(record: RunRecord, protocols: Sequence[str]) -> list[str]:

@@ -32,6 +32,7 @@ FUNCTION_OF = {
     "quality": "measure_quality",
     "sheets": "write_sheets",
     "film": "write_films",
+    "reproduce": "reproduce",
     "verify": "verify",
     "demo": "demo",
     "doctor": "doctor",

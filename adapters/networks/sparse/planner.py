@@ -17,8 +17,9 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
     """SparseDrive or DiffusionDrive with given weights; arguments and errors as in `NativePlanner`.
 
     Every scene starts without a past, whatever the configuration says: what a plan is must not depend on which scene
-    a process happened to see before. The published evaluation lets memory outlive a change of scene. Modes of the
-    command that were refused because they hit a forecast have the score 0.
+    a process happened to see before. The published evaluation lets memory outlive a change of scene, and so does this
+    where `adapters.as_published` asks for it. Modes of the command that were refused because they hit a forecast have
+    the score 0.
     """
 
     @property
@@ -27,7 +28,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
         return self._network.seed
 
     def _own_settings(self) -> dict[str, Any]:
-        return {"memory_crosses_scenes": False}
+        return {"memory_crosses_scenes": self.memory_crosses_scenes}
 
     def _computed(self, observation: Observation) -> Plan:
         return _plan(self._network(self.inputs(observation)), int(observation.command))

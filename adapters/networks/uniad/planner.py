@@ -18,7 +18,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     Every scene starts without a past, as the first one of a published run does: what a plan is must not depend on which
     scene a process happened to see before. The published evaluation goes on numbering tracks, and measures the ego's
-    motion into a new scene from where the old one ended.
+    motion into a new scene from where the old one ended; so does this where `adapters.as_published` asks for it.
 
     A plan has two modes, before and after it is moved away from occupied cells; one where that is switched off.
 
@@ -30,7 +30,10 @@ class UniADPlanner(NativePlanner[UniAD]):
     seen: UniADOutputs | None = None
 
     def _own_settings(self) -> dict[str, Any]:
-        return {"memory_crosses_scenes": False, "collision_optimisation": self._network.solver or "off"}
+        return {
+            "memory_crosses_scenes": self.memory_crosses_scenes,
+            "collision_optimisation": self._network.solver or "off",
+        }
 
     @property
     def config(self) -> UniADConfig:
@@ -59,7 +62,7 @@ class UniADPlanner(NativePlanner[UniAD]):
         return UniADInputs(
             images=torch.from_numpy(images).to(self._device),
             lidar2img=torch.from_numpy(lidar_to_image(observation, self._format)),
-            can_bus=torch.from_numpy(can_bus_vector(observation.ego)),
+            can_bus=torch.from_numpy(can_bus_vector(observation.ego, after=self.reads_message_after)),
             l2g_r_mat=global_T_lidar[:3, :3].T.float(),
             l2g_t=global_T_lidar[:3, 3].float(),
             timestamp=observation.timestamp_us / 1e6,

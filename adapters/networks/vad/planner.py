@@ -22,7 +22,7 @@ class VADPlanner(NativePlanner[VAD]):
         return VADInputs(
             images=torch.from_numpy(images).to(self._device),
             lidar2img=torch.from_numpy(lidar_to_image(observation, self._format)),
-            can_bus=torch.from_numpy(can_bus_vector(observation.ego)),
+            can_bus=torch.from_numpy(can_bus_vector(observation.ego, after=self.reads_message_after)),
             command=int(observation.command),
             scene_token=observation.scene,
         )

@@ -49,6 +49,36 @@ def require_models(
             raise InputError(f"there is no precision {precision!r}; use {' or '.join(_PRECISIONS)}")
 
 
+def require_published_runs(
+    names: Sequence[str], checkpoint: Path | None, as_published: Sequence[str], *, data: str
+) -> bool:
+    """Refuse to do as published what a planner's published runs do not do.
+
+    Args:
+        names: As ``--model`` takes them.
+        checkpoint: Their weights, if any were named.
+        as_published: As ``--as-published`` takes it.
+        data: What ``--data`` names.
+
+    Returns:
+        Whether any of them then remembers across scenes.
+
+    Raises:
+        InputError: If a planner does nothing of the kind.
+    """
+    from adapters.as_published import CROSS_SCENES, options_of
+    from adapters.models import MODELS
+
+    if as_published and not names:
+        raise InputError("--as-published says how networks run that --model names; leave it out")
+    done: set[str] = set()
+    for name in names if as_published else ():
+        runs = api.model_that_runs(name, checkpoint, data=data)
+        network = MODELS[runs].network if runs in MODELS else None
+        done |= set(options_of(runs, {} if network is None else network.as_published, as_published))
+    return not CROSS_SCENES.isdisjoint(done)
+
+
 def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:
     """Planners as records name them: a full model that ran as its miniature, or a short name, is that which ran.
 

@@ -24,6 +24,10 @@ IMAGE_FPS: Final = 120
 """What stands for the frame rate where the clip is a single image."""
 OFFICIAL_SEED: Final = 1024
 """Seed of the first sample in the published scripts."""
+MOST_FRAMES: Final = 241
+"""The longest clip that the model was trained on: 20 s."""
+SHORTEST_WHOLE: Final = 187
+"""The shortest recording that it was trained on as a whole."""
 _FRAMES_TOGETHER: Final = 8
 
 
@@ -155,6 +159,18 @@ def trimmed_length(count: int) -> int:
         count: Number of frames, at least 1.
     """
     return count - max(count % _FRAMES_TOGETHER - 1, 0)
+
+
+def published_length(count: int) -> int:
+    """Number of frames that a clip of the published data sets has.
+
+    Recordings of 235 frames, which most of nuScenes has (40 keyframes), become 233; those of 241 stay, and nothing is
+    longer. Recordings that are shorter than any that the model was trained on at full length keep all they have.
+
+    Args:
+        count: Number of frames of the recording.
+    """
+    return count if count < SHORTEST_WHOLE else trimmed_length(min(count, MOST_FRAMES))
 
 
 def padded_frames(frames: Sequence[int]) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ def magicdrive_renderer(
     weights: Path | None,
     *,
     drawn_size: str = "224x400",
-    written_size: str = "model",
+    written_size: str = "1600x900",
     look: str = "recorded",
     device: str = "auto",
     seed: int = 0,
@@ -33,7 +33,7 @@ def magicdrive_renderer(
         work: Folder for what is kept between stages.
         weights: Folder of the published weights, or ``None`` for the cache.
         drawn_size: What the network draws, HEIGHTxWIDTH.
-        written_size: ``model`` or ``1600x900``.
+        written_size: ``1600x900``, or ``model`` for the size that is drawn.
         look: One of `PromptLook`.
         device: ``cpu``, ``cuda``, ``cuda:1``; ``auto`` for GPUs where there are any.
         seed: Of noise and of the looks of objects.

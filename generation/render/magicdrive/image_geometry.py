@@ -26,13 +26,14 @@ class ImageGeometry:
     Attributes:
         height: Of a picture that the model draws, pixels.
         width: The same.
-        output: ``model`` for pictures as they are drawn, or enlarged to the camera's full size. The rows that the model
-            does not draw, 4 of 900 at 224 x 400, then repeat the first one below.
+        output: Enlarged to the camera's full size, which is that of the published data sets and what SparseDrive's crop
+            needs, or ``model`` for pictures as they are drawn. At full size the rows that the model does not draw, 4 of
+            900 at 224 x 400, repeat the first one below.
     """
 
     height: int = 224
     width: int = 400
-    output: OutputSize = "model"
+    output: OutputSize = "1600x900"
 
     def __post_init__(self) -> None:
         full_width, full_height = CALIBRATION_SIZE

@@ -5,7 +5,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
+from benchmark.datasets.scene_words import described, traffic_and_road
 from benchmark.scene import Scene
+
+IMPORTED: Final = "Imported from ScenarioNet"
+"""What earlier versions wrote as the description of every imported recording; it describes nothing."""
 
 
 class PromptLook(StrEnum):
@@ -91,6 +95,8 @@ def prompt_of(scene: Scene, look: PromptLook = PromptLook.RECORDED) -> Prompt:
         The prompt.
     """
     location, description = scene.road_map.location, scene.description
+    if description == IMPORTED:
+        description = described(traffic_and_road(scene))
     if look is PromptLook.RECORDED:
         return Prompt(_sentence(location, description))
     change = _CHANGES[look]

@@ -26,7 +26,7 @@ from generation.nuscenes_writer.plan import digest
 from generation.render.contract import Images, require_frames
 from generation.render.magicdrive.autoencoder import VideoDecoder
 from generation.render.magicdrive.checkpoint import load_official
-from generation.render.magicdrive.clip import Clip, clip_of, padded_frames
+from generation.render.magicdrive.clip import MOST_FRAMES, Clip, clip_of, padded_frames, published_length
 from generation.render.magicdrive.conditions import MODEL_CAMERAS, TextStates
 from generation.render.magicdrive.config import MagicDriveConfig
 from generation.render.magicdrive.estimate import RenderingEstimate, measured_speed, rendering_stages
@@ -40,8 +40,6 @@ from generation.render.magicdrive.sensor_frames import camera_tracks, model_orde
 from generation.render.magicdrive.text import T5TextEncoder
 from generation.render.magicdrive.weights import NetworkFiles
 
-MOST_FRAMES: Final = 241
-"""The longest clip that the model was trained on: 20 s."""
 RENDERER_VERSION: Final = 1
 _KEEP_EVERY_STEPS: Final = 5
 
@@ -122,6 +120,12 @@ class MagicDriveRenderer:
         """The six cameras that are drawn, with the calibration of what is written."""
         return tuple(self.settings.geometry.camera(scene.cameras[index]) for index in sorted(model_order(scene)))
 
+    def cut(self, scene: Scene) -> Scene:
+        """The scene in the length of the published data sets (`published_length`)."""
+        count = len(scene.timestamps_us)
+        kept = published_length(count)
+        return scene if kept == count else scene.first_frames(kept)
+
     def camera_tracks(self, scene: Scene) -> Mapping[str, EgoTrack]:
         """Where the ego is at the times of each camera: the model draws what a camera saw at its own sweep."""
         return camera_tracks(scene)
@@ -130,7 +134,7 @@ class MagicDriveRenderer:
         """What a scene costs; nothing of it is drawn, and no weights are needed.
 
         Args:
-            scene: The scene.
+            scene: The scene; its end is left out as `cut` does.
 
         Returns:
             Operations, seconds and memory by stage.
@@ -138,6 +142,7 @@ class MagicDriveRenderer:
         Raises:
             InputError: If the scene cannot be drawn, or there is no such device here to measure the speed of.
         """
+        scene = self.cut(scene)
         _require_drawable(scene)
         settings = self.settings
         prompt = prompt_of(scene, settings.look)

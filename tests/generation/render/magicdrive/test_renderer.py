@@ -69,7 +69,7 @@ def test_picture_and_calibration_agree_at_both_sizes(size: tuple[int, int], u: f
     """A blob that is drawn where the small camera sees a point is where the full camera sees it."""
     camera = brief_scene().cameras[0]
     ray = np.linalg.inv(camera.intrinsic) @ [u, v, 1.0]
-    small = ImageGeometry(*size).camera(camera.resized(448, 256)).intrinsic @ ray
+    small = ImageGeometry(*size, "model").camera(camera.resized(448, 256)).intrinsic @ ray
     rows, columns = np.mgrid[: size[0], : size[1]] + 0.5
     blob = np.exp(-((columns - small[0]) ** 2 + (rows - small[1]) ** 2) / 8)
     large = ImageGeometry(*size, "1600x900").picture(np.asarray(255 * blob, np.uint8)[..., None].repeat(3, -1))
@@ -90,7 +90,7 @@ def test_boxes_are_where_the_conditions_say() -> None:
     seen = (np.linalg.inv(from_camera) @ np.column_stack([corners, np.ones(len(corners))]).T)[:3]
     seen = seen[:, seen[2] > 1.0]
     full = (intrinsic @ seen)[:2] / seen[2]
-    written = next(c for c in map(ImageGeometry().camera, scene.cameras) if c.name == "CAM_FRONT")
+    written = next(c for c in map(ImageGeometry(output="model").camera, scene.cameras) if c.name == "CAM_FRONT")
     found = (written.intrinsic @ seen)[:2] / seen[2]
     np.testing.assert_allclose(found, full / 4 - np.array([[0.0], [1.0]]), atol=1e-3)
     assert (written.width, written.height) == (400, 224)
@@ -387,3 +387,11 @@ def test_output_sizes_are_two() -> None:
     sizes: tuple[OutputSize, ...] = ("model", "1600x900")
     cameras = [ImageGeometry(output=size).camera(brief_scene().cameras[0]) for size in sizes]
     assert [(camera.width, camera.height) for camera in cameras] == [(400, 224), (1600, 900)]
+    assert ImageGeometry().output == "1600x900"
+
+
+def test_the_command_writes_the_camera_s_size_unless_told_otherwise(tmp_path: Path) -> None:
+    made = magicdrive_renderer(tmp_path, None, device="cpu", estimates_only=True)
+    assert {(camera.width, camera.height) for camera in made.cameras(brief_scene())} == {(1600, 900)}
+    own = magicdrive_renderer(tmp_path, None, device="cpu", written_size="model", estimates_only=True)
+    assert {(camera.width, camera.height) for camera in own.cameras(brief_scene())} == {(400, 224)}

@@ -1,0 +1,145 @@
+"""Whether a planner gave the numbers that are published of it: ``reproduction.json`` in the directory of that run.
+
+It marks other runs of the same version, wherever their records stand: the same weights, the same code, the same
+options. A seed is no part of a version, nor is the data set.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import Field, ValidationError
+
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, read_json, write_json
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import DataFacts, PlannerFacts, Stored
+
+REPRODUCTION_FILE: Final = "reproduction.json"
+UNITS: Final = {"collision": "%", "l2": "m", "samples": ""}
+_NO_OPTIONS: Final = frozenset({"checkpoint"})
+"""Settings that are no options: the name of a file, whose hash is beside it."""
+
+
+class ComparedNumber(Stored):
+    """One published number and ours.
+
+    Attributes:
+        column: ``collision`` in per cent, ``l2`` in metres, or ``samples``, how many were counted.
+        horizon: ``1s``, ``2s``, ``3s``, ``avg``; empty for ``samples``.
+        published: The published value; of several the one that is nearest to ours.
+        ours: Ours; null where the run has none.
+        allowed: Largest difference that is allowed.
+        source: Where the published value stands.
+    """
+
+    column: Literal["collision", "l2", "samples"]
+    horizon: str
+    published: float
+    ours: float | None
+    allowed: float = Field(ge=0)
+    source: str
+
+    @property
+    def difference(self) -> float | None:
+        """Ours less the published one."""
+        return None if self.ours is None else self.ours - self.published
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is the published number, as far as that is allowed."""
+        # A value on the border is inside, whatever the last bit of the difference says.
+        return self.ours is not None and abs(self.ours - self.published) <= self.allowed * (1 + 1e-9)
+
+
+class Reproduction(Stored):
+    """What came of one attempt to reproduce published numbers.
+
+    Attributes:
+        planner: Which version ran.
+        data: On what.
+        split: Of it.
+        protocol: Who judged.
+        version: Of that protocol.
+        record: Content id of the run record.
+        of: Whose numbers they are, in words.
+        numbers: Each number.
+    """
+
+    planner: PlannerFacts
+    data: DataFacts
+    split: str
+    protocol: str
+    version: int
+    record: str
+    of: str
+    numbers: list[ComparedNumber]
+
+    @property
+    def reproduced(self) -> bool:
+        """Whether every number is the published one."""
+        return bool(self.numbers) and all(number.ok for number in self.numbers)
+
+
+def version_key(planner: PlannerFacts) -> str:
+    """What makes two runs runs of one version: name, weights, code and options of the planner."""
+    options = {name: value for name, value in planner.settings.items() if name not in _NO_OPTIONS}
+    return content_key("version", planner.name, planner.weights_sha256, planner.code_sha256, options)
+
+
+def write_reproduction(directory: Path, found: Reproduction) -> None:
+    """Put it beside the record that it is about; raises `InputError` if the disk refuses."""
+    write_json(directory / REPRODUCTION_FILE, found.model_dump(mode="json"))
+
+
+def find_reproductions(roots: Iterable[Path]) -> list[Reproduction]:
+    """Everything that was reproduced, or was not, below some folders.
+
+    Args:
+        roots: Folders of run records; those that do not exist hold none.
+
+    Returns:
+        In the order of their paths.
+
+    Raises:
+        InputError: If a file is damaged.
+    """
+    paths = dict.fromkeys(path for root in roots for path in sorted(root.rglob(REPRODUCTION_FILE)))
+    return [_read(path) for path in paths]
+
+
+def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproduction]) -> list[RunRecord]:
+    """Records that know whether their version of the planner reproduced its published numbers.
+
+    Args:
+        records: Any records.
+        found: What was tried.
+
+    Returns:
+        The same records, in their order.
+    """
+    whose: dict[str, str] = {}
+    failed = set()
+    for each in found:
+        key = version_key(each.planner)
+        if each.reproduced:
+            whose[key] = f"{each.of} (on {each.data.name}, {each.split})"
+        else:
+            failed.add(key)
+    # A version that reproduced its numbers in one place and not in another did not.
+    known = {key: said for key, said in whose.items() if key not in failed}
+    return [replace(record, reproduced=known.get(version_key(record.run.planner))) for record in records]
+
+
+def _read(path: Path) -> Reproduction:
+    value: Any = read_json(path)
+    try:
+        return Reproduction.model_validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        raise InputError(
+            f"{path} does not say what was reproduced: {where}: {first['msg']}; run challenger-bench reproduce again "
+            "or delete it"
+        ) from error

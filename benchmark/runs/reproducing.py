@@ -1,0 +1,282 @@
+"""Published numbers beside those of a run: which there are, how far apart they are, and the verdict on each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from pydantic import Field, ValidationError
+
+from benchmark.errors import InputError, did_you_mean
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine.storage import read_json, write_json
+from benchmark.metrics.rates import HORIZONS
+from benchmark.planning import Planner
+from benchmark.protocols import PROTOCOLS, STANDARD
+from benchmark.published import PLANNING, PLANNING_ALLOWED, VAL_SAMPLES
+from benchmark.records.reproduction import ComparedNumber, Reproduction, write_reproduction
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import Stored
+from benchmark.runs.plan_rows import PlannerFactory
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+PUBLISHED: Final = "the published numbers"
+_COLUMNS: Final[tuple[Literal["collision", "l2"], ...]] = ("collision", "l2")
+_SCALE: Final = {"collision": 100.0, "l2": 1.0}
+_DIGITS: Final = 6
+"""Decimals of stored values, per cent and metres."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class ExpectedValues(Stored):
+    """A file of ``--expected``: numbers that a run should give.
+
+    Attributes:
+        model: Name of the planner.
+        protocol: Who judges.
+        split: On which split.
+        source: Where the numbers come from, in words.
+        values: Per cent of ``collision`` and metres of ``l2`` by horizon.
+        allowed: Largest difference that is allowed, by the same names.
+        samples: How many samples count.
+    """
+
+    model: str
+    protocol: str
+    split: str
+    source: str
+    values: dict[Literal["collision", "l2"], dict[Literal["1s", "2s", "3s", "avg"], Finite]]
+    allowed: dict[Literal["collision", "l2"], Annotated[float, Field(ge=0)]]
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Published:
+    """One number with where it is printed."""
+
+    column: Literal["collision", "l2", "samples"]
+    horizon: str
+    values: tuple[tuple[float, str], ...]
+    allowed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What a run should give.
+
+    Attributes:
+        of: Whose numbers they are, in words.
+        protocol: Who judges.
+        numbers: Each number, wherever it is printed.
+    """
+
+    of: str
+    protocol: str
+    numbers: tuple[_Published, ...]
+
+
+def published_models() -> tuple[str, ...]:
+    """Models of which numbers are published."""
+    return tuple(dict.fromkeys(each.model for each in PLANNING))
+
+
+def published_numbers(model: str, protocol: str) -> Expected:
+    """The published numbers of a model on the official validation split.
+
+    Args:
+        model: Its name.
+        protocol: Its own protocol.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        InputError: If none are known.
+    """
+    rows = [each for each in PLANNING if each.model == model]
+    if not rows:
+        known = published_models()
+        raise InputError(
+            f"no numbers are published of {model}; {did_you_mean(model, known)}there are those of {', '.join(known)}, "
+            "and --expected FILE takes others"
+        )
+    found = []
+    for column in _COLUMNS:
+        for place, horizon in enumerate(HORIZONS):
+            printed = [(each.values[place], each.source) for each in rows if each.column == column]
+            values = tuple((float(text), source) for text, source in printed if text)
+            found.append(_Published(column, horizon, values, PLANNING_ALLOWED[column]))
+    counted = (float(VAL_SAMPLES[protocol]), "samples of the nuScenes validation split that the protocol counts")
+    return Expected(PUBLISHED, protocol, (*found, _Published("samples", "", (counted,), 0.0)))
+
+
+def expected_file(path: Path, model: str, split: str) -> Expected:
+    """Numbers that a file names.
+
+    Args:
+        path: A file as `store_expected` writes it.
+        model: What will run.
+        split: On what.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        InputError: If it is no such file, or is of another model or split.
+    """
+    try:
+        said = ExpectedValues.model_validate(read_json(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        raise InputError(f"{path} is no file of expected values: {where}: {first['msg']}; see docs/reproduce.md") from (
+            error
+        )
+    if said.model != model or said.split != split:
+        raise InputError(f"{path} is of {said.model} on {said.split}, not of {model} on {split}; name another file")
+    if said.protocol not in PROTOCOLS:
+        raise InputError(f"{path} names the unknown protocol {said.protocol!r}; known are {', '.join(PROTOCOLS)}")
+    missing = sorted(set(said.values) - set(said.allowed))
+    if missing or not any(said.values.values()):
+        lacks = f"allows no difference for {missing[0]}" if missing else "has no values"
+        raise InputError(f"{path} {lacks}; add it (docs/reproduce.md)")
+    numbers = [
+        _Published(column, horizon, ((value, said.source),), said.allowed[column])
+        for column, by_horizon in said.values.items()
+        for horizon, value in by_horizon.items()
+    ]
+    return Expected(
+        said.source, said.protocol, (*numbers, _Published("samples", "", ((said.samples, said.source),), 0))
+    )
+
+
+def reproduce(
+    data: "DataSet",
+    split: str,
+    planner: Planner | PlannerFactory,
+    out: Path,
+    expected: Expected,
+    *,
+    workers: int = 1,
+    seed: int = 0,
+) -> tuple[RunRecord, Reproduction]:
+    """Run a planner on a split, compare it with what it should give, and note the verdict beside the record.
+
+    Args:
+        data: The data set.
+        split: The split of the numbers.
+        planner: The planner, or what builds it.
+        out: Folder of run directories.
+        expected: The numbers (`published_numbers`, `expected_file`).
+        workers: Number of processes.
+        seed: Seed of the intervals.
+
+    Returns:
+        The record, and every number beside ours.
+
+    Raises:
+        InputError: As `benchmark.evaluation.evaluate`, or if the planner failed on samples.
+    """
+    judges = tuple(dict.fromkeys((*STANDARD, expected.protocol)))
+    record = evaluate(data, split, planner, out, EvalSettings(judges, workers=workers, seed=seed))
+    found = compared(record, expected)
+    write_reproduction(record.directory, found)
+    return record, found
+
+
+def compared(record: RunRecord, expected: Expected) -> Reproduction:
+    """A run beside the numbers that it should give.
+
+    Args:
+        record: The run, judged by the protocol of the numbers.
+        expected: The numbers.
+
+    Returns:
+        Every number with ours.
+
+    Raises:
+        InputError: If the run is not whole: failed samples, or not the whole split.
+    """
+    require_whole(record)
+    summary = record.summary.protocols[expected.protocol]
+    numbers = []
+    for each in expected.numbers:
+        ours = float(summary.counted) if each.column == "samples" else _of_run(record, expected.protocol, each)
+        values: Sequence[tuple[float, str]] = each.values
+        value, source = min(values, key=lambda known: abs(known[0] - (known[0] if ours is None else ours)))
+        numbers.append(
+            ComparedNumber(
+                column=each.column,
+                horizon=each.horizon,
+                published=value,
+                ours=ours,
+                allowed=each.allowed,
+                source=source,
+            )
+        )
+    run = record.run
+    return Reproduction(
+        planner=run.planner,
+        data=run.data,
+        split=run.split,
+        protocol=expected.protocol,
+        version=summary.version,
+        record=record.content_id,
+        of=expected.of,
+        numbers=numbers,
+    )
+
+
+def require_whole(record: RunRecord) -> None:
+    """Refuse a run that is not of the whole split or failed on samples: its rates are of something else."""
+    if not record.complete:
+        raise InputError(
+            f"{record.planner} failed on {record.summary.failed} of {record.summary.samples} samples, so that nothing "
+            f"can be said; the tracebacks are in {record.directory}"
+        )
+    if not record.covers_split:
+        raise InputError(f"{record.directory} holds a part of the split; published numbers are of the whole")
+
+
+def store_expected(path: Path, record: RunRecord, protocol: str) -> None:
+    """Write what a run gave as a file of expected values.
+
+    Args:
+        path: The file.
+        record: The run.
+        protocol: Who judges.
+
+    Raises:
+        InputError: If the run is not whole, or the file cannot be written.
+    """
+    require_whole(record)
+    summary, run = record.summary.protocols[protocol], record.run
+    values = {
+        column: {
+            horizon: round(_SCALE[column] * rate.value, _DIGITS)
+            for horizon, rate in summary.columns[column].items()
+            if rate.value is not None
+        }
+        for column in _COLUMNS
+        if column in summary.columns
+    }
+    write_json(
+        path,
+        {
+            "model": run.planner.name,
+            "protocol": protocol,
+            "split": run.split,
+            "source": f"a run of {run.planner.name} on {run.data.name} (record {record.content_id})",
+            "values": values,
+            "allowed": {column: PLANNING_ALLOWED[column] for column in values},
+            "samples": summary.counted,
+        },
+    )
+
+
+def _of_run(record: RunRecord, protocol: str, number: _Published) -> float | None:
+    rate = record.summary.protocols[protocol].columns.get(number.column, {}).get(number.horizon)
+    return None if rate is None or rate.value is None else _SCALE[number.column] * rate.value
