@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 SCHEMA = 4
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
@@ -16,8 +16,16 @@ MOST_ADVERSARIES: Final = 1000
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
 Label = Annotated[str, Field(max_length=200)]
-Name = Annotated[str, Field(max_length=200, pattern=r"^[^/\\\x00-\x1f]*$")]
-"""Of something that files are named after: one line, and no path."""
+
+
+def _names_a_file(name: str) -> str:
+    if not name.isprintable() or "\\" in name or {"", ".", ".."} & set(name.split("/")):
+        raise ValueError("must be a name that files can be named after")
+    return name
+
+
+Name = Annotated[Label, AfterValidator(_names_a_file)]
+"""Of something that files are named after; scenes of one of several roots have that root's name before a slash."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 LightName = Literal["day", "dusk", "night", "rain"]
 PlaceName = Literal["roundabout", "car-park", "junction", "bend", "straight", "unknown"]
