@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, Rows, key_of, numbers_of, refuse
+from adapters.result_files.contract import LACKS, FileFrame, FilePlans, ResultFormat, Rows, key_of, numbers_of, refuse
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.turning import turned
 from adapters.result_files.uniad import SAME_M
@@ -123,4 +123,10 @@ def _require_recorded(path: Path, row: int, recorded: Floats, samples: RecordedS
 
 
 OUT: Final = ResultFormat("bev-planner", "BEV-Planner (--out)", "bev-planner", read_out)
-JSON: Final = ResultFormat("bev-planner-json", "BEV-Planner (results_nusc_planning.json)", "bev-planner", read_json)
+JSON: Final = ResultFormat(
+    "bev-planner-json",
+    "BEV-Planner (results_nusc_planning.json)",
+    "bev-planner",
+    read_json,
+    (*LACKS, "positions finer than 0.1 mm"),
+)

@@ -22,6 +22,12 @@ LONG_PLAN_STEPS: Final = 12
 """Steps of the planners that were trained for 6 s."""
 
 
+LACKS: Final = ("forecasts of others", "alternatives with scores", "speed of the planner", "plans beyond 3 s")
+"""What no format gives: some hold the first two, in forms that nobody has described."""
+ROUNDED: Final = (*LACKS, "positions finer than 0.01 m")
+"""The same of texts."""
+
+
 class FileFrame(StrEnum):
     """Frame of a file's waypoints.
 
@@ -70,7 +76,7 @@ class ResultFormat:
         repositories: Whose files have it.
         native: Protocol of these repositories, if it is known here.
         read: Finds plans and samples in the content of a file; raises `RefusedFile`.
-        lacks: What such a file does not hold, in words that fit behind "the file has no ".
+        lacks: What the record therefore does not have, in words that fit behind "the record has no ".
         by_place: Whether samples are known by their place in the list alone.
     """
 
@@ -78,7 +84,7 @@ class ResultFormat:
     repositories: str
     native: str | None
     read: Callable[[Path, Any, RecordedSamples], FilePlans]
-    lacks: tuple[str, ...] = ("forecasts of others", "speed of the planner", "plan beyond 3 s")
+    lacks: tuple[str, ...] = LACKS
     by_place: bool = False
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from adapters.result_files.contract import FilePlans, ResultFormat, refuse
 from adapters.result_files.frames import lidar_waypoints, plans_of
 from adapters.result_files.plausibility import require_plausible
-from adapters.result_files.recognition import AUTO, Recognised, recognise
+from adapters.result_files.recognition import Recognised
 from adapters.result_files.samples import RecordedSamples
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -36,14 +36,13 @@ class ImportedPlans:
 
 
 def import_results(
-    paths: Sequence[Path], samples: RecordedSamples, wanted: str = AUTO, scenes: Collection[str] | None = None
+    opened: Sequence[Recognised], samples: RecordedSamples, scenes: Collection[str] | None = None
 ) -> ImportedPlans:
-    """Read result files.
+    """Find the plans of result files.
 
     Args:
-        paths: Files of one format and run, or folders.
+        opened: Files of one run, or folders.
         samples: Samples of the split.
-        wanted: Their format, or ``auto``.
         scenes: Only these scenes are evaluated: a file without tokens may be of them alone.
 
     Returns:
@@ -51,9 +50,8 @@ def import_results(
 
     Raises:
         RefusedFile: If a file is damaged or hostile, its plans belong to other samples, or cannot be what they must be.
-        InputError: If a file cannot be opened, or files have different formats.
+        InputError: If files have different formats.
     """
-    opened = [recognise(path, wanted) for path in paths]
     first = opened[0]
     for other in opened[1:]:
         if other.format is not first.format:
@@ -72,7 +70,7 @@ def import_results(
     said = require_plausible(first.path, lidar, found.rows, samples).said
     tokens = [samples.tokens[row] for row in found.rows.tolist()]
     plans = dict(zip(tokens, plans_of(found, samples), strict=True))
-    return ImportedPlans(tuple(paths), first.format, found, plans, said)
+    return ImportedPlans(tuple(each.path for each in opened), first.format, found, plans, said)
 
 
 def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:

@@ -25,6 +25,8 @@ ASIDE_M: Final = 2.0
 STANDING_M: Final = 0.2
 _UNIT: Final = 10.0
 _SUMMED: Final = 0.35
+_DROVE_M: Final = 1e-3
+"""Of a recorded car that did not move at all nothing can be said to grow."""
 _SECOND_STEP: Final = 0.6
 """Offsets of a car that drives on have a second step like the first; a car that brakes still gets ahead in it."""
 _TURNED: Final = 0.8
@@ -106,14 +108,17 @@ def _offsets(path: Path, said: dict[str, str], size: Floats, gone: Floats) -> No
     begun = size[:, 0] > BEGUN_M
     if not _testable(said, "offsets", begun, FEWEST):
         return
-    # A recorded car that stood at 0.5 s has no growth to compare with.
-    first, first_gone = size[begun, 0], np.maximum(gone[begun, 0], STANDING_M)
-    growth = np.median(size[begun, -1] / first) / max(float(np.median(gone[begun, -1] / first_gone)), 1.0)
-    second = np.median(size[begun, 1] / first) / max(float(np.median(gone[begun, 1] / first_gone)), 1.0)
-    if growth < _SUMMED and second < _SECOND_STEP:
-        what = f"its plans grow {growth:.2f} times as much from 0.5 s to 3 s as the recorded ways"
+    drove = begun & (gone[:, 0] > _DROVE_M)
+    if not _testable(said, "offsets", drove, 1):
+        return
+    last, second = (
+        float(np.median(size[begun, step] / size[begun, 0]) / np.median(gone[drove, step] / gone[drove, 0]))
+        for step in (-1, 1)
+    )
+    if last < _SUMMED and second < _SECOND_STEP:
+        what = f"its plans grow {last:.2f} times as much from 0.5 s to 3 s as the recorded ways"
         _refuse(path, "offsets", f"{what}: offsets that were not summed would fit (1/6)")
-    said["offsets"] = f"plans grow {growth:.2f} times as much as recorded ({int(begun.sum())} samples)"
+    said["offsets"] = f"plans grow {last:.2f} times as much as recorded ({int(begun.sum())} samples)"
 
 
 def _axes(path: Path, said: dict[str, str], plan: Floats, recorded: Floats, moved: Bools) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, numbers_of, refuse, rows_of
+from adapters.result_files.contract import ROUNDED, FileFrame, FilePlans, ResultFormat, numbers_of, refuse, rows_of
 from adapters.result_files.samples import RecordedSamples
 from benchmark.constants import PLAN_STEPS
 from benchmark.foreign.files import one_line
@@ -181,9 +181,9 @@ def _found(
     )
 
 
-OMNIDRIVE: Final = ResultFormat("omnidrive", "OmniDrive (a folder)", "omnidrive", read_omnidrive)
+OMNIDRIVE: Final = ResultFormat("omnidrive", "OmniDrive (a folder)", "omnidrive", read_omnidrive, ROUNDED)
 CONVERSATION: Final = ResultFormat(
-    "opendrivevla-conversation", "OpenDriveVLA (plan_conv.json)", "opendrivevla", read_conversation
+    "opendrivevla-conversation", "OpenDriveVLA (plan_conv.json)", "opendrivevla", read_conversation, ROUNDED
 )
-MODES: Final = ResultFormat("opendrivevla", "OpenDriveVLA (pred_trajs_dict.json)", "opendrivevla", read_modes)
-GPTDRIVER: Final = ResultFormat("gptdriver-text", "GPT-Driver (the answers)", "agent-driver", read_gptdriver)
+MODES: Final = ResultFormat("opendrivevla", "OpenDriveVLA (pred_trajs_dict.json)", "opendrivevla", read_modes, ROUNDED)
+GPTDRIVER: Final = ResultFormat("gptdriver-text", "GPT-Driver (the answers)", "agent-driver", read_gptdriver, ROUNDED)

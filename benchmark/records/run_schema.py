@@ -70,6 +70,44 @@ class DataFacts(Stored):
     fingerprint: str
 
 
+SampleOrder = Literal["tokens", "proven", "consistent", "assumed"]
+"""How it is known which sample a plan of a file belongs to."""
+
+
+class PlansFrom(Stored):
+    """Plans that were not made here: what the files say, and what they do not (docs/your-results.md).
+
+    Attributes:
+        format: Format of the files.
+        files: SHA-256 by name.
+        order: How it is known which sample a plan belongs to.
+        shown_by: What shows it.
+        plans: Samples with a plan in the files.
+        samples: Samples of the split.
+        steps: Waypoints of a plan in the files.
+        skipped: Samples whose plan cannot be read, and why, by token.
+        duplicates: Entries left out because they repeat another one.
+        repaired: Plans that the repository itself completes because the answer was too short or too long.
+        mirrored: Whether x of the files is mirrored, where files may be either.
+        checks: What tests of unit, frame and origin measured, or that they were not testable.
+        lacks: What the files do not hold.
+    """
+
+    format: str
+    files: dict[str, str]
+    order: SampleOrder
+    shown_by: str
+    plans: int
+    samples: int
+    steps: int
+    skipped: dict[str, str] = Field(default_factory=dict)
+    duplicates: int = 0
+    repaired: int = 0
+    mirrored: bool | None = None
+    checks: dict[str, str] = Field(default_factory=dict)
+    lacks: list[str] = Field(default_factory=list)
+
+
 class RunFacts(Stored):
     """``run.json``.
 
@@ -79,6 +117,8 @@ class RunFacts(Stored):
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
         scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
+        plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
+            environment is then that of the import.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
@@ -96,6 +136,7 @@ class RunFacts(Stored):
     scenes_in_split: SceneCount
     scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
     frozen_split: str | None = None
+    plans_from: PlansFrom | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, Version]
     seed: Seed
