@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from adapters.checkpoints.listing import known_weights as known_weights
     from adapters.known_planners import known_planners as known_planners
     from adapters.plan_file import plan_file_factory as plan_file_factory
+    from adapters.result_files.planner import result_file_factory as result_file_factory
+    from adapters.result_files.recognition import recognise as recognise
+    from adapters.result_files.samples import samples_of_data as samples_of_data
+    from adapters.result_files.writing.formats import write_results as write_results
     from adapters.training.ego_status import train_ego_status as train_ego_status
     from adapters.training.planners import (
         PlannerTraining as PlannerTraining,

@@ -53,7 +53,7 @@ RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 """Run records, manifests and lists of a submission."""
 PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)
 """One row a sample: all of nuScenes has 34,149."""
-RESULTS: Final = Limits("result file", 8 * GIB, values=8_000_000)
+RESULTS: Final = Limits("result file", 8 * GIB, values=8_000_000, memory_bytes=GIB)
 """Files that planners' repositories write: plans, boxes, maps and forecasts of up to 34,149 samples. What reading may
 cost grows with the file (`for_file`)."""
 ANSWER: Final = Limits("answer of a planner", 64 * 1024, values=10_000)
@@ -88,12 +88,12 @@ def for_file(limits: Limits, size: int) -> Limits:
     Returns:
         They, with memory and time for the file.
     """
-    more_s = size // (16 * MIB)
+    more_s = size // (8 * MIB)
     return replace(
         limits,
         memory_bytes=limits.memory_bytes + 12 * size,
         cpu_s=limits.cpu_s + more_s,
-        clock_s=limits.clock_s + 2 * more_s,
+        clock_s=limits.clock_s + 3 * more_s,
     )
 
 
