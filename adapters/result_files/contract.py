@@ -153,7 +153,7 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
         array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
         for shape in shapes
     )
-    if array.dtype.kind not in "fiu" or not fits:
+    if array.dtype.kind not in "fiu" or not fits or _has_truths(value):
         have = (
             " x ".join(map(str, array.shape)) if array.dtype.kind in "fiu" else f"{type(value).__name__} of no numbers"
         )
@@ -162,6 +162,13 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
     if not np.isfinite(numbers).all():
         refuse(path, "not_finite", f"{where} has NaN or infinity in it", "a plan without numbers is none: leave it out")
     return numbers
+
+
+def _has_truths(value: Any) -> bool:
+    """Whether nested lists hold true or false, which would count as 1 and 0 metres."""
+    if isinstance(value, list | tuple):
+        return any(_has_truths(each) for each in value)
+    return isinstance(value, bool)
 
 
 def key_of(path: Path, entry: Any, key: str, where: str) -> Any:

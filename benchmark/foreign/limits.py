@@ -78,6 +78,9 @@ EXPANSION: Final = 4
 """How many times its own size a checkpoint's tensors may claim, since tensors may share what is stored."""
 
 
+_MOST_MORE_BYTES: Final = 16 * GIB
+
+
 def for_file(limits: Limits, size: int) -> Limits:
     """Limits of a file whose reading costs in proportion to its size, so that a small one can never cost much.
 
@@ -91,7 +94,7 @@ def for_file(limits: Limits, size: int) -> Limits:
     more_s = size // (8 * MIB)
     return replace(
         limits,
-        memory_bytes=limits.memory_bytes + 12 * size,
+        memory_bytes=limits.memory_bytes + min(12 * size, _MOST_MORE_BYTES),
         cpu_s=limits.cpu_s + more_s,
         clock_s=limits.clock_s + 3 * more_s,
     )

@@ -282,6 +282,7 @@ MISPLACED = (
           "duplicate"),
     _json("NaN in JSON", "opendrivevla", lambda text: text.replace("0.0", "NaN", 1), "not_finite"),
     _json("a number beyond all", "opendrivevla", lambda text: text.replace("0.0", "1e999", 1), "not_finite"),
+    _json("true for a number", "opendrivevla", lambda text: text.replace("0.0", "true", 1), "shape"),
     _json("half of JSON", "opendrivevla", lambda text: text[: len(text) // 2], "truncated"),
     _json("JSON nested 10^5 deep", "opendrivevla", lambda _: "[" * 100_000 + "]" * 100_000, "nesting"),
     _json("detections", "opendrivevla", lambda _: json.dumps({"meta": {}, "results": {"a": []}}), "no_plan"),
