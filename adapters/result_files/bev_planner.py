@@ -8,7 +8,7 @@ import numpy as np
 from adapters.result_files.contract import LACKS, FileFrame, FilePlans, ResultFormat, Rows, key_of, numbers_of, refuse
 from adapters.result_files.samples import RecordedSamples
 from adapters.result_files.turning import turned
-from adapters.result_files.uniad import SAME_M
+from adapters.result_files.uniad import SAME_M, entries_of
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
 
@@ -32,9 +32,10 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     """
     plans: dict[int, Floats] = {}
     duplicates = 0
-    for at, entry in enumerate(content):
+    for at, entry in enumerate(entries_of(content)):
         held = key_of(path, entry, "pred_ego_traj", f"entry {at}")
-        plan = numbers_of(path, held.get("pred_ego_fut_trajs"), f"the plan of entry {at}", (PLAN_STEPS, 2))
+        stored = key_of(path, held, "pred_ego_fut_trajs", f"entry {at}")
+        plan = numbers_of(path, stored, f"the plan of entry {at}", (PLAN_STEPS, 2))
         row = _row(path, key_of(path, held, "index_w_scene", f"entry {at}"), samples)
         if held.get("index", entry.get("index")) != _index(held["index_w_scene"]):
             refuse(path, "order", f"entry {at} has another index than its name {held['index_w_scene']}", _ADVICE)

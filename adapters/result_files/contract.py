@@ -153,10 +153,9 @@ def numbers_of(path: Path, value: Any, where: str, *shapes: tuple[int | None, ..
         array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape))
         for shape in shapes
     )
-    if array.dtype.kind not in "fiu" or not fits or _has_truths(value):
-        have = (
-            " x ".join(map(str, array.shape)) if array.dtype.kind in "fiu" else f"{type(value).__name__} of no numbers"
-        )
+    is_numeric = array.dtype.kind in "fiu" and not _has_truths(value)
+    if not is_numeric or not fits:
+        have = " x ".join(map(str, array.shape)) if is_numeric else f"{type(value).__name__} of no numbers"
         refuse(path, "shape", f"{where} is {have}, not {wanted}", "make the file again with the official script")
     numbers: Floats = array.astype(np.float64)
     if not np.isfinite(numbers).all():

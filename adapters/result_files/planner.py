@@ -137,7 +137,9 @@ def result_file_factory(
     every = samples_of_data(data, split)
     imported = import_results(opened, every, scenes)
     name = name or paths[0].stem
-    hashes = {path.name: _sha256(path) for path in paths}
+    names = [path.name for path in paths]
+    numbered = [name if names.count(name) == 1 else f"{name} ({at})" for at, name in enumerate(names, start=1)]
+    hashes = {name: _sha256(path) for name, path in zip(numbered, paths, strict=True)}
     facts = PlannerFacts(
         name=name,
         privileged=False,

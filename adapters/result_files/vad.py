@@ -78,7 +78,8 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
     for at, (row, entry) in enumerate(zip(rows.tolist(), entries)):
         where = f"of entry {at}"
         held = key_of(path, entry, "pts_bbox", f"entry {at}")
-        plan, command = _chosen(path, held.get("ego_fut_preds"), held.get("ego_fut_cmd"), where)
+        offsets, stored = (key_of(path, held, key, f"entry {at}") for key in ("ego_fut_preds", "ego_fut_cmd"))
+        plan, command = _chosen(path, offsets, stored, where)
         _require_command(path, row, command, samples, f"entry {at}, which would be ")
         plans.append(plan)
         compared += _compare_metrics(path, at, row, plan, entry.get("metric_results"), samples)

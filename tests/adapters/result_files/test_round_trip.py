@@ -32,6 +32,7 @@ from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Plan, PlanFrame
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.rescoring import rescore
+from leaderboard.site.model_index import model_index
 from leaderboard.tables.collision import collision_table
 from leaderboard.tables.transfer import transfer_matrices, transfer_table
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -203,6 +204,8 @@ def test_the_record_and_every_table_say_where_plans_come_from(town: tuple[FakeDa
     for matrix in transfer_matrices([record, found], "val").values():
         assert any(note.startswith(says) for note in transfer_table("fake", matrix).notes)
     assert any("order assumed" in sentence for sentence in factory.sentences)
+    told = {entry["name"]: entry["runs"][0].get("plansFrom") for entry in model_index([record, found])}
+    assert told["constant-velocity"] is None and str(told["SD"]).startswith(says)
     again = load_record(found.directory)
     assert again.run == found.run and rescore(found.directory, data).run.plans_from == found.run.plans_from
 
