@@ -71,7 +71,7 @@ def _run(record: RunRecord) -> dict[str, Any]:
             for name, of_protocol in summary.protocols.items()
         },
         "driving": None if summary.driving is None else _driving(summary.driving),
-        **{"plansFrom": note for note in file_notes([record])},
+        **({} if run.plans_from is None else {"plansFrom": file_notes([record])[0]}),
     }
 
 
