@@ -16,7 +16,7 @@ from adapters.result_files.contract import (
     refuse,
 )
 from adapters.result_files.samples import RecordedSamples
-from adapters.result_files.uniad import entries_of
+from adapters.result_files.uniad import MIRRORED, entries_of
 from adapters.result_files.vad import COMMANDS, require_count
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
@@ -70,6 +70,9 @@ def _tells_command(path: Path, at: int, row: int, plan: Floats, held: Any, sampl
     scores = numbers_of(path, held["planning_score"], f"the scores of entry {at}", (COMMANDS, modes.shape[1]))
     best = modes[np.arange(COMMANDS), scores.argmax(axis=1)]
     fits = np.abs(best - plan).max(axis=(1, 2)) <= SAME_M
+    if not fits.any() and (np.abs(best * MIRRORED - plan).max(axis=(1, 2)) <= SAME_M).any():
+        what = f"the plan of entry {at} is one of its modes with left and right exchanged"
+        refuse(path, "frame", what, "the list was dumped after its metric had changed it: dump it before")
     if not any(fits[command] and samples.may_be(row, command) for command in range(COMMANDS)):
         refuse(
             path,

@@ -97,7 +97,8 @@ def parse_result_json(data: bytes, where: str, limits: Limits = JSON) -> Any:
         return json.loads(data, object_pairs_hook=_once, parse_constant=_not_finite, parse_float=_finite)
     except json.JSONDecodeError as error:
         ended = error.pos >= len(error.doc.rstrip()) or error.msg.startswith("Unterminated")
-        category, why = "truncated" if ended else "unknown", one_line(error)
+        behind = error.msg.startswith("Extra data")
+        category, why = "trailing" if behind else "truncated" if ended else "unknown", one_line(error)
     except _NamedTwiceError as error:
         category, why = "duplicate", one_line(error)
     except _NotFiniteError as error:

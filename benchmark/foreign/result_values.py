@@ -9,6 +9,7 @@ not travel.
 import math
 import pickle
 import re
+import sys
 from collections.abc import Callable
 from typing import Any, BinaryIO, Final
 
@@ -34,6 +35,8 @@ _KEPT: Final = frozenset(
 )  # fmt: skip
 """Keys that plans and proofs of their order are read from: a dictionary with one of them keeps these alone."""
 _ALWAYS_PARTLY: Final = ("img_bbox", "pts_bbox")
+_FARTHEST_DOWN: Final = 1000
+"""Containers within containers that are looked into at all."""
 _LONG: Final = ("meta",)
 """Says what kind of file it is; what it holds is of no use."""
 
@@ -228,7 +231,12 @@ def result_value(stream: BinaryIO, limits: Limits) -> dict[str, Any]:
         value = _ResultUnpickler(stream).load()
         if stream.read(1):
             return {"wrong": "trailing", "why": "there are bytes behind its end"}
-        return {"value": _Kept(limits).of(value, 0)[0]}
+        # Deep enough to tell what unfolds endlessly from what is only deep; Python's own calls take no C stack.
+        sys.setrecursionlimit(max(sys.getrecursionlimit(), 8 * _FARTHEST_DOWN))
+        copy, _, height = _Kept(limits).of(value, 0)
+        if height > limits.depth:
+            raise _TooDeep(f"its containers lie more than {limits.depth} deep")
+        return {"value": copy}
     except Refused as refused:
         return {"wrong": "class", "why": one_line(refused)}
     except _TooDeep as why:
@@ -268,13 +276,11 @@ class _Kept:
             return value.value, 1, 0
         known = self._known.get(id(value))
         if known is None:
-            if depth > self._limits.depth:
+            if depth > _FARTHEST_DOWN:
                 raise _TooDeep(f"its containers lie more than {self._limits.depth} deep")
             found = self._container(value, depth)
             self._known[id(value)] = known = (*found, value)
         copy, count, height = known[:3]
-        if depth + height > self._limits.depth:
-            raise _TooDeep(f"its containers lie more than {self._limits.depth} deep")
         if count > self._limits.values:
             raise Unanswerable(f"it holds more than {self._limits.values} values")
         return copy, count, height

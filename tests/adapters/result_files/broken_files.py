@@ -215,6 +215,7 @@ HOSTILE = (
     _bytes("a storage that declares more", lambda _: _inner(_storage_of(1 << 40)), "size"),
     _bytes("lists nested 10^5 deep", _raw(b"]" * 100_000 + b"a" * 99_999), "nesting"),
     _bytes("a value that unfolds to 10^40", _raw(_MEMO, 2), "size"),
+    _bytes("a value that unfolds to 2^900", _raw(b")" + b"2\x86" * 900), "size"),
     _bytes("a container within itself", _raw(b"]q\0h\0a", 2), "nesting"),
     _bytes("half of a pickle", lambda data: data[: len(data) // 2], "truncated", "unknown"),
     _bytes("bytes behind the end", lambda data: data + b"x", "trailing"),
@@ -264,6 +265,10 @@ MISPLACED = (
     _written("an entry too few", "sparsedrive", lambda file: file[:-1], "count"),
     _written("an entry too many", "sparsedrive", lambda file: [*file, file[-1]], "count"),
     _written("moved by a scene", "sparsedrive", lambda file: [*file[24:], *file[:24]], "order"),
+    _written("dumped after its metric", "sparsedrive", lambda file: [
+        {"img_bbox": {**entry["img_bbox"], "final_planning": PickledTensor(
+            VALID.waypoints(int(SAMPLES.by_time[at]), FileFrame.LIDAR) * [-1.0, 1.0])}}
+        for at, entry in enumerate(file)], "frame"),
     _written("boxes only", "sparsedrive", lambda file: [{"img_bbox": {"boxes_3d": None}} for _ in file], "no_plan"),
     _written("plans of two lengths", "sparsedrive", lambda file: [
         {"img_bbox": {"final_planning": np.zeros((12 if at == 5 else 6, 2))}} for at in range(len(file))], "shape"),
@@ -284,6 +289,7 @@ MISPLACED = (
     _json("a number beyond all", "opendrivevla", lambda text: text.replace("0.0", "1e999", 1), "not_finite"),
     _json("true for a number", "opendrivevla", lambda text: text.replace("0.0", "true", 1), "shape"),
     _json("half of JSON", "opendrivevla", lambda text: text[: len(text) // 2], "truncated"),
+    _json("text behind the end of JSON", "opendrivevla", lambda text: text + "{}", "trailing"),
     _json("JSON nested 10^5 deep", "opendrivevla", lambda _: "[" * 100_000 + "]" * 100_000, "nesting"),
     _json("detections", "opendrivevla", lambda _: json.dumps({"meta": {}, "results": {"a": []}}), "no_plan"),
     _json("other JSON", "opendrivevla", lambda _: '{"a": 1}', "unknown"),
