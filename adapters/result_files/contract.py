@@ -4,20 +4,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final, Literal, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.result_files.samples import RecordedSamples
-from benchmark.constants import PLAN_STEPS
 from benchmark.foreign.files import one_line
 from benchmark.foreign.refusals import Category, RefusedFile
 from benchmark.geometry import Floats
+from benchmark.records.run_schema import SampleOrder
 
 Rows = NDArray[np.int64]
-Order = Literal["tokens", "proven", "consistent", "assumed"]
-"""How it is known which sample a plan belongs to (spec/result_files.md, 5)."""
 LONG_PLAN_STEPS: Final = 12
 """Steps of the planners that were trained for 6 s."""
 
@@ -59,7 +57,7 @@ class FilePlans:
     frame: FileFrame
     rows: Rows
     waypoints: Floats
-    order: Order
+    order: SampleOrder
     shown_by: str
     skipped: Mapping[str, str] = field(default_factory=dict)
     duplicates: int = 0
@@ -175,8 +173,3 @@ def key_of(path: Path, entry: Any, key: str, where: str) -> Any:
     if not isinstance(entry, dict) or entry.get(key) is None:
         refuse(path, "shape", f"{where} has no {key}", "make the file again with the official script")
     return entry[key]
-
-
-def plan_shapes(*before: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of plans of 3 s behind some leading axes."""
-    return ((*before, PLAN_STEPS, 2),)

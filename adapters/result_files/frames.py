@@ -37,7 +37,7 @@ def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
 
 
 def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
-    """Positions of the rear axle over the first 3 s: equation of section 2, w = q - Rot(h) t.
+    """Positions of the rear axle over the first 3 s: w = q - Rot(h) t, q the lidar's way, t its place in the car, h the heading.
 
     Args:
         found: Plans of a file.

@@ -1,4 +1,4 @@
-"""Whether plans can be in the frame, unit and origin that their format has (spec/result_files.md, 6).
+"""Whether plans can be in the frame, unit and origin that their format has.
 
 Each test compares plans with what was recorded, says what would fit where it refuses, and says "not testable" where
 too few samples could show anything: a planner that stands still or only drives straight passes all of them.

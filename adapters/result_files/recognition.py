@@ -1,4 +1,4 @@
-"""Which format a file has: told by its content, never by its name (spec/result_files.md, 3)."""
+"""Which format a file has: told by its content, never by its name."""
 
 import re
 from collections.abc import Mapping

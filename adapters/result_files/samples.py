@@ -1,6 +1,6 @@
 """What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -160,8 +160,3 @@ def _lidar_futures(scene: Scene, steps: NDArray[np.int64]) -> Floats:
     axes = turn @ rotation_matrix(scene.lidar.rotation)
     away = lidar[steps] - lidar[:, None]
     return np.asarray(np.einsum("kij,ksi->ksj", axes, away)[..., :2])
-
-
-def shown_samples(tokens: Sequence[str], most: int = 3) -> str:
-    """Some tokens, for a sentence."""
-    return ", ".join(tokens[:most]) + (f" and {len(tokens) - most} more" if len(tokens) > most else "")

@@ -9,7 +9,6 @@ from adapters.result_files.contract import (
     LONG_PLAN_STEPS,
     FileFrame,
     FilePlans,
-    Order,
     ResultFormat,
     key_of,
     numbers_of,
@@ -20,6 +19,7 @@ from adapters.result_files.uniad import MIRRORED, entries_of
 from adapters.result_files.vad import COMMANDS, require_count
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats
+from benchmark.records.run_schema import SampleOrder
 
 SAME_M: Final = 1e-4
 """The chosen plan and the same mode of all modes differ by less."""
@@ -53,7 +53,7 @@ def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
         if _tells_command(path, at, row, plan, held, samples):
             told.add(int(samples.commands[row]))
         plans.append(plan)
-    order: Order = "consistent" if len(told) > 1 else "assumed"
+    order: SampleOrder = "consistent" if len(told) > 1 else "assumed"
     shown = (
         "the number of samples fits, and each plan is the best one of our command"
         if order == "consistent"

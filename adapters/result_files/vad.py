@@ -8,7 +8,6 @@ import numpy as np
 from adapters.result_files.contract import (
     FileFrame,
     FilePlans,
-    Order,
     ResultFormat,
     key_of,
     numbers_of,
@@ -20,6 +19,7 @@ from adapters.result_files.uniad import entries_of
 from benchmark.constants import HORIZON_STEPS, PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.planning import Command
+from benchmark.records.run_schema import SampleOrder
 
 COMMANDS: Final = len(Command)
 SAME_L2_M: Final = 2e-3
@@ -84,7 +84,7 @@ def read_out(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
         plans.append(plan)
         compared += _compare_metrics(path, at, row, plan, entry.get("metric_results"), samples)
     shown = f"commands, ends of scenes and {compared} stored displacements as ours"
-    order: Order = "proven" if compared else "assumed"
+    order: SampleOrder = "proven" if compared else "assumed"
     return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown)
 
 

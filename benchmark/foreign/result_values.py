@@ -197,7 +197,7 @@ _ALLOWED: Final[dict[tuple[str, str], Any]] = {
     ("torch.storage", "_load_from_bytes"): _Function("_load_from_bytes", storage_of),
     **dict.fromkeys(_LIDAR_BOXES, _Boxes),
 }
-"""What result files may ask for (spec/result_files.md, 7), and what they get in its place."""
+"""What result files may ask for, and what they get in its place."""
 
 
 class _ResultUnpickler(pickle.Unpickler):
