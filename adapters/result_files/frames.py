@@ -37,7 +37,7 @@ def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
 
 
 def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
-    """Positions of the rear axle over the first 3 s: w = q - Rot(h) t, q the lidar's way, t its place in the car, h the heading.
+    """Positions of the rear axle over the first 3 s: the lidar's, less its place in the car, turned with the car.
 
     Args:
         found: Plans of a file.
