@@ -12,6 +12,8 @@ MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
+Told = str | int | float | bool | None
+"""What is said of a machine: a record with anything else there is damaged."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 
 
@@ -141,7 +143,7 @@ class RunFacts(Stored):
     protocols: dict[str, Version]
     seed: Seed
     config: dict[str, Any]
-    environment: dict[str, Any]
+    environment: dict[str, Told | dict[str, Told]]
     rescored: dict[str, Any] | None = None
     files: dict[str, str]
 
