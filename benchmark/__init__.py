@@ -42,6 +42,8 @@ _DEFINED_IN: Final = {
         "Forecasts",
     ],
     "adapters.plan_file": ["plan_file_factory"],
+    "adapters.result_files.planner": ["result_file_factory"],
+    "adapters.result_files.writing.formats": ["write_results"],
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
     "benchmark.protocols": ["PROTOCOLS"],
     "benchmark.records.run": ["RunRecord", "load_record", "find_records"],
@@ -83,6 +85,8 @@ _DEFINED_IN: Final = {
     "benchmark.cli.demonstration": ["demo", "full_demo", "stale_demo"],
 }
 _RENAMED: Final = {
+    "open_results": "adapters.result_files.recognition:recognise",
+    "recorded_samples": "adapters.result_files.samples:samples_of_data",
     "data_contents": "benchmark.datasets.contents:contents",
     "data_statistics": "benchmark.datasets.statistics:statistics",
     "check_data": "benchmark.datasets.integrity.check:check_tables",
@@ -124,6 +128,10 @@ if TYPE_CHECKING:
         open_split as open_split,
         packaged_splits as packaged_splits,
         plan_file_factory as plan_file_factory,
+        recognise as _open_results,
+        result_file_factory as result_file_factory,
+        samples_of_data as _recorded_samples,
+        write_results as write_results,
         planner_under_test as planner_under_test,
         quality_tables as quality_tables,
         reproduction_table as reproduction_table,
@@ -195,6 +203,8 @@ if TYPE_CHECKING:
     doctor = _doctor
     explain_protocols = _explain_protocols
     generate = _generate
+    open_results = _open_results
+    recorded_samples = _recorded_samples
 else:
     __all__ = ("__version__", *_FACE)
 

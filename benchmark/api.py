@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from adapters.checkpoints.listing import known_weights as known_weights
     from adapters.known_planners import known_planners as known_planners
     from adapters.plan_file import plan_file_factory as plan_file_factory
+    from adapters.result_files.planner import result_file_factory as result_file_factory
+    from adapters.result_files.recognition import recognise as recognise
+    from adapters.result_files.samples import samples_of_data as samples_of_data
+    from adapters.result_files.writing.formats import write_results as write_results
     from adapters.training.ego_status import train_ego_status as train_ego_status
     from adapters.training.planners import (
         PlannerTraining as PlannerTraining,
@@ -398,7 +402,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
-        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``infos`` or ``model``.
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``infos``, ``results`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
         model: With ``model``: which one.
         noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
@@ -419,6 +423,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         from benchmark.datasets.infos.verification import verify_infos
 
         return verify_infos(golden)
+    from adapters.verification.result_files import verify_results
     from benchmark.pdm.verification import verify_pdm
     from benchmark.protocols.verification import verify_protocols
     from generation.verification.denoiser import verify_denoiser
@@ -431,6 +436,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         "denoiser": verify_denoiser,
         "protocols": verify_protocols,
         "pdm": verify_pdm,
+        "results": verify_results,
     }
     if what not in known:
         raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)}, infos and model")

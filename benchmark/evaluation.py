@@ -22,6 +22,7 @@ from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import map_ordered
 from benchmark.planning import Planner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
+from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.seed_splits import generated_facts
@@ -168,6 +169,7 @@ def evaluate(
         "frozen_split": frozen_split_of(data.provenance()),
         "review": data.review(split).facts,
         "generated": generated_facts(data.provenance()),
+        "plans_from": getattr(factory, "plans_from", None),
         "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }
@@ -183,7 +185,9 @@ def evaluate(
         rows = [row for result in results for row in result.rows]
         record = write_record(directory, described, rows, versions, seed=settings.seed)
         write_failures(directory, record.rows)
-        tidy(directory, {rows_path(directory, result.scene): result.seconds for result in results})
+        # Looking plans up in a file says nothing of how fast their planner was.
+        timed = PLANS_SHA256 not in facts.settings
+        tidy(directory, {rows_path(directory, each.scene): each.seconds if timed else None for each in results})
     return record
 
 

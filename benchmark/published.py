@@ -1,4 +1,4 @@
-"""Every number that the paper prints; quoted, never counted or measured here."""
+"""Every number that the paper prints, and what others print of planners; quoted, never counted or measured here."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -155,3 +155,124 @@ ABLATION_SOURCE: Final = f'{PAPER}, section "Ablation Study"'
 ABLATION: Final = {"full": 0.0617, "no-mtr": 0.0349, "no-ts": 0.0013, "no-mtr-no-ts": 0.0080}
 """Share of samples on which UniAD fails, by variant of the search (`benchmark.records.ablation.VARIANTS`): on 20 scenes
 of the nuScenes validation set, rendered by MagicDriveDiT."""
+
+SAMPLES_OF: Final = {"val": 6019, "adv": 6115}
+"""Samples of nuScenes-val and of Adv-nuSc: what tells them from other data whose split has the same name. Nobody prints
+how many nuScenes-val-R has."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandingValue:
+    """A planning result that somebody prints, wherever it is printed.
+
+    Attributes:
+        planner: As printed.
+        ours: Names of the planner here; empty where it is not known which of them it is.
+        split: Split here, by `DATA_SET_OF_SPLIT`.
+        protocol: Protocol here that it was computed by, or None.
+        by: The same in words.
+        column: ``collision`` in per cent or ``l2`` in metres.
+        values: At 1 s, 2 s, 3 s and their average as printed; empty where it is not printed.
+        source: Where.
+    """
+
+    planner: str
+    ours: tuple[str, ...]
+    split: str
+    protocol: str | None
+    by: str
+    column: str
+    values: tuple[str, str, str, str]
+    source: str
+
+
+def _from_table_1(row: PublishedRate) -> StandingValue:
+    names = {"UniAD": ("uniad",), "VAD": ("vad", "vad-base")}.get(row.model, (row.model.lower(),))
+    split = next(split for split, data_set in DATA_SET_OF_SPLIT.items() if data_set == row.data_set)
+    return StandingValue(row.model, names, split, row.protocol, row.protocol, "collision", row.percent, TABLE_1_SOURCE)
+
+
+def _on_val(
+    planner: str, ours: tuple[str, ...], protocol: str | None, column: str, values: str, source: str, by: str = ""
+) -> StandingValue:
+    one, two, three, average = (text.replace("-", "") for text in values.split("/"))
+    return StandingValue(
+        planner, ours, "val", protocol, by or protocol or "", column, (one, two, three, average), source
+    )
+
+
+_UNIAD_README: Final = "UniAD's repository, README"
+_UNIAD_ISSUES: Final = "UniAD's repository, issues 29 and 166, pull request 173"
+_VAD_README: Final = "VAD's repository, README"
+_SPARSE_PAPER: Final = "Sun et al. 2024 (SparseDrive)"
+_SPARSE_README: Final = "SparseDrive's repository, README"
+_DIFFUSION_README: Final = "DiffusionDrive's repository, README"
+_AVERAGED: Final = "uniad, averaged over the steps as ST-P3 does"
+STANDING: Final[tuple[StandingValue, ...]] = (
+    _on_val("UniAD", ("uniad",), "uniad", "collision", "0.05/0.17/0.71/0.31", _UNIAD_README),
+    _on_val("UniAD", ("uniad",), "uniad", "l2", "0.48/0.96/1.65/1.03", _UNIAD_README),
+    _on_val("UniAD, table of checkpoints", ("uniad",), "uniad", "collision", "-/-/-/0.29", _UNIAD_README),
+    _on_val("UniAD", ("uniad",), "uniad", "collision", "0.10/0.15/0.61/-", _UNIAD_ISSUES),
+    _on_val("UniAD", ("uniad",), "uniad", "l2", "0.51/0.98/1.65/-", _UNIAD_ISSUES),
+    _on_val("UniAD", ("uniad",), None, "collision", "0.07/0.10/0.22/-", _UNIAD_ISSUES, _AVERAGED),
+    _on_val("UniAD", ("uniad",), None, "l2", "0.42/0.64/0.91/-", _UNIAD_ISSUES, _AVERAGED),
+    _on_val("UniAD", ("uniad",), "sparsedrive", "collision", "0.62/0.58/0.63/-", _SPARSE_PAPER),
+    _on_val("VAD-Tiny", ("vad-tiny",), "vad", "collision", "0.21/0.35/0.58/0.38", _VAD_README),
+    _on_val("VAD-Tiny", ("vad-tiny",), "vad", "l2", "0.46/0.76/1.12/0.78", _VAD_README),
+    _on_val("VAD-Base", ("vad", "vad-base"), "vad", "collision", "0.07/0.17/0.41/0.22", _VAD_README),
+    _on_val("VAD-Base", ("vad", "vad-base"), "vad", "l2", "0.41/0.70/1.05/0.72", _VAD_README),
+    _on_val("VAD", (), "sparsedrive", "collision", "0.03/0.19/0.43/-", _SPARSE_PAPER),
+    _on_val(
+        "SparseDrive-S, released", ("sparsedrive",), "sparsedrive", "collision", "0.01/0.05/0.23/0.10", _SPARSE_README
+    ),
+    _on_val("SparseDrive-S, released", ("sparsedrive",), "sparsedrive", "l2", "0.30/0.58/0.95/0.61", _SPARSE_README),
+    _on_val("SparseDrive-S, paper", (), "sparsedrive", "collision", "0.01/0.05/0.18/0.08", _SPARSE_README),
+    _on_val("SparseDrive-S, paper", (), "sparsedrive", "l2", "0.29/0.58/0.96/0.61", _SPARSE_README),
+    _on_val("SparseDrive-B, paper", (), "sparsedrive", "collision", "-/-/-/0.06", _SPARSE_README),
+    _on_val("SparseDrive-B, paper", (), "sparsedrive", "l2", "-/-/-/0.58", _SPARSE_README),
+    _on_val(
+        "DiffusionDrive", ("diffusiondrive",), "diffusiondrive", "collision", "0.03/0.05/0.16/0.08", _DIFFUSION_README
+    ),
+    _on_val("DiffusionDrive", ("diffusiondrive",), "diffusiondrive", "l2", "0.27/0.54/0.90/0.57", _DIFFUSION_README),
+    *map(_from_table_1, TABLE_1),
+)
+"""Who prints which number on which split under which protocol: what specifications and the paper give, no more."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeuroncapValue:
+    """A result in NeuroNCAP's closed loop.
+
+    Attributes:
+        planner: As printed.
+        scores: NeuroNCAP score of all, stationary, frontal and side encounters; empty where it is not printed.
+        collision: Collision rate of all encounters, per cent; empty where it is not printed.
+        renderer: Which NeuRAD drew the images: it is part of what was measured.
+        source: Where.
+    """
+
+    planner: str
+    scores: tuple[str, str, str, str]
+    collision: str
+    renderer: str
+    source: str
+
+
+_QUOTED: Final = "Impromptu-VLA's repository, README, which quotes the papers"
+_FIRST_RENDERER, _LATER_RENDERER = "of the paper", "of the repository, later"
+NEURONCAP: Final[tuple[NeuroncapValue, ...]] = (
+    NeuroncapValue("UniAD", ("0.73", "0.84", "0.10", "1.26"), "88.6", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("VAD", ("0.66", "", "", ""), "92.5", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("SparseDrive", ("0.92", "", "", ""), "93.9", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("BridgeAD-S", ("1.52", "", "", ""), "76.2", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("BridgeAD-B", ("1.60", "", "", ""), "72.6", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("Impromptu-VLA 3B", ("2.15", "", "", ""), "65.5", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("UniAD, post-processed", ("1.84", "", "", ""), "", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("VAD, post-processed", ("2.75", "", "", ""), "", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("BridgeAD-B, post-processed", ("3.06", "", "", ""), "44.3", _FIRST_RENDERER, _QUOTED),
+    NeuroncapValue("ColaVLA", ("3.48", "", "", ""), "36.8", _FIRST_RENDERER, "ColaVLA"),
+    NeuroncapValue(
+        "UniAD, post-processed", ("2.111", "3.501", "1.166", "1.667"), "60.4", _LATER_RENDERER, "NeuroNCAP's README"
+    ),
+)
+"""Scores of 0 to 5, higher is better. The last row and the 1.84 above are one planner under two renderers."""

@@ -29,6 +29,7 @@ from leaderboard.tables.contents import DataSetTables, data_set_tables, generati
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.slices import SLICES
+from leaderboard.tables.standing import standing_tables
 
 Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
@@ -154,7 +155,7 @@ def _made(
         made.place(name, "scenes and their generation", tables)
         sections += [f"## {escape_markdown(name)}: scenes and their generation", ""]
         sections += [table.markdown() for table in tables]
-    published = published_tables()
+    published = (*published_tables(), *standing_tables(made.records))
     made.place("", "published", published)
     made.files["README.md"] = "\n".join(
         [*sections, "## Published", "", *(table.markdown() for table in published)]

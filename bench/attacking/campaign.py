@@ -23,6 +23,7 @@ _SHOWN: Final = 400
 _IMPORTED: Final = (
     "adapters.plan_file",
     "adapters.registry",
+    "adapters.result_files.planner",
     "benchmark.cli.app",
     "benchmark.datasets.integrity",
     "benchmark.runs.rescoring",

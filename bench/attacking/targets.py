@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any, Final
 
 from bench.attacking.children import Ended
 from bench.attacking.valid import SEARCH
+from tests.adapters.result_files.broken_files import HOSTILE, Broken
 from tests.benchmark.datasets.hostile_tables import HOSTILE_ROOTS
 from tests.benchmark.datasets.nuscenes_tables import VERSION
 from tests.benchmark.foreign import variants
@@ -117,6 +119,16 @@ def replaced(file: Path, content: bytes) -> None:
     """Write a file anew."""
     file.unlink()
     file.write_bytes(content)
+
+
+def _made_elsewhere(broken: Broken) -> Named:
+    """A file that is broken whatever the valid one holds."""
+
+    def change(_: Path, file: Path) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            replaced(file, broken.make(Path(folder)).read_bytes())
+
+    return Named(broken.name, change)
 
 
 def _sparse(size: int) -> tuple[Named, ...]:
@@ -229,6 +241,8 @@ _WEIGHTS: Final = (
         named=_CHECKPOINTS,
     ),
 )
+_RESULTS: Final = ("--results", "{in}", "--name", "theirs")
+_RESULT_FILES: Final = tuple(_made_elsewhere(each) for each in HOSTILE)
 _FILES: Final = (
     _file(
         "ScenarioNet files",
@@ -255,6 +269,14 @@ _FILES: Final = (
         "json",
         (*_EVAL, *_READ, "--plans", "{in}"),
         named=(*_of_bytes((*variants.JSON_PLANS, *variants.JSONS)), *SPARSE),
+    ),
+    *(
+        _file("result files", f"eval --results, {name}", name, form, (*_EVAL, *_READ, *_RESULTS), named=named)
+        for name, form, named in (
+            ("uniad.pkl", "pickle", (*_RESULT_FILES, *SPARSE)),
+            ("vad-out.pkl", "pickle", _PICKLES),
+            ("opendrivevla.json", "json", (*_of_bytes(variants.JSONS), *SPARSE)),
+        )
     ),
     _file(
         "frozen splits",

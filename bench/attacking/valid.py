@@ -19,6 +19,8 @@ from tests.benchmark.datasets.test_scenarionet import recording
 from tests.hand_made import Car, scene_on_straight_road
 
 SEARCH: Final = ("--candidates", "16", "--rounds", "1", "--vehicles", "1", "--per-scene", "1", "--renderer", "none")
+RESULT_FORMATS: Final = ("uniad", "vad-out", "opendrivevla")
+"""Of result files: tensors in a pickle by token and by place, and JSON."""
 _CARS: Final = (Car(62.0, 194.75, 9.0), Car(95.0, 198.25, 8.0), Car(45.0, 201.75, 8.0))
 
 
@@ -45,6 +47,11 @@ def make_valid(folder: Path) -> Path:
     write_plans(valid)
     _by_command(valid, "eval", "--model", "constant-velocity")
     (valid / "made" / "runs").rename(valid / "records")
+    for name in RESULT_FORMATS:
+        _by_command(valid, "eval", "--model", "constant-velocity", "--dump-results", name)
+        (written,) = (path for path in (valid / "made" / "result-files").rglob(f"{name}/*") if path.is_file())
+        written.rename(valid / f"{name}{written.suffix}")
+    shutil.rmtree(valid / "made" / "runs")
     _by_command(valid, "generate", *SEARCH, "--freeze", "frozen.json")
     (valid / "made" / "data" / "root" / "adv").rename(valid / "generated")
     shutil.rmtree(valid / "generated" / ".challenger")

@@ -32,6 +32,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.result_files import opened_results, results_planner, write_dumps
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -54,12 +55,27 @@ def eval_command(
     out: OutOption = api.OUT,
     tables: TablesOption = None,
     plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="<path>",
+            help="Result file that a planner's own repository wrote, or a folder of them; may be repeated.",
+        ),
+    ] = None,
+    results_format: Annotated[
+        str, typer.Option("--format", help="With --results: auto tells it by content (docs/your-results.md).")
+    ] = "auto",
+    name: Annotated[str | None, typer.Option(help="With --results: name of the planner in tables.")] = None,
+    dump_results: Annotated[
+        str | None, typer.Option(metavar="<str>", help="Also write the plans as a repository's result file.")
+    ] = None,
     device: Annotated[
         str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
     ] = None,
     precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
     native: Annotated[
-        str | None, typer.Option(help="With --plans: the protocol of the repository that the planner comes from.")
+        str | None,
+        typer.Option(help="With --plans or --results: the protocol of the repository that the planner comes from."),
     ] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     as_published: AsPublishedOption = None,
@@ -94,10 +110,13 @@ def eval_command(
     from benchmark.protocols import PROTOCOLS, STANDARD
     from benchmark.records.reproduction import find_reproductions, with_reproductions
 
-    if not model and plans is None:
-        raise InputError("name a planner with --model (for example constant-velocity) or a plan file with --plans")
-    if native is not None and plans is None:
-        raise InputError("--native belongs to --plans; planners that --model names say it themselves")
+    if not model and plans is None and not results:
+        raise InputError(
+            "name a planner with --model (for example constant-velocity), a plan file with --plans or a result file "
+            "with --results"
+        )
+    if native is not None and plans is None and not results:
+        raise InputError("--native belongs to --plans and --results; planners that --model names say it themselves")
     shown, count = _protocols_to_show(protocol), api.worker_count(workers)
     require_models(model, checkpoint, data=data, device=device, precision=precision)
     published = tuple(each.value for each in as_published or ())
@@ -106,11 +125,12 @@ def eval_command(
         count = 1
     if plans is not None:
         require_plans(plans, native)
+    opened = opened_results(results, results_format, name, native, dump_results)
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:
         running = [api.model_that_runs(name, checkpoint, data=data) for name in model]
-        runs = [*running, *([] if plans is None else [str(plans)])]
+        runs = [*running, *([] if plans is None else [str(plans)]), *map(str, results or ())]
         say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
         return
     judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)]))
@@ -130,6 +150,9 @@ def eval_command(
 
         chosen = settings.chosen(dataset, split)
         factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native, records=[run_root]))
+    if opened:
+        chosen = settings.chosen(dataset, split)
+        factories.append(results_planner(opened, dataset, split, scenes=chosen, name=name, native=native))
     if dry_run:
         where = f"{counted(len(settings.chosen(dataset, split)), 'scene')} of {split}"
         names = ", ".join(factory.facts.name for factory in factories)
@@ -139,12 +162,13 @@ def eval_command(
     records = with_reproductions(records, find_reproductions([run_root]))
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
+    dumped = write_dumps(records, dataset, split, dump_results, api.workspace(out))
     sound = _show_runs(
         source.name, records, shown, by or (), allow_partial=allow_partial, wide=wide, json_output=json_output
     )
     again = same_place(data, out, tables)
     say_next(
-        f"records: {', '.join(str(record.directory) for record in records)}",
+        "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
         (f"sheets --split {split}{again}", "what films and the site show of the scenes"),
         (f"leaderboard{same_place('mini', out)}", "tables, figures and a site of all records"),
         json_output=json_output,

@@ -103,6 +103,7 @@ class Verifiable(StrEnum):
     PROTOCOLS = "protocols"
     PDM = "pdm"
     INFOS = "infos"
+    RESULTS = "results"
     MODEL = "model"
 
 

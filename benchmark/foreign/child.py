@@ -18,8 +18,9 @@ from benchmark.foreign.allowed import AllowListUnpickler, Refused
 from benchmark.foreign.answers import Unanswerable, write_answer
 from benchmark.foreign.checkpoint_structure import checkpoint_structure
 from benchmark.foreign.files import one_line
-from benchmark.foreign.limits import CHECKPOINT, GIB, PICKLE, PLANS, Limits
+from benchmark.foreign.limits import CHECKPOINT, GIB, PICKLE, PLANS, RESULTS, Limits
 from benchmark.foreign.parquet_columns import parquet_columns
+from benchmark.foreign.result_values import result_value
 
 _DIE_WITH_PARENT: Final = 1
 """``PR_SET_PDEATHSIG`` of Linux."""
@@ -34,6 +35,7 @@ KINDS: Final[dict[str, tuple[Callable[[BinaryIO, Limits], Any], Limits]]] = {
     "pickle": (read_value, PICKLE),
     "checkpoint": (checkpoint_structure, CHECKPOINT),
     "parquet": (parquet_columns, PLANS),
+    "results": (result_value, RESULTS),
 }
 """What the child can take apart."""
 

@@ -17,6 +17,14 @@ _SPACE: Final = b" \t\r\n"
 _FIRST_BYTES: Final = 4096
 
 
+class TooDeepError(ValueError):
+    """Containers within containers within containers."""
+
+
+class TooLargeError(ValueError):
+    """More values than there may be, or than fit into memory."""
+
+
 def parse_json(data: bytes, limits: Limits = JSON, *, any_text: bool = False) -> Any:
     """The value of a JSON text.
 
@@ -32,16 +40,16 @@ def parse_json(data: bytes, limits: Limits = JSON, *, any_text: bool = False) ->
         ValueError: If it is not JSON, or more than the limits allow, or has text that is not Unicode; says which.
     """
     if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
-        raise ValueError(f"it holds more than {limits.values} values")
+        raise TooLargeError(f"it holds more than {limits.values} values")
     too_deep = f"its containers lie more than {limits.depth} deep"
     try:
         value = json.loads(data)
     except RecursionError:
-        raise ValueError(too_deep) from None
+        raise TooDeepError(too_deep) from None
     except MemoryError:
-        raise ValueError(f"its {in_words(len(data))} do not fit into memory") from None
+        raise TooLargeError(f"its {in_words(len(data))} do not fit into memory") from None
     if _is_deeper(data, limits.depth):
-        raise ValueError(too_deep)
+        raise TooDeepError(too_deep)
     # Halves of a pair of UTF-16 codes, escaped or as bytes; looked for only where there can be any.
     if not any_text and (b"\xed" in data or b"\\ud" in data or b"\\uD" in data):
         try:

@@ -57,6 +57,13 @@ RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 """Run records, manifests and lists of a submission."""
 PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)
 """One row a sample: all of nuScenes has 34,149."""
+RESULTS: Final = Limits("result file", 8 * GIB, values=8_000_000, memory_bytes=GIB)
+"""Files that planners' repositories write: plans, boxes, maps and forecasts of up to 34,149 samples. What reading may
+cost grows with the file (`for_file`)."""
+ANSWER: Final = Limits("answer of a planner", 64 * 1024, values=10_000)
+"""One text file of a folder of results."""
+RESULT_FILES: Final = 40_000
+"""Files of a folder of results, one a sample."""
 PLAN_COLUMNS: Final = 64
 VERDICTS: Final = Limits("file of verdicts", 64 * MIB, depth=8, values=1_000_000, line_bytes=64 * 1024)
 """One a scene, with a reason of a few words; all of nuScenes has 1,000 scenes."""
@@ -75,6 +82,28 @@ MAP_MEETINGS: Final = 2_000_000
 """Pairs of pieces of its lines that come near each other: what it costs to join its surfaces."""
 EXPANSION: Final = 4
 """How many times its own size a checkpoint's tensors may claim, since tensors may share what is stored."""
+
+
+_MOST_MORE_BYTES: Final = 16 * GIB
+
+
+def for_file(limits: Limits, size: int) -> Limits:
+    """Limits of a file whose reading costs in proportion to its size, so that a small one can never cost much.
+
+    Args:
+        limits: Of the kind, for the smallest.
+        size: Bytes of the file.
+
+    Returns:
+        They, with memory and time for the file.
+    """
+    more_s = size // (8 * MIB)
+    return replace(
+        limits,
+        memory_bytes=limits.memory_bytes + min(12 * size, _MOST_MORE_BYTES),
+        cpu_s=limits.cpu_s + more_s,
+        clock_s=limits.clock_s + 3 * more_s,
+    )
 
 
 def in_words(count: int) -> str:

@@ -18,6 +18,7 @@ from benchmark.geometry import Floats
 from benchmark.metrics.rates import Estimate, Rate, SceneSums, ends, resampled, sums_by_scene
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import protocol as definition_of
+from benchmark.records.file_plans import file_notes
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
 
 Verdicts = Mapping[str, bool | None]
@@ -67,6 +68,7 @@ class TransferMatrix:
         undecided: P lists of scenes without a verdict for the planner; they are in no denominator of it.
         agreements: One for each pair of planners, in their order.
         records: P content ids of the records (`benchmark.records.run.RunRecord.content_id`).
+        file_notes: What has to be said of planners whose plans come from a file.
     """
 
     protocol: str
@@ -81,6 +83,7 @@ class TransferMatrix:
     undecided: tuple[tuple[str, ...], ...]
     agreements: tuple[Agreement, ...]
     records: tuple[str, ...]
+    file_notes: tuple[str, ...] = ()
 
 
 def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int = 0) -> TransferMatrix:
@@ -120,6 +123,7 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
             for first, second in itertools.combinations(range(len(records)), 2)
         ),
         records=tuple(record.content_id for record in records),
+        file_notes=tuple(file_notes(records)),
     )
 
 

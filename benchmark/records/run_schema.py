@@ -15,6 +15,8 @@ MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
+Told = str | int | float | bool | None
+"""What is said of a machine: a record with anything else there is damaged."""
 Label = Annotated[str, Field(max_length=200)]
 
 
@@ -116,6 +118,44 @@ class GeneratedFacts(Stored):
     search: Annotated[str, Field(max_length=64)] | None = None
 
 
+SampleOrder = Literal["tokens", "proven", "consistent", "assumed"]
+"""How it is known which sample a plan of a file belongs to."""
+
+
+class PlansFrom(Stored):
+    """Plans that were not made here: what the files say, and what they do not (docs/your-results.md).
+
+    Attributes:
+        format: Format of the files.
+        files: SHA-256 by name.
+        order: How it is known which sample a plan belongs to.
+        shown_by: What shows it.
+        plans: Samples with a plan in the files.
+        samples: Samples of the split.
+        steps: Waypoints of a plan in the files.
+        skipped: Samples whose plan cannot be read, and why, by token.
+        duplicates: Entries left out because they repeat another one.
+        repaired: Plans that the repository itself completes because the answer was too short or too long.
+        mirrored: Whether x of the files is mirrored, where files may be either.
+        checks: What tests of unit, frame and origin measured, or that they were not testable.
+        lacks: What the files do not hold.
+    """
+
+    format: str
+    files: dict[str, str]
+    order: SampleOrder
+    shown_by: str
+    plans: int
+    samples: int
+    steps: int
+    skipped: dict[str, str] = Field(default_factory=dict)
+    duplicates: int = 0
+    repaired: int = 0
+    mirrored: bool | None = None
+    checks: dict[str, str] = Field(default_factory=dict)
+    lacks: list[str] = Field(default_factory=list)
+
+
 class RunFacts(Stored):
     """``run.json``.
 
@@ -127,6 +167,8 @@ class RunFacts(Stored):
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
         review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
+        plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
+            environment is then that of the import.
         status: ``partial`` if the planner failed on any sample.
         protocols: Versions by name.
         seed: Seed of the intervals.
@@ -146,11 +188,12 @@ class RunFacts(Stored):
     frozen_split: str | None = None
     review: ReviewFacts | None = None
     generated: GeneratedFacts | None = None
+    plans_from: PlansFrom | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, Version]
     seed: Seed
     config: dict[str, Any]
-    environment: dict[str, Any]
+    environment: dict[str, Told | dict[str, Told]]
     rescored: dict[str, Any] | None = None
     files: dict[str, str]
 

@@ -98,6 +98,10 @@ class GoldenArrays:
         """An array of booleans; arguments and errors as in `floats`."""
         return np.asarray(self._taken(name, "b", "booleans", shape), np.bool_)
 
+    def texts(self, name: str, length: int | None = None) -> list[str]:
+        """Names; arguments and errors as in `floats`."""
+        return [str(text) for text in self._taken(name, "U", "names", (length,))]
+
     def columns(self, name: str, *wanted: str) -> list[int]:
         """Where named columns are.
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benchmark.records.driving import SUB_SCORES, TOTALS, VERSION
+from benchmark.records.file_plans import file_notes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary, ProtocolSummary, RateRow
 from leaderboard.tables.rows import in_table_order, recordings
@@ -70,6 +71,7 @@ def _run(record: RunRecord) -> dict[str, Any]:
             for name, of_protocol in summary.protocols.items()
         },
         "driving": None if summary.driving is None else _driving(summary.driving),
+        **({} if run.plans_from is None else {"plansFrom": file_notes([record])[0]}),
     }
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.file_plans import file_notes
 from benchmark.records.review import NOT_REVIEWED, review_words
 from benchmark.records.run import NATIVE, RunRecord
 from benchmark.records.seed_splits import is_adversarial
@@ -133,15 +134,16 @@ def _has_adversaries(record: RunRecord) -> bool:
 
 
 def completeness_notes(records: Sequence[RunRecord]) -> list[str]:
-    """What has to be said of runs that are not whole.
+    """What has to be said of runs that are not whole, or whose plans were made elsewhere.
 
     Args:
         records: Runs.
 
     Returns:
-        One sentence for each run with failed samples and each run of a part of its split.
+        One sentence for each run whose plans come from a file, each with failed samples and each of a part of its
+        split.
     """
-    notes = []
+    notes = file_notes(records)
     for record in records:
         who = f"{record.planner} on {record.run.split}"
         if not record.complete:

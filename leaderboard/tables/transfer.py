@@ -131,7 +131,8 @@ def _undecided(matrix: TransferMatrix) -> list[str]:
 
 def _common_notes(matrix: TransferMatrix) -> list[str]:
     few = [FEW_NOTE] if matrix.recordings < FEW_SCENES else []
-    return [*few, *mark_notes(privileged=any(matrix.privileged), miniature=any(matrix.miniatures))]
+    marks = mark_notes(privileged=any(matrix.privileged), miniature=any(matrix.miniatures))
+    return [*few, *marks, *matrix.file_notes]
 
 
 def _who(matrix: TransferMatrix) -> str:

@@ -47,6 +47,8 @@
         ...(mine.some((model) => model.privileged)
           ? ["† sees what no car sees (boxes, map or the recorded future): a reference row."] : []),
         ...(mine.some((model) => model.miniature) ? [MINIATURE_NOTE] : []),
+        ...mine.flatMap((model) => model.runs.filter((run) => run.data === data && run.plansFrom)
+          .map((run) => run.plansFrom)),
       ],
       title: `${data}: collision rate (%), protocol ${protocol}`,
       columns: ["planner", "own protocol", ...splits.flatMap((split) => [split, "95 %"]), "failed samples"],
@@ -278,7 +280,7 @@
           term("code, SHA-256", hash(run.code)), term("commit", run.commit ? hash(`${run.commit}${
             run.dirty === "true" ? " with changes" : ""}`) : "not known"),
           term("scenes", `${run.scenes} of ${run.scenesInSplit}, from ${run.recordings} recordings`),
-          term("samples without a plan", String(run.failed)),
+          term("samples without a plan", String(run.failed)), term("plans", run.plansFrom),
           term("judged anew since", run.rescored ? "yes" : "no"),
           term("machine", Object.entries(run.hardware).map(([name, value]) => `${name}: ${value}`).join("; ")),
           term("packages", Object.entries(run.packages).map(([name, value]) => `${name} ${value}`).join(", "))))));

@@ -10,7 +10,7 @@ from generation.verification.built_in import BUILT_IN
 from tests.benchmark.cli.cli_runs import challenger_bench
 
 
-@pytest.mark.parametrize("kind", ["physics", "scoring", "protocols", "pdm"])
+@pytest.mark.parametrize("kind", ["physics", "scoring", "protocols", "pdm", "results"])
 def test_built_in_set_agrees(kind: str) -> None:
     run = challenger_bench("verify", kind)
     assert run.code == 0, run

@@ -19,6 +19,7 @@ from leaderboard.tables.ablation import ablation_tables
 from leaderboard.tables.contents import data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
+from leaderboard.tables.standing import standing_tables
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets
 from tests.leaderboard.tables.test_quality import made
@@ -69,7 +70,7 @@ def every_table(runs: Sequence[RunRecord], folder: Path) -> list[Table]:
     quality = quality_tables([made(folder, split) for split in ("val", "adv")])
     generated = generation_tables(workspace_sheets(), [study(), study("q")])
     others = [table for tables in generated.values() for table in tables]
-    return [*data_set_tables("d", runs).tables, *quality, *others, *published_tables()]
+    return [*data_set_tables("d", runs).tables, *quality, *others, *published_tables(), *standing_tables(runs)]
 
 
 @pytest.fixture(scope="module")

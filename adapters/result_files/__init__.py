@@ -1,0 +1,1 @@
+"""Result files that planners' own repositories write: read, matched with samples, checked, written."""

@@ -1,0 +1,100 @@
+"""From a file's frame to plans, and back: positions of the lidar in its own frame, and of the rear axle."""
+
+import numpy as np
+
+from adapters.result_files.contract import FileFrame, FilePlans
+from adapters.result_files.samples import RecordedSamples
+from adapters.result_files.turning import turned
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Floats
+from benchmark.planning import Plan, PlanFrame
+from benchmark.waypoints import chord_headings
+
+_ASIDE_M = 1e-6
+"""A lidar so near to the middle of the car is in the middle."""
+
+
+def lidar_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
+    """Future positions of the lidar in its own frame, as most files hold them.
+
+    Args:
+        found: Plans of a file.
+        samples: Samples that they belong to.
+
+    Returns:
+        (N, K, 2) x right, y forward, metres.
+    """
+    mount = samples.lidar_in_ego[found.rows]
+    if found.frame is FileFrame.LIDAR:
+        return found.waypoints
+    if found.frame is FileFrame.DISPLACEMENT:
+        return turned(found.waypoints, -mount[:, None, 2])
+    heading = chord_headings(found.waypoints, start_heading_rad=0.0)
+    at = mount[:, None, :2]
+    return turned(
+        found.waypoints + turned(np.broadcast_to(at, found.waypoints.shape), heading) - at, -mount[:, None, 2]
+    )
+
+
+def ego_waypoints(found: FilePlans, samples: RecordedSamples) -> Floats:
+    """Positions of the rear axle over the first 3 s: the lidar's, less its place in the car, turned with the car.
+
+    Args:
+        found: Plans of a file.
+        samples: Samples that they belong to.
+
+    Returns:
+        (N, 6, 2) x forward, y left, metres.
+    """
+    if found.frame is FileFrame.EGO:
+        return found.waypoints[:, :PLAN_STEPS]
+    mount = samples.lidar_in_ego[found.rows]
+    at = np.broadcast_to(mount[:, None, :2], (len(mount), PLAN_STEPS, 2))
+    away = turned(lidar_waypoints(found, samples)[:, :PLAN_STEPS], mount[:, None, 2])
+    heading = chord_headings(away, start_heading_rad=0.0)
+    return away + at - turned(at, heading)
+
+
+def plans_of(found: FilePlans, samples: RecordedSamples) -> list[Plan]:
+    """Plans as protocols take them: waypoints of the lidar stay such, turned from its own axes to the car's.
+
+    Args:
+        found: Plans of a file.
+        samples: Samples that they belong to.
+
+    Returns:
+        N plans.
+    """
+    mount = samples.lidar_in_ego[found.rows]
+    if found.frame is FileFrame.EGO or np.abs(mount[:, 1]).max(initial=0.0) > _ASIDE_M:
+        return [Plan(waypoints, PlanFrame.EGO) for waypoints in ego_waypoints(found, samples)]
+    ahead = turned(lidar_waypoints(found, samples), mount[:, None, 2] + np.pi / 2)
+    return [Plan(waypoints, PlanFrame.LIDAR) for waypoints in ahead]
+
+
+def file_waypoints(plan: Plan, frame: FileFrame, mount: Floats) -> Floats:
+    """The way back: a plan in the frame of a file.
+
+    Args:
+        plan: The plan.
+        frame: Frame of the file.
+        mount: (3,) x, y of the lidar in the ego frame, and yaw of its axes.
+
+    Returns:
+        (K, 2) metres.
+    """
+    at, yaw = mount[:2], float(mount[2])
+    if frame is FileFrame.EGO and plan.frame is PlanFrame.EGO:
+        return plan.waypoints
+    away: Floats
+    if plan.frame is PlanFrame.EGO:
+        heading = chord_headings(plan.waypoints, start_heading_rad=0.0)
+        away = plan.waypoints + turned(np.broadcast_to(at, plan.waypoints.shape), heading) - at
+    else:
+        away = turned(plan.waypoints, -np.pi / 2)
+    if frame is FileFrame.DISPLACEMENT:
+        return away
+    if frame is FileFrame.LIDAR:
+        return turned(away, -yaw)
+    heading = chord_headings(away, start_heading_rad=0.0)
+    return away + at - turned(np.broadcast_to(at, away.shape), heading)

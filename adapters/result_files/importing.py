@@ -1,0 +1,119 @@
+"""The main path of an import: recognise, read, match with samples, check, convert."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adapters.result_files.contract import FilePlans, ResultFormat, refuse
+from adapters.result_files.frames import lidar_waypoints, plans_of
+from adapters.result_files.plausibility import require_plausible
+from adapters.result_files.recognition import Recognised
+from adapters.result_files.samples import RecordedSamples
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.planning import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedPlans:
+    """Plans of one or several result files.
+
+    Attributes:
+        paths: The files.
+        format: Their format.
+        found: Plans in the frame of the files.
+        plans: The same as protocols take them, by sample token.
+        said: What tests of unit, frame and origin measured.
+    """
+
+    paths: tuple[Path, ...]
+    format: ResultFormat
+    found: FilePlans
+    plans: dict[str, Plan]
+    said: dict[str, str]
+
+
+def import_results(
+    opened: Sequence[Recognised], samples: RecordedSamples, scenes: Collection[str] | None = None
+) -> ImportedPlans:
+    """Find the plans of result files.
+
+    Args:
+        opened: Files of one run, or folders.
+        samples: Samples of the split.
+        scenes: Only these scenes are evaluated: a file without tokens may be of them alone.
+
+    Returns:
+        The plans.
+
+    Raises:
+        RefusedFile: If a file is damaged or hostile, its plans belong to other samples, or cannot be what they must be.
+        InputError: If files have different formats.
+    """
+    first = opened[0]
+    for other in opened[1:]:
+        if other.format is not first.format:
+            raise InputError(
+                f"{first.path} has the format {first.format.name} and {other.path} {other.format.name}; judge them "
+                "one by one"
+            )
+    if len(opened) > 1 and first.format.by_place:
+        raise InputError(
+            f"files of the format {first.format.name} name no samples, so each is the whole of what was evaluated; "
+            "judge them one by one, with --scenes where they are of some scenes"
+        )
+    parts = [_read(each, samples, scenes) for each in opened]
+    found = _joined(parts, opened, samples)
+    lidar = lidar_waypoints(found, samples)
+    said = require_plausible(first.path, lidar, found.rows, samples).said
+    tokens = [samples.tokens[row] for row in found.rows.tolist()]
+    plans = dict(zip(tokens, plans_of(found, samples), strict=True))
+    return ImportedPlans(tuple(each.path for each in opened), first.format, found, plans, said)
+
+
+def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
+    """Of a file without tokens: of the whole split, or of the chosen scenes where only their number fits."""
+    if opened.format.by_place and scenes is not None:
+        content = opened.content
+        entries = content["bbox_results"] if isinstance(content, dict) else content
+        chosen = samples.of_scenes(scenes)
+        if len(entries) == len(chosen.by_time) != len(samples.by_time):
+            return opened.format.read(opened.path, content, chosen)
+    return opened.format.read(opened.path, opened.content, samples)
+
+
+def _joined(parts: Sequence[FilePlans], opened: Sequence[Recognised], samples: RecordedSamples) -> FilePlans:
+    """Plans of several files together; a sample in two of them must have the same plan in both."""
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    at: dict[int, int] = {}
+    rows: list[int] = []
+    waypoints: list[Floats] = []
+    again = 0
+    for part, file in zip(parts, opened, strict=True):
+        for row, plan in zip(part.rows.tolist(), part.waypoints):
+            if row in at:
+                if not np.array_equal(waypoints[at[row]], plan):
+                    what = f"sample {samples.tokens[row]} has another plan than in a file before"
+                    refuse(file.path, "duplicate", what, "name files of one run")
+                again += 1
+                continue
+            at[row] = len(rows)
+            rows.append(row)
+            waypoints.append(plan)
+    planned = {samples.tokens[row] for row in rows}
+    skipped = {token: why for part in parts for token, why in part.skipped.items() if token not in planned}
+    return FilePlans(
+        frame=first.frame,
+        rows=np.array(rows, np.int64),
+        waypoints=np.array(waypoints),
+        order=first.order,
+        shown_by=first.shown_by,
+        skipped=skipped,
+        duplicates=again + sum(part.duplicates for part in parts),
+        repaired=sum(part.repaired for part in parts),
+        mirrored=first.mirrored if len({part.mirrored for part in parts}) == 1 else None,
+    )

@@ -1,0 +1,187 @@
+"""``--results FILE``: the plans of result files as a planner that is evaluated like any other."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from adapters.models import published_as
+from adapters.result_files.contract import LONG_PLAN_STEPS
+from adapters.result_files.importing import ImportedPlans, import_results
+from adapters.result_files.recognition import Recognised
+from adapters.result_files.samples import samples_of_data
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, file_sha256
+from benchmark.planning import Observation, Plan, SceneInfo
+from benchmark.records.planner_versions import PLANS_SHA256
+from benchmark.records.run_schema import PlannerFacts, PlansFrom
+from benchmark.report.words import counted
+from benchmark.runs.code_identity import code_sha256
+from benchmark.runs.plan_rows import known_native
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+_MAKER = "adapters.result_files.importing:import_results"
+
+
+class ResultFilePlanner:
+    """Gives the plans of result files.
+
+    Args:
+        name: Shown in tables.
+        plans: By sample token.
+        skipped: Why the plan of a sample cannot be read, by token.
+    """
+
+    def __init__(self, name: str, plans: Mapping[str, Plan], skipped: Mapping[str, str]) -> None:
+        self.name = name
+        self._plans, self._skipped = plans, skipped
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Nothing is remembered."""
+
+    def plan(self, observation: Observation) -> Plan:
+        """Look the sample up.
+
+        Args:
+            observation: The sample.
+
+        Returns:
+            Its plan.
+
+        Raises:
+            InputError: If the files have none, which is recorded as a failure of this sample.
+        """
+        plan = self._plans.get(observation.sample_token)
+        if plan is None:
+            why = self._skipped.get(observation.sample_token)
+            raise InputError("the result file has no plan for this sample" + (f": {why}" if why else ""))
+        return plan
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFileFactory:
+    """Builds the planner of result files in any process.
+
+    Attributes:
+        facts: Its identity: name and hash of the files.
+        plans_from: What the files say, for the record.
+        plans: By sample token.
+        skipped: Why the plan of a sample cannot be read, by token.
+    """
+
+    facts: PlannerFacts
+    plans_from: PlansFrom
+    plans: Mapping[str, Plan]
+    skipped: Mapping[str, str]
+
+    def __call__(self) -> ResultFilePlanner:
+        """Build it."""
+        return ResultFilePlanner(self.facts.name, self.plans, self.skipped)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What there is to know of the import, for whoever waits."""
+        found = self.plans_from
+        said = [
+            f"{', '.join(found.files)}: {found.format}, {found.plans} plans for {counted(found.samples, 'sample')}; "
+            f"order {found.order}: {found.shown_by}"
+        ]
+        if found.mirrored is not None:
+            said.append(f"x is {'mirrored in the file and turned back' if found.mirrored else 'not mirrored'}")
+        if found.skipped:
+            first = next(iter(found.skipped.items()))
+            said.append(f"{counted(len(found.skipped), 'sample')} skipped, the first {first[0]}: {first[1]}")
+        if found.repaired:
+            said.append(
+                f"{counted(found.repaired, 'plan')} completed by the repository's own rule (docs/your-results.md)"
+            )
+        if found.duplicates:
+            said.append(f"{counted(found.duplicates, 'entry', 'entries')} repeated and left out")
+        if found.steps == LONG_PLAN_STEPS:
+            said.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
+        checks = "; ".join(f"{name}: {text}" for name, text in found.checks.items())
+        return [*said, f"checks: {checks}", f"the record has no {', no '.join(found.lacks)}"]
+
+
+def result_file_factory(
+    opened: Sequence[Recognised],
+    data: "DataSet",
+    split: str,
+    *,
+    scenes: tuple[str, ...] | None = None,
+    name: str | None = None,
+    native: str | None = None,
+) -> ResultFileFactory:
+    """The planner of result files, checked against the samples that they are for.
+
+    Args:
+        opened: Files of one run (`adapters.result_files.recognition.recognise`).
+        data: The data set.
+        split: The split.
+        scenes: Only these scenes will be evaluated; the whole split by default.
+        name: Shown in tables; the first file's name without its ending by default.
+        native: Protocol of the repository that the planner comes from, if it is not that of the format.
+
+    Returns:
+        A factory for `benchmark.evaluation.evaluate`.
+
+    Raises:
+        RefusedFile: If a file is broken, or its plans are not of these samples or cannot be what they must be.
+        InputError: If the data is broken, or the native protocol is unknown.
+    """
+    paths = [each.path for each in opened]
+    known_native(native, f"result file {paths[0]}")
+    every = samples_of_data(data, split)
+    imported = import_results(opened, every, scenes)
+    name = name or paths[0].stem
+    names = [path.name for path in paths]
+    numbered = [name if names.count(name) == 1 else f"{name} ({at})" for at, name in enumerate(names, start=1)]
+    hashes = {name: _sha256(path) for name, path in zip(numbered, paths, strict=True)}
+    facts = PlannerFacts(
+        name=name,
+        privileged=False,
+        weights_sha256=None,
+        code_sha256=code_sha256(ResultFilePlanner, made_by=_MAKER),
+        settings={
+            PLANS_SHA256: next(iter(hashes.values())) if len(hashes) == 1 else content_key(sorted(hashes.values()))
+        },
+        native_protocol=native or imported.format.native,
+        published_as=published_as(name),
+    )
+    return ResultFileFactory(
+        facts, _described(imported, hashes, len(every.tokens)), imported.plans, imported.found.skipped
+    )
+
+
+def _described(imported: ImportedPlans, hashes: dict[str, str], samples: int) -> PlansFrom:
+    found = imported.found
+    steps = found.waypoints.shape[1]
+    lacks = [what for what in imported.format.lacks if steps < LONG_PLAN_STEPS or not what.startswith("plans beyond")]
+    return PlansFrom(
+        format=imported.format.name,
+        files=hashes,
+        order=found.order,
+        shown_by=found.shown_by,
+        plans=len(found.rows),
+        samples=samples,
+        steps=steps,
+        skipped=dict(found.skipped),
+        duplicates=found.duplicates,
+        repaired=found.repaired,
+        mirrored=found.mirrored,
+        checks=imported.said,
+        lacks=lacks,
+    )
+
+
+def _sha256(path: Path) -> str:
+    """Of a file; of a folder over name, zero byte and digest of each file in the order of names."""
+    if not path.is_dir():
+        return file_sha256(path)
+    digest = hashlib.sha256()
+    for file in sorted(path.iterdir()):
+        digest.update(file.name.encode() + b"\0" + bytes.fromhex(file_sha256(file)))
+    return digest.hexdigest()

@@ -1,0 +1,218 @@
+"""Which format a file has: told by its content, never by its name."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from adapters.result_files import bev_planner, sparsedrive, text_answers, trajectories, uniad, vad
+from adapters.result_files.contract import ResultFormat, refuse
+from benchmark.errors import InputError, did_you_mean
+from benchmark.foreign.files import one_line, require_name
+from benchmark.foreign.limits import ANSWER, RESULT_FILES
+from benchmark.foreign.refusals import RefusedFile
+from benchmark.foreign.result_files import first_bytes, parse_result_json, read_result_pickle, read_result_text
+
+FORMATS: Final[Mapping[str, ResultFormat]] = {
+    each.name: each
+    for each in (
+        uniad.FORMAT,
+        vad.RESULTS,
+        vad.OUT,
+        sparsedrive.FORMAT,
+        bev_planner.OUT,
+        bev_planner.JSON,
+        text_answers.OMNIDRIVE,
+        text_answers.MODES,
+        text_answers.CONVERSATION,
+        trajectories.POSITIONS,
+        text_answers.GPTDRIVER,
+        trajectories.WITH_HEADING,
+    )
+}
+"""Every format that carries plans, by its name."""
+AUTO, NO_PLANS = "auto", "law-out"
+_TOKEN_NAME: Final = re.compile(r"[0-9a-f]{32}")
+_JSON_STARTS: Final = b"[{"
+_PICKLE: Final = 0x80
+_PROTOCOLS: Final = range(2, 6)
+_STARTS: Final[dict[bytes, str]] = {
+    b"PK": "a zip archive, such as PyTorch's checkpoints",
+    b"\x1f\x8b": "gzip",
+    b"\x93NUMPY": "a numpy array",
+    b"<": "a web page: the server answered with something to click on",
+}
+_WHAT: Final = "a result file is what the repository's own evaluation writes (docs/your-results.md)"
+
+
+@dataclass(frozen=True, slots=True)
+class Recognised:
+    """A file whose format is known.
+
+    Attributes:
+        path: File or folder.
+        format: Its format.
+        content: What it holds.
+    """
+
+    path: Path
+    format: ResultFormat
+    content: Any
+
+
+def require_format(name: str) -> None:
+    """Refuse what ``--format`` does not take.
+
+    Args:
+        name: A format, or ``auto``.
+
+    Raises:
+        InputError: If there is no such format, or one that carries no plans.
+    """
+    if name == NO_PLANS:
+        raise InputError(f"{NO_PLANS} holds metrics of LAW and no plan; choose another format")
+    if name != AUTO and name not in FORMATS:
+        raise InputError(f"no format {name!r}; {did_you_mean(name, FORMATS)}known are {AUTO}, {', '.join(FORMATS)}")
+
+
+def recognise(path: Path, wanted: str = AUTO) -> Recognised:
+    """Open a result file and tell its format.
+
+    Args:
+        path: File or folder.
+        wanted: The format that it must have, or ``auto``.
+
+    Returns:
+        Format and content.
+
+    Raises:
+        RefusedFile: If it is damaged, hostile, of no known format, or holds no plan.
+        InputError: If it cannot be opened, or has another format than the one wanted.
+    """
+    require_name(path)
+    if not path.exists():
+        raise InputError(f"there is no result file {path}; name one that is there")
+    found = _of_folder(path) if path.is_dir() else _of_file(path)
+    if wanted not in (AUTO, found.format.name):
+        raise InputError(f"{path} has the format {found.format.name}, not {wanted}; leave --format out")
+    return found
+
+
+def _of_folder(path: Path) -> Recognised:
+    names = []
+    for file in path.iterdir():
+        if not _TOKEN_NAME.fullmatch(file.name) or not file.is_file():
+            what = f"the folder holds {one_line(file.name, 60)!r}, and a folder of answers holds files named by tokens"
+            refuse(path, "unknown", what, "name the file of results, or the folder of OmniDrive's answers alone")
+        names.append(file.name)
+        if len(names) > RESULT_FILES:
+            refuse(path, "size", f"the folder holds more than {RESULT_FILES} files", "name a folder of one run")
+    if not names:
+        refuse(path, "empty", "the folder is empty", "run the planner again")
+    content = {}
+    for name in sorted(names):
+        data = read_result_text(path / name, ANSWER)
+        if not data.strip():
+            refuse(path, "truncated", f"the file {name} is empty", "run the planner again, it keeps old answers")
+        content[name] = parse_result_json(data, str(path / name), ANSWER)
+    return Recognised(path, text_answers.OMNIDRIVE, content)
+
+
+def _of_file(path: Path) -> Recognised:
+    start = first_bytes(path)
+    if not start:
+        refuse(path, "empty", "it has no bytes", "copy or make it again")
+    if start[0] == _PICKLE and len(start) > 1 and start[1] in _PROTOCOLS:
+        content = read_result_pickle(path)
+        return Recognised(path, _of_pickle(path, content), content)
+    if start.lstrip()[:1] and start.lstrip()[0] in _JSON_STARTS:
+        return _of_json(path)
+    known = next((what for begin, what in _STARTS.items() if start.lstrip().startswith(begin)), None)
+    shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in start[:16])
+    refuse(path, "unknown", f"it is {known}" if known else f"it begins with {shown!r}, which no format does", _WHAT)
+
+
+def _of_json(path: Path) -> Recognised:
+    data = read_result_text(path)
+    lines = [line for line in data.splitlines() if line.strip()]
+    if _is_turn(path, lines[0]):
+        content: Any = [parse_result_json(line, f"{path} line {at}") for at, line in enumerate(lines, start=1)]
+        if all(isinstance(line, dict) for line in content):
+            return Recognised(path, text_answers.CONVERSATION, content)
+        refuse(path, "unknown", "not all of its lines are objects", _WHAT)
+    content = parse_result_json(data, str(path))
+    if isinstance(content, dict) and content:
+        if {"trajs", "map_lane", "map_label"} <= content.keys():
+            return Recognised(path, bev_planner.JSON, content)
+        if all(key.endswith(text_answers.SUFFIX) for key in content):
+            return Recognised(path, text_answers.MODES, content)
+        if {"meta", "results"} <= content.keys():
+            refuse(path, "no_plan", "it is a submission of detections, which holds boxes and no plan", _WHAT)
+    if not content:
+        refuse(path, "empty", "it has no entries", "run the planner again")
+    refuse(path, "unknown", f"it is a JSON {_kind(content)} of no known format", _WHAT)
+
+
+def _is_turn(path: Path, line: bytes) -> bool:
+    """Whether a line by itself is a turn of a conversation: an object with id, question, answer."""
+    try:
+        value = parse_result_json(line, str(path))
+    except RefusedFile:
+        return False
+    return isinstance(value, dict) and {"id", "question", "answer"} <= value.keys()
+
+
+def _of_pickle(path: Path, content: Any) -> ResultFormat:
+    if isinstance(content, dict) and "plan_results" in content:
+        return vad.RESULTS
+    if isinstance(content, list) or (isinstance(content, dict) and "bbox_results" in content):
+        return _of_entries(path, uniad.entries_of(content))
+    if isinstance(content, dict):
+        if not content:
+            refuse(path, "empty", "it has no entries", "run the planner again")
+        if {"meta", "results"} <= content.keys():
+            refuse(path, "no_plan", "it is a submission of detections, which holds boxes and no plan", _WHAT)
+        first = next(iter(content.values()))
+        if isinstance(first, str):
+            return text_answers.GPTDRIVER
+        if isinstance(first, np.ndarray | list | tuple):
+            return trajectories.WITH_HEADING if np.ndim(_numeric(first)) == 3 else trajectories.POSITIONS
+    refuse(path, "unknown", f"its pickle holds a {_kind(content)} of no known format", _WHAT)
+
+
+def _of_entries(path: Path, entries: Any) -> ResultFormat:
+    if not isinstance(entries, list):
+        refuse(path, "unknown", f"its bbox_results are a {_kind(entries)}, not a list", _WHAT)
+    if not entries:
+        refuse(path, "empty", "it has no entries", "run the planner again")
+    first = entries[0] if isinstance(entries[0], dict) else {}
+    if "token" in first:
+        if "planning_traj" not in first:
+            refuse(path, "no_plan", "it is of UniAD's first stage, which tracks and does not plan", _WHAT)
+        return uniad.FORMAT
+    if isinstance(first.get("img_bbox"), dict) and "final_planning" in first["img_bbox"]:
+        return sparsedrive.FORMAT
+    if isinstance(first.get("pts_bbox"), dict) and "ego_fut_preds" in first["pts_bbox"]:
+        return vad.OUT
+    if "pred_ego_traj" in first:
+        return bev_planner.OUT
+    if "metric_results" in first:
+        what = f"its entries hold metrics and no plan, as LAW's do (format {NO_PLANS})"
+        refuse(path, "no_plan", what, "have the planner's own code keep its trajectory, this file has none to judge")
+    if any(isinstance(first.get(key), dict) for key in ("img_bbox", "pts_bbox")):
+        refuse(path, "no_plan", "its entries hold boxes and no plan", _WHAT)
+    refuse(path, "unknown", "its pickle holds a list of entries of no known format", _WHAT)
+
+
+def _numeric(value: Any) -> Any:
+    try:
+        return np.asarray(value)
+    except ValueError:
+        return ()
+
+
+def _kind(value: Any) -> str:
+    return {dict: "dictionary", list: "list", str: "text", type(None): "nothing"}.get(type(value), type(value).__name__)

@@ -1,0 +1,162 @@
+"""What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, rotation_matrix, yaw_of_quaternion
+from benchmark.planning import Command
+from benchmark.scene import Scene
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+UNDECIDED_M: Final = 0.05
+"""So near to the border between two commands either may have been stored: official converters work in three dimensions
+and single precision."""
+
+
+@dataclass(frozen=True)
+class RecordedSamples:
+    """S samples.
+
+    Attributes:
+        name: What they are of, for messages.
+        tokens: S sample tokens.
+        scenes: S scene names.
+        timestamps_us: (S,) keyframe times.
+        ego_pose: (S, 3) planar x, y, heading of the rear axle, global.
+        lidar_in_ego: (S, 3) x, y of the lidar in the ego frame, and yaw of its axes.
+        future: (S, 6, 2) recorded positions of the lidar, in its own frame at the sample (x right, y forward); 0 where
+            not valid.
+        valid: (S, 6) whether the keyframe exists.
+        by_time: Rows in the order of info files that are sorted by time.
+        by_table: Rows in the order of info files that are not sorted: scene by scene.
+    """
+
+    name: str
+    tokens: tuple[str, ...]
+    scenes: tuple[str, ...]
+    timestamps_us: NDArray[np.int64]
+    ego_pose: Floats
+    lidar_in_ego: Floats
+    future: Floats
+    valid: Bools
+    by_time: NDArray[np.int64]
+    by_table: NDArray[np.int64]
+
+    @cached_property
+    def row_of(self) -> dict[str, int]:
+        """Row by token."""
+        return {token: row for row, token in enumerate(self.tokens)}
+
+    @property
+    def complete(self) -> Bools:
+        """(S,) whether six key frames follow."""
+        return np.asarray(self.valid.all(axis=1))
+
+    @cached_property
+    def _last_lateral_m(self) -> Floats:
+        """(S,) x of the last valid recorded position; 0 where there is none."""
+        last = np.maximum(self.valid.sum(axis=1) - 1, 0)
+        return np.where(self.valid.any(axis=1), self.future[np.arange(len(self.tokens)), last, 0], 0.0)
+
+    @cached_property
+    def commands(self) -> NDArray[np.int64]:
+        """(S,) driving commands as all repositories derive them."""
+        x = self._last_lateral_m
+        turned = np.where(x >= COMMAND_LATERAL_M, Command.RIGHT, Command.STRAIGHT)
+        return np.where(x <= -COMMAND_LATERAL_M, Command.LEFT, turned).astype(np.int64)
+
+    def may_be(self, row: int, command: int) -> bool:
+        """Whether a stored command may be that of a sample."""
+        if command == self.commands[row]:
+            return True
+        x = float(self._last_lateral_m[row])
+        side = Command.RIGHT if x > 0 else Command.LEFT
+        return abs(abs(x) - COMMAND_LATERAL_M) <= UNDECIDED_M and command in (side, Command.STRAIGHT)
+
+    def of_scenes(self, scenes: Collection[str]) -> "RecordedSamples":
+        """The same with the orders of info files that hold only some scenes."""
+        chosen = np.isin(np.array(self.scenes), list(scenes))
+        return RecordedSamples(
+            self.name,
+            self.tokens,
+            self.scenes,
+            self.timestamps_us,
+            self.ego_pose,
+            self.lidar_in_ego,
+            self.future,
+            self.valid,
+            self.by_time[chosen[self.by_time]],
+            self.by_table[chosen[self.by_table]],
+        )
+
+
+def samples_of_data(data: "DataSet", split: str) -> RecordedSamples:
+    """The samples of a split.
+
+    Args:
+        data: The data set.
+        split: The split.
+
+    Returns:
+        They, scene by scene.
+
+    Raises:
+        InputError: If the split is unknown or the data broken.
+    """
+    tokens: list[str] = []
+    scenes: list[str] = []
+    parts: list[tuple[NDArray[np.int64], Floats, Floats, Floats, Bools]] = []
+    for name in data.scene_names(split):
+        scene = data.scene(name)
+        of_scene = [truth.sample_token for truth in data.truth(name)]
+        tokens += of_scene
+        scenes += [name] * len(of_scene)
+        parts.append(_of_scene(scene))
+    times, poses, mounts, futures, valid = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return RecordedSamples(
+        name=f"split {split!r} of {data.name}",
+        tokens=tuple(tokens),
+        scenes=tuple(scenes),
+        timestamps_us=times,
+        ego_pose=poses,
+        lidar_in_ego=mounts,
+        future=futures,
+        valid=valid,
+        # Stable, as Python's sort: variants of one recording share their times.
+        by_time=np.argsort(times, kind="stable"),
+        by_table=np.arange(len(tokens)),
+    )
+
+
+def _of_scene(scene: Scene) -> tuple[NDArray[np.int64], Floats, Floats, Floats, Bools]:
+    frames = scene.keyframes
+    count = len(frames)
+    mount = np.array([*scene.lidar.translation[:2], float(yaw_of_quaternion(scene.lidar.rotation))])
+    steps = np.arange(count)[:, None] + np.arange(1, PLAN_STEPS + 1)
+    valid = steps < count
+    futures = _lidar_futures(scene, np.minimum(steps, count - 1))
+    return (
+        scene.timestamps_us[frames],
+        scene.ego.pose[frames],
+        np.tile(mount, (count, 1)),
+        np.where(valid[..., None], futures, 0.0),
+        valid,
+    )
+
+
+def _lidar_futures(scene: Scene, steps: NDArray[np.int64]) -> Floats:
+    """(K, 6, 2) recorded lidar origins in the lidar frame of each keyframe: in space, as the official converters do."""
+    frames = scene.keyframes
+    turn, position = rotation_matrix(scene.ego.rotation[frames]), scene.ego.position[frames]
+    lidar = position + turn @ scene.lidar.translation
+    axes = turn @ rotation_matrix(scene.lidar.rotation)
+    away = lidar[steps] - lidar[:, None]
+    return np.asarray(np.einsum("kij,ksi->ksj", axes, away)[..., :2])

@@ -1,0 +1,89 @@
+"""SparseDrive, DiffusionDrive, MomAD, BridgeAD: a list in the order of the info file; nothing in it names samples."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from adapters.result_files.contract import (
+    LONG_PLAN_STEPS,
+    FileFrame,
+    FilePlans,
+    ResultFormat,
+    key_of,
+    numbers_of,
+    refuse,
+)
+from adapters.result_files.samples import RecordedSamples
+from adapters.result_files.uniad import MIRRORED, entries_of
+from adapters.result_files.vad import COMMANDS, require_count
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Floats
+from benchmark.records.run_schema import SampleOrder
+
+SAME_M: Final = 1e-4
+"""The chosen plan and the same mode of all modes differ by less."""
+
+
+def read(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of the SparseDrive family.
+
+    Args:
+        path: The file, for messages.
+        content: Of the pickle.
+        samples: What there is.
+
+    Returns:
+        The plans that were chosen; their order is consistent where the chosen mode is that of our command and more than
+        one command occurs, else it is assumed.
+
+    Raises:
+        RefusedFile: If there is not one entry for each sample, one is broken, or chose by another command.
+    """
+    entries, rows = entries_of(content), samples.by_time
+    require_count(path, len(entries), len(rows), samples)
+    plans: list[Floats] = []
+    told: set[int] = set()
+    for at, (row, entry) in enumerate(zip(rows.tolist(), entries)):
+        held = key_of(path, entry, "img_bbox", f"entry {at}")
+        stored = key_of(path, held, "final_planning", f"entry {at}")
+        plan = numbers_of(path, stored, f"the plan of entry {at}", (PLAN_STEPS, 2), (LONG_PLAN_STEPS, 2))
+        if plans and len(plan) != len(plans[0]):
+            refuse(path, "shape", f"entry {at} has {len(plan)} waypoints, others {len(plans[0])}", "make it again")
+        if _tells_command(path, at, row, plan, held, samples):
+            told.add(int(samples.commands[row]))
+        plans.append(plan)
+    order: SampleOrder = "consistent" if len(told) > 1 else "assumed"
+    shown = (
+        "the number of samples fits, and each plan is the best one of our command"
+        if order == "consistent"
+        else "the number of samples fits, and nothing in the file could contradict"
+    )
+    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), order, shown)
+
+
+def _tells_command(path: Path, at: int, row: int, plan: Floats, held: Any, samples: RecordedSamples) -> bool:
+    """Whether the entry's modes say by which command it chose; refuses one that chose by another than ours."""
+    if held.get("planning") is None or held.get("planning_score") is None:
+        return False
+    modes = numbers_of(path, held["planning"], f"the modes of entry {at}", (COMMANDS, None, len(plan), 2))
+    scores = numbers_of(path, held["planning_score"], f"the scores of entry {at}", (COMMANDS, modes.shape[1]))
+    best = modes[np.arange(COMMANDS), scores.argmax(axis=1)]
+    fits = np.abs(best - plan).max(axis=(1, 2)) <= SAME_M
+    if not fits.any() and (np.abs(best * MIRRORED - plan).max(axis=(1, 2)) <= SAME_M).any():
+        what = f"the plan of entry {at} is one of its modes with left and right exchanged"
+        refuse(path, "frame", what, "the list was dumped after its metric had changed it: dump it before")
+    if not any(fits[command] and samples.may_be(row, command) for command in range(COMMANDS)):
+        refuse(
+            path,
+            "order",
+            f"the plan of entry {at} is not the best one of the command of sample {samples.tokens[row]}, whose place "
+            "that would be",
+            "plans of another split or moved by some places cannot be judged, make the file again",
+        )
+    return not bool(fits.all())
+
+
+FORMAT: Final = ResultFormat(
+    "sparsedrive", "SparseDrive, DiffusionDrive, MomAD, BridgeAD", "sparsedrive", read, by_place=True
+)

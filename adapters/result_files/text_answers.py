@@ -1,0 +1,189 @@
+"""Answers of language models: OmniDrive, OpenDriveVLA, GPT-Driver; what cannot be read is skipped and said."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from adapters.result_files.contract import ROUNDED, FileFrame, FilePlans, ResultFormat, numbers_of, refuse, rows_of
+from adapters.result_files.samples import RecordedSamples
+from benchmark.constants import PLAN_STEPS
+from benchmark.foreign.files import one_line
+from benchmark.geometry import Floats
+
+SUFFIX: Final = "_trajectory"
+_NUMBER: Final = r"\s*([-+]?(?:\d{1,9}(?:\.\d{0,18})?|\.\d{1,18}))\s*"
+_PAIR: Final = re.compile(rf"\({_NUMBER},{_NUMBER}(?:,[^()]*)?\)")
+_PLAN: Final = re.compile(r"\[PT\b([^\[\]]*)\]")
+_LIST: Final = re.compile(rf"\[(?:\({_NUMBER},{_NUMBER}\),?)+\]")
+_SPACE: Final = re.compile(r"\s+")
+_LONGEST_ANSWER: Final = 20_000
+NO_PLAN: Final = "no trajectory"
+
+
+def read_omnidrive(path: Path, content: Mapping[str, Any], samples: RecordedSamples) -> FilePlans:
+    """Plans of a folder of OmniDrive's answers, in the order of their time.
+
+    Args:
+        path: The folder, for messages.
+        content: JSON of each file by its name, which is the token.
+        samples: What there is.
+
+    Returns:
+        The plans; samples without a plan of six waypoints are skipped, as by its own evaluation.
+
+    Raises:
+        RefusedFile: If a sample is unknown or a file is no answer.
+    """
+    rows = rows_of(path, list(content), samples)
+    plans: dict[int, Floats] = {}
+    skipped = {}
+    for row in rows[np.argsort(samples.timestamps_us[rows], kind="stable")].tolist():
+        token = samples.tokens[row]
+        found = _PLAN.search(_first_answer(path, content[token], token))
+        pairs = pairs_of(found[1]) if found else []
+        if len(pairs) == PLAN_STEPS:
+            plans[row] = np.array(pairs)
+        else:
+            skipped[token] = _why(len(pairs)) if found else NO_PLAN
+    return _found(path, FileFrame.EGO, plans, skipped)
+
+
+def read_conversation(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of OpenDriveVLA's ``plan_conv.json``; short ones are completed as its own reader completes them.
+
+    Args:
+        path: The file, for messages.
+        content: Its lines.
+        samples: What there is.
+
+    Returns:
+        The plans; an answer without any pair is skipped, and of different answers to one question the last one counts.
+
+    Raises:
+        RefusedFile: If a sample is unknown or a line is no answer.
+    """
+    answers: dict[str, str] = {}
+    duplicates = 0
+    for number, line in enumerate(content, start=1):
+        name, given = line.get("id"), line.get("answer")
+        given = given[0] if isinstance(given, list) and given else given
+        if not isinstance(name, str) or not isinstance(given, str) or len(given) > _LONGEST_ANSWER:
+            refuse(path, "shape", f"line {number} has no id and answer of ordinary length", "make the file again")
+        token = name.removesuffix(SUFFIX)
+        duplicates += token in answers
+        answers[token] = given
+    rows = rows_of(path, list(answers), samples)
+    plans: dict[int, Floats] = {}
+    skipped, repaired = {}, 0
+    for row, (token, text) in zip(rows.tolist(), answers.items()):
+        pairs = pairs_of(text)
+        if not pairs:
+            skipped[token] = NO_PLAN
+            continue
+        repaired += len(pairs) != PLAN_STEPS
+        plans[row] = np.array([*pairs, *[pairs[-1]] * PLAN_STEPS][:PLAN_STEPS])
+    return _found(path, FileFrame.LIDAR, plans, skipped, duplicates=duplicates, repaired=repaired)
+
+
+def read_modes(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of OpenDriveVLA's dictionaries: the first mode.
+
+    Args:
+        path: The file, for messages.
+        content: Of the JSON file.
+        samples: What there is.
+
+    Returns:
+        The plans.
+
+    Raises:
+        RefusedFile: If a sample is unknown, or a first mode is not 6 x 2 numbers.
+    """
+    rows = rows_of(path, [name.removesuffix(SUFFIX) for name in content], samples)
+    plans = {}
+    for row, (name, modes) in zip(rows.tolist(), content.items()):
+        first = modes[0] if isinstance(modes, list) and modes else None
+        plans[row] = numbers_of(path, first, f"the first mode of {name}", (PLAN_STEPS, 2))
+    return _found(path, FileFrame.LIDAR, plans, {})
+
+
+def read_gptdriver(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of GPT-Driver's texts: the last line of each.
+
+    Args:
+        path: The file, for messages.
+        content: Of the pickle.
+        samples: What there is.
+
+    Returns:
+        The plans; a last line that is no list of six pairs is skipped.
+
+    Raises:
+        RefusedFile: If a sample is unknown or an answer is no text.
+    """
+    rows = rows_of(path, list(content), samples)
+    plans: dict[int, Floats] = {}
+    skipped = {}
+    for row, (token, text) in zip(rows.tolist(), content.items()):
+        if not isinstance(text, str) or len(text) > _LONGEST_ANSWER:
+            refuse(path, "shape", f"the answer of sample {token} is no text of ordinary length", "make the file again")
+        last = _SPACE.sub("", (text.strip().splitlines() or [""])[-1])
+        pairs = pairs_of(last) if _LIST.fullmatch(last) else []
+        if len(pairs) == PLAN_STEPS:
+            plans[row] = np.array(pairs)
+        else:
+            skipped[token] = _why(len(pairs)) if pairs else NO_PLAN
+    return _found(path, FileFrame.LIDAR, plans, skipped)
+
+
+def pairs_of(text: str) -> list[tuple[float, float]]:
+    """Every pair of numbers in parentheses; further numbers of one are left out."""
+    return [(float(x), float(y)) for x, y in _PAIR.findall(text)]
+
+
+def _why(count: int) -> str:
+    return f"{count} waypoints"
+
+
+def _first_answer(path: Path, held: Any, token: str) -> str:
+    first = held[0] if isinstance(held, list) and held else None
+    given = first.get("A") if isinstance(first, dict) and "Q" in first else None
+    given = given[0] if isinstance(given, list) and given else given
+    if not isinstance(given, str):
+        refuse(path, "shape", f"file {one_line(token, 64)} is no list of questions and answers", "make it again")
+    return given
+
+
+def _found(
+    path: Path,
+    frame: FileFrame,
+    plans: dict[int, Floats],
+    skipped: dict[str, str],
+    *,
+    duplicates: int = 0,
+    repaired: int = 0,
+) -> FilePlans:
+    if not plans:
+        refuse(path, "no_plan", f"none of its {len(skipped)} answers holds a plan", "run the planner again")
+    rows = np.array(list(plans), np.int64)
+    return FilePlans(
+        frame,
+        rows,
+        np.array(list(plans.values())),
+        "tokens",
+        "each sample by its token",
+        skipped,
+        duplicates=duplicates,
+        repaired=repaired,
+    )
+
+
+OMNIDRIVE: Final = ResultFormat("omnidrive", "OmniDrive (a folder)", "omnidrive", read_omnidrive, ROUNDED)
+CONVERSATION: Final = ResultFormat(
+    "opendrivevla-conversation", "OpenDriveVLA (plan_conv.json)", "opendrivevla", read_conversation, ROUNDED
+)
+MODES: Final = ResultFormat("opendrivevla", "OpenDriveVLA (pred_trajs_dict.json)", "opendrivevla", read_modes, ROUNDED)
+GPTDRIVER: Final = ResultFormat("gptdriver-text", "GPT-Driver (the answers)", "agent-driver", read_gptdriver, ROUNDED)

@@ -1,0 +1,55 @@
+"""Dictionaries from tokens to arrays: Agent-Driver and GPT-Driver (6 x 2), AD-MLP (1 x 6 x 3)."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from adapters.result_files.contract import FileFrame, FilePlans, ResultFormat, numbers_of, rows_of
+from adapters.result_files.samples import RecordedSamples
+from benchmark.constants import PLAN_STEPS
+
+
+def read_positions(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of ``pred_trajs_dict.pkl`` and its like.
+
+    Args:
+        path: The file, for messages.
+        content: Of the pickle.
+        samples: What there is.
+
+    Returns:
+        The plans.
+
+    Raises:
+        RefusedFile: If a sample is unknown, or a plan is not 6 x 2 numbers.
+    """
+    rows = rows_of(path, list(content), samples)
+    plans = [numbers_of(path, plan, f"the plan of sample {token}", (PLAN_STEPS, 2)) for token, plan in content.items()]
+    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")
+
+
+def read_with_heading(path: Path, content: Any, samples: RecordedSamples) -> FilePlans:
+    """Plans of AD-MLP's ``output_data.pkl``, whose third column is a heading that nobody needs.
+
+    Args:
+        path: The file, for messages.
+        content: Of the pickle.
+        samples: What there is.
+
+    Returns:
+        The plans.
+
+    Raises:
+        RefusedFile: If a sample is unknown, or a plan is not 1 x 6 x 3 numbers.
+    """
+    rows = rows_of(path, list(content), samples)
+    plans = [
+        numbers_of(path, plan, f"the plan of sample {token}", (1, PLAN_STEPS, 3))[0, :, :2]
+        for token, plan in content.items()
+    ]
+    return FilePlans(FileFrame.LIDAR, rows, np.array(plans), "tokens", "each sample by its token")
+
+
+POSITIONS: Final = ResultFormat("pred-trajs", "Agent-Driver, GPT-Driver", "agent-driver", read_positions)
+WITH_HEADING: Final = ResultFormat("admlp", "AD-MLP", "stp3", read_with_heading)

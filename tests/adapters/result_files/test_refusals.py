@@ -1,0 +1,80 @@
+"""Broken, misplaced and malicious result files: each is refused in one sentence of its kind, and nothing runs."""
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from adapters.result_files.importing import import_results
+from adapters.result_files.recognition import recognise, require_format
+from adapters.result_files.writing.formats import require_writable
+from benchmark.errors import InputError
+from benchmark.foreign.refusals import CATEGORIES, RefusedFile
+from tests.adapters.result_files.broken_files import BROKEN, HOSTILE, SAMPLES, Broken, valid
+from tests.benchmark.cli.cli_runs import refusal
+
+
+def test_there_are_enough_kinds_of_all_categories() -> None:
+    assert len({broken.name for broken in BROKEN}) == len(BROKEN) >= 40
+    assert {category for broken in BROKEN for category in broken.categories} == set(CATEGORIES)
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.name)
+def test_each_is_one_sentence_of_its_kind(broken: Broken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = broken.make(tmp_path)
+    monkeypatch.setattr(os, "getcwd", called)
+    monkeypatch.setattr("posix.getcwd", called)
+    began = time.process_time()
+    with pytest.raises(RefusedFile) as refused:
+        import_results([recognise(path)], SAMPLES)
+    assert refused.value.category in broken.categories, str(refused.value)
+    assert str(path) in str(refused.value) and "\n" not in str(refused.value) and len(str(refused.value)) < 500
+    assert time.process_time() - began < 10
+
+
+def called() -> str:
+    raise AssertionError("something of a file was run")
+
+
+@pytest.mark.parametrize("broken", HOSTILE[::6], ids=lambda broken: broken.name)
+def test_the_command_refuses_it_before_anything_is_built_and_writes_nothing(
+    broken: Broken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = broken.make(tmp_path)
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    sentence = refusal("eval", "--results", path, "--out", tmp_path / "out")
+    assert str(path) in sentence and "\n" not in sentence
+    assert not (tmp_path / "out").exists() and not (tmp_path / "cache").exists()
+
+
+WRONG_USE: dict[str, tuple[Callable[[], object], str]] = {
+    "an unknown format": (lambda: require_format("unaid"), "did you mean uniad"),
+    "a format without plans": (lambda: require_format("law-out"), "no plan"),
+    "an unknown format to write": (lambda: require_writable("vad"), "did you mean vad-out"),
+    "a format without plans to write": (lambda: require_writable("law-out"), "no plan"),
+    "no such file": (lambda: recognise(Path("nowhere.pkl")), "there is no result file"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_USE)
+def test_wrong_use_says_what_there_is(case: str) -> None:
+    act, says = WRONG_USE[case]
+    with pytest.raises(InputError, match=says):
+        act()
+
+
+def test_another_format_than_the_one_that_was_named(tmp_path: Path) -> None:
+    path = valid("pred-trajs", tmp_path)
+    assert recognise(path, "pred-trajs").format.name == "pred-trajs"
+    with pytest.raises(InputError, match="has the format pred-trajs, not uniad"):
+        recognise(path, "uniad")
+
+
+def test_files_of_two_formats_or_without_tokens_are_not_judged_together(tmp_path: Path) -> None:
+    opened = {name: recognise(valid(name, tmp_path)) for name in ("pred-trajs", "uniad", "sparsedrive")}
+    with pytest.raises(InputError, match="one by one"):
+        import_results([opened["pred-trajs"], opened["uniad"]], SAMPLES)
+    with pytest.raises(InputError, match="name no samples"):
+        import_results([opened["sparsedrive"], opened["sparsedrive"]], SAMPLES)

@@ -1,0 +1,260 @@
+"""Every format that carries a plan, written from a record's plans and read back."""
+
+import dataclasses
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from adapters.registry import planner_factory
+from adapters.result_files.contract import FileFrame
+from adapters.result_files.frames import ego_waypoints, lidar_waypoints, plans_of
+from adapters.result_files.importing import ImportedPlans, import_results
+from adapters.result_files.planner import result_file_factory
+from adapters.result_files.recognition import FORMATS, recognise
+from adapters.result_files.samples import RecordedSamples, samples_of_data
+from adapters.result_files.turning import turned
+from adapters.result_files.writing.dumped import DumpedPlans
+from adapters.result_files.writing.formats import WRITERS, write_results
+from adapters.result_files.writing.tensors import PickledTensor
+from adapters.verification.result_files_made_here import (
+    PRECISION_M,
+    SINGLE_M,
+    made_up_plans,
+    made_up_samples,
+    verify_made_here,
+)
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.planning import Plan, PlanFrame
+from benchmark.records.run import RunRecord, load_record
+from benchmark.runs.rescoring import rescore
+from leaderboard.site.model_index import model_index
+from leaderboard.tables.collision import collision_table
+from leaderboard.tables.transfer import transfer_matrices, transfer_table
+from tests.benchmark.fake_data import FakeData, town_of_two
+
+REAL_YAW = np.radians(-89.884)
+
+
+def test_every_format_is_written_and_the_built_in_set_agrees() -> None:
+    assert set(WRITERS) == set(FORMATS)
+    checks = verify_made_here()
+    assert len(checks) == 2 + len(WRITERS) and all(check.ok for check in checks), checks
+
+
+def written(folder: Path, name: str, samples: RecordedSamples, plans: dict[int, Plan]) -> ImportedPlans:
+    steps = min(len(plan.waypoints) for plan in plans.values())
+    dumped = DumpedPlans(samples, tuple(dict.fromkeys(samples.scenes)), plans, steps)
+    return import_results([recognise(WRITERS[name](folder / name, dumped))], samples)
+
+
+@pytest.mark.parametrize("frame", list(PlanFrame))
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_plans_come_back_through_the_real_calibration(name: str, frame: PlanFrame, tmp_path: Path) -> None:
+    samples = made_up_samples(REAL_YAW)
+    plans = made_up_plans(samples, frame)
+    found = written(tmp_path, name, samples, plans)
+    lidar_ahead_m = float(samples.lidar_in_ego[0, 0])
+    worst = max(
+        np.abs(
+            found.plans[samples.tokens[row]].waypoints_in_lidar(lidar_ahead_m) - plan.waypoints_in_lidar(lidar_ahead_m)
+        ).max()
+        for row, plan in plans.items()
+    )
+    assert worst <= PRECISION_M.get(name, SINGLE_M)
+
+
+def test_what_is_known_of_the_order(tmp_path: Path) -> None:
+    samples = made_up_samples()
+    plans = made_up_plans(samples)
+    orders = {name: written(tmp_path, name, samples, plans).found.order for name in WRITERS}
+    proven, consistent = {"vad-out", "bev-planner", "bev-planner-json"}, {"sparsedrive"}
+    assert {name for name, order in orders.items() if order == "proven"} == proven
+    assert {name for name, order in orders.items() if order == "consistent"} == consistent
+    assert {order for name, order in orders.items() if name not in proven | consistent} == {"tokens"}
+
+
+def test_one_command_alone_leaves_the_order_assumed(tmp_path: Path) -> None:
+    samples = made_up_samples()
+    straight = tuple(scene for scene in ("scene-0003", "scene-0004"))
+    plans = {row: plan for row, plan in made_up_plans(samples).items() if samples.scenes[row] in straight}
+    dumped = DumpedPlans(samples, straight, plans, 6)
+    opened = [recognise(WRITERS["sparsedrive"](tmp_path, dumped))]
+    found = import_results(opened, samples, straight).found
+    assert found.order == "assumed" and len(found.rows) == len(plans)
+    with pytest.raises(InputError, match="--scenes"):
+        import_results(opened, samples)
+
+
+def test_plans_of_six_seconds_keep_their_steps_and_judges_take_the_first_three(tmp_path: Path) -> None:
+    samples = made_up_samples()
+    plans = {
+        row: dataclasses.replace(plan, waypoints=np.concatenate([plan.waypoints, 1.5 * plan.waypoints]))
+        for row, plan in made_up_plans(samples).items()
+    }
+    found = written(tmp_path, "sparsedrive", samples, plans)
+    assert found.found.waypoints.shape == (len(plans), 12, 2)
+    assert lidar_waypoints(found.found, samples).shape[1] == 12 and ego_waypoints(found.found, samples).shape[1] == 6
+    assert all(len(plan.waypoints) == 12 for plan in found.plans.values())
+
+
+def test_the_sign_of_x_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = made_up_samples()
+    plans = made_up_plans(samples)
+    assert written(tmp_path / "a", "uniad", samples, plans).found.mirrored is True
+    monkeypatch.setattr("adapters.result_files.writing.pickles.MIRRORED", np.array([1.0, 1.0]))
+    found = written(tmp_path / "b", "uniad", samples, plans)
+    assert found.found.mirrored is False
+    assert np.abs(found.plans[samples.tokens[0]].waypoints - plans[0].waypoints).max() < SINGLE_M
+
+
+def test_a_lidar_beside_the_middle_of_the_car_gives_plans_of_the_rear_axle() -> None:
+    samples = made_up_samples()
+    aside = dataclasses.replace(samples, lidar_in_ego=samples.lidar_in_ego + [0.0, 0.4, 0.0])
+    found = written_in_memory(aside)
+    assert {plan.frame for plan in plans_of(found.found, aside)} == {PlanFrame.EGO}
+
+
+def written_in_memory(samples: RecordedSamples) -> ImportedPlans:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        return written(Path(folder), "pred-trajs", samples, made_up_plans(samples))
+
+
+def test_frames_go_there_and_back() -> None:
+    samples = made_up_samples(REAL_YAW)
+    plans = made_up_plans(samples)
+    dumped = DumpedPlans(samples, (), plans, 6)
+    lidar, away = dumped.waypoints(5, FileFrame.LIDAR), dumped.waypoints(5, FileFrame.DISPLACEMENT)
+    assert np.allclose(turned(lidar, REAL_YAW), away) and np.allclose(turned(away, np.pi / 2), plans[5].waypoints)
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8", "<f2", "<i8", "<i4", "<i2", "|b1"])
+def test_tensors_are_what_pytorch_reads_and_the_same_bytes_each_time(kind: str) -> None:
+    values = np.arange(12).reshape(1, 6, 2).astype(kind)
+    data = pickle.dumps(PickledTensor(values, kind), 2)
+    assert data == pickle.dumps(PickledTensor(values.copy(), kind), 2)
+    read = pickle.loads(data)  # noqa: S301 - written in the line above
+    assert torch.equal(read, torch.from_numpy(values))
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+@pytest.mark.parametrize("kind", ["float32", "float64", "float16", "bfloat16", "int64", "bool"])
+def test_tensors_that_pytorch_wrote_are_read(tmp_path: Path, kind: str, protocol: int) -> None:
+    samples = made_up_samples()
+    plans = {
+        token: torch.zeros(6, 2, dtype=getattr(torch, kind))
+        if kind == "bool"
+        else torch.ones(2, 6, dtype=getattr(torch, kind)).T
+        for token in samples.tokens[:3]
+    }
+    path = tmp_path / "plans.pkl"
+    path.write_bytes(pickle.dumps(plans, protocol))
+    content: dict[str, Any] = recognise(path).content
+    for token, plan in plans.items():
+        assert np.array_equal(np.asarray(content[token], np.float64), plan.to(torch.float64).numpy())
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> tuple[FakeData, RunRecord]:
+    data = town_of_two(slow_leader=True)
+    out = tmp_path_factory.mktemp("runs")
+    return data, evaluate(data, "val", planner_factory("constant-velocity"), out)
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_a_record_of_the_file_is_that_of_the_planner_but_for_what_the_format_lacks(
+    town: tuple[FakeData, RunRecord], name: str, tmp_path: Path
+) -> None:
+    data, record = town
+    path = write_results(record, samples_of_data(data, "val"), name, tmp_path)
+    factory = result_file_factory([recognise(path)], data, "val", name="again", native="uniad")
+    found = evaluate(data, "val", pickle.loads(pickle.dumps(factory)), tmp_path / "runs")  # noqa: S301
+    assert found.complete and found.run.plans_from is not None and found.run.plans_from.format == name
+    assert {"forecasts of others", "speed of the planner"} <= set(found.run.plans_from.lacks)
+    assert ("positions finer than 0.01 m" in found.run.plans_from.lacks) == (PRECISION_M.get(name, 0.0) > 0.001)
+    assert '"planning_s": {}' in (found.directory / "timing.json").read_text()
+    away_m = max(
+        np.abs(np.array(a.plan.waypoints) - b.plan.waypoints).max()
+        if a.plan and b.plan and a.plan.frame == b.plan.frame
+        else 0.0
+        for a, b in zip(record.rows, found.rows)
+    )
+    assert away_m <= PRECISION_M.get(name, SINGLE_M)
+    for protocol in ("uniad", "exact"):
+        one, other = (each.summary.protocols[protocol].columns for each in (record, found))
+        assert one["l2"]["avg"].value == pytest.approx(other["l2"]["avg"].value, abs=0.02)
+        if PRECISION_M.get(name, 0.0) < 0.001:
+            assert one["collision"]["avg"].value == other["collision"]["avg"].value
+
+
+def test_the_record_and_every_table_say_where_plans_come_from(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
+    data, record = town
+    path = write_results(record, samples_of_data(data, "val"), "sparsedrive", tmp_path)
+    factory = result_file_factory([recognise(path)], data, "val", name="SD")
+    assert factory.facts.native_protocol == "sparsedrive"
+    found = evaluate(data, "val", factory, tmp_path / "runs")
+    says = "SD on val: plans from a file (sparsedrive), samples in an order that is assumed"
+    assert any(note.startswith(says) for note in collision_table("fake", "exact", [record, found]).notes)
+    for matrix in transfer_matrices([record, found], "val").values():
+        assert any(note.startswith(says) for note in transfer_table("fake", matrix).notes)
+    assert any("order assumed" in sentence for sentence in factory.sentences)
+    told = {entry["name"]: entry["runs"][0].get("plansFrom") for entry in model_index([record, found])}
+    assert told["constant-velocity"] is None and str(told["SD"]).startswith(says)
+    again = load_record(found.directory)
+    assert again.run == found.run and rescore(found.directory, data).run.plans_from == found.run.plans_from
+
+
+def test_what_a_file_lacks_of_samples_is_said_and_no_zero(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
+    data, record = town
+    path = write_results(record, samples_of_data(data, "val"), "omnidrive", tmp_path)
+    first, second, *_ = sorted(path.iterdir())
+    first.unlink()
+    second.write_text('[{"Q": "", "A": ["The car should slow down."]}]')
+    factory = result_file_factory([recognise(path)], data, "val")
+    assert factory.plans_from.plans == factory.plans_from.samples - 2
+    assert factory.plans_from.skipped == {second.name: "no trajectory"}
+    assert any("1 sample skipped" in sentence for sentence in factory.sentences)
+    found = evaluate(data, "val", factory, tmp_path / "runs")
+    failed = {row.sample_token: row.error or "" for row in found.rows if row.status == "failed"}
+    assert set(failed) == {first.name, second.name} and not found.complete
+    assert "no plan for this sample: no trajectory" in failed[second.name]
+
+
+def test_several_files_of_one_run(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
+    data, record = town
+    samples = samples_of_data(data, "val")
+    parts = []
+    for number, scene in enumerate(("scene-9901", "scene-9902", "scene-9902")):
+        rows = tuple(row for row in record.rows if row.scene == scene)
+        part = dataclasses.replace(record, rows=rows)
+        parts.append(recognise(write_results(part, samples, "pred-trajs", tmp_path / str(number))))
+    found = import_results(parts, samples).found
+    assert len(found.rows) == len(samples.tokens) and found.duplicates == len(samples.tokens) // 2
+    facts = result_file_factory(parts[:2], data, "val").facts
+    assert facts != result_file_factory(parts[:1], data, "val").facts
+
+
+def test_a_file_that_names_no_samples_needs_a_plan_for_each(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
+    data, record = town
+    rows = tuple(
+        row if row.index else row.model_copy(update={"status": "failed", "plan": None, "outcomes": {}})
+        for row in record.rows
+    )
+    for name in ("sparsedrive", "vad-out"):
+        with pytest.raises(InputError, match="names no samples, so each needs a plan, and 2 have none"):
+            write_results(dataclasses.replace(record, rows=rows), samples_of_data(data, "val"), name, tmp_path)
+
+
+def test_part_of_a_split(town: tuple[FakeData, RunRecord], tmp_path: Path) -> None:
+    data, _ = town
+    record = evaluate(data, "val", planner_factory("constant-velocity"), tmp_path, EvalSettings(scenes=("scene-9902",)))
+    for name in WRITERS:
+        path = write_results(record, samples_of_data(data, "val"), name, tmp_path / name)
+        factory = result_file_factory([recognise(path)], data, "val", scenes=("scene-9902",))
+        assert factory.plans_from.plans == len(record.rows)
