@@ -382,7 +382,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
-        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm`` or ``model``.
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``model`` does not have.
         model: With ``model``: which one.
 
@@ -396,6 +396,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         return _verify_model(model, golden)
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
+    from benchmark.drivers.verification import verify_drivers
     from benchmark.pdm.verification import verify_pdm
     from benchmark.protocols.verification import verify_protocols
     from generation.verification.denoiser import verify_denoiser
@@ -408,6 +409,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         "denoiser": verify_denoiser,
         "protocols": verify_protocols,
         "pdm": verify_pdm,
+        "drivers": verify_drivers,
     }
     if what not in known:
         raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)} and model")

@@ -83,6 +83,7 @@ class Verifiable(StrEnum):
     DENOISER = "denoiser"
     PROTOCOLS = "protocols"
     PDM = "pdm"
+    DRIVERS = "drivers"
     MODEL = "model"
 
 

@@ -1,0 +1,201 @@
+"""Where agents are along and across the ego's path, and how they move along and across it.
+
+``docs/severity.md``, "What a driver sees". An agent's place on the path hardly ever depends on where the ego is, so it
+is found once for every instant; only where the nearest point of the whole path lies outside the stretch around the ego is
+it found again for that stretch.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.encounters.ego_path import EgoPath
+from benchmark.encounters.tracks import Tracks
+from benchmark.geometry import Bools, Floats, box_corners
+
+LOOK_BACK_M: Final = 50.0
+LOOK_AHEAD_M: Final = 100.0
+HORIZON_M: Final = 100.0
+"""Agents further away are ignored."""
+OUTLINE_REACH_M: Final = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Boxes in the frame of the path; all arrays (Q,) and metres.
+
+    Attributes:
+        station: Of the centre.
+        offset: Of the centre, positive on the left.
+        rear: Lowest station of the outline.
+        front: Highest station of the outline.
+        right: Lowest offset of the outline.
+        left: Highest offset of the outline.
+    """
+
+    station: Floats
+    offset: Floats
+    rear: Floats
+    front: Floats
+    right: Floats
+    left: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """N agents at K instants, seen from a path.
+
+    Attributes:
+        path: The path.
+        times: (K,) seconds.
+        boxes: (N, K, 5) agents.
+        present: (N, K) who is there.
+        velocity: (N, K, 2) metres a second.
+        hides: (N,) who can hide a car.
+        places: (N, K) arrays: by the whole path.
+        along: (N, K) velocity along the path.
+        across: (N, K) velocity to the left of it.
+    """
+
+    path: EgoPath
+    times: Floats
+    boxes: Floats
+    present: Bools
+    velocity: Floats
+    hides: Bools
+    places: Places
+    along: Floats
+    across: Floats
+
+    @classmethod
+    def of(cls, path: EgoPath, tracks: Tracks, times: Floats) -> "Relations":
+        """Relate all agents to a path.
+
+        Args:
+            path: The ego's path.
+            tracks: Everybody.
+            times: (K,) instants of the recording.
+
+        Returns:
+            The relations.
+        """
+        boxes, present = tracks.agents_at(times)
+        velocity = tracks.velocities_at(times)
+        shape = present.shape
+        # An agent that has not moved since the instant before is where it was.
+        moved = np.ones(shape, np.bool_)
+        moved[:, 1:] = (boxes[:, 1:] != boxes[:, :-1]).any(axis=-1) | ~present[:, :-1]
+        asked = moved & present
+        found = placed(path, boxes[asked])
+        owner = np.cumsum(asked.ravel()).reshape(shape) - 1
+        owner = np.where(present, owner, 0)
+        filled = {
+            name: getattr(found, name)[owner] if asked.any() else np.zeros(shape)
+            for name in Places.__dataclass_fields__
+        }
+        places = Places(**filled)
+        along, across = _components(path, places.station, velocity)
+        return cls(path, times, boxes, present, velocity, tracks.hides, places, along, across)
+
+    def around(self, instant: int, stations: Floats) -> "Around":
+        """What R egos on the path have around them at an instant.
+
+        Args:
+            instant: Index of the instant.
+            stations: (R,) where they are.
+
+        Returns:
+            Every agent as seen by each.
+        """
+        rows, agents = len(stations), len(self.boxes)
+        at = self.places
+        values = {
+            name: np.broadcast_to(getattr(at, name)[:, instant], (rows, agents)).copy()
+            for name in Places.__dataclass_fields__
+        }
+        along, across = (
+            np.broadcast_to(array[:, instant], (rows, agents)).copy() for array in (self.along, self.across)
+        )
+        offset = self.boxes[None, :, instant, :2] - self.path.position(stations)[:, None]
+        near = self.present[:, instant] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
+        low, high = stations[:, None] - LOOK_BACK_M, stations[:, None] + LOOK_AHEAD_M
+        again = near & ((values["station"] < low) | (values["station"] > high))
+        row, agent = np.nonzero(again)
+        if len(row):
+            found = placed(self.path, self.boxes[agent, instant], low[row, 0], high[row, 0])
+            for name, array in values.items():
+                array[row, agent] = getattr(found, name)
+            along[row, agent], across[row, agent] = _components(self.path, found.station, self.velocity[agent, instant])
+        length, width = self.path.size
+        return Around(
+            ahead=near & (values["station"] >= stations[:, None]),
+            gap=values["rear"] - (stations[:, None] + 0.5 * length),
+            extent=values["front"] - values["rear"],
+            side=np.maximum(values["right"], -values["left"]) - 0.5 * width,
+            along=along,
+            across=across,
+            towards=np.where(values["offset"] > 0, -across, across),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """N agents as seen by R egos; all (R, N), metres and m/s.
+
+    Attributes:
+        ahead: Whether the agent is there, within 100 m, and its centre not behind the ego's.
+        gap: From the ego's front to the agent's rear along the path.
+        extent: Length of the agent along the path.
+        side: Free distance between the ego's strip and the agent; not positive where it is in the way.
+        along: Its velocity along the path.
+        across: Its velocity to the left of the path.
+        towards: Its velocity towards the path.
+    """
+
+    ahead: Bools
+    gap: Floats
+    extent: Floats
+    side: Floats
+    along: Floats
+    across: Floats
+    towards: Floats
+
+    def row(self, ego: int) -> "Around":
+        """The same for one of the egos, (1, N)."""
+        return Around(**{name: getattr(self, name)[ego : ego + 1] for name in Around.__dataclass_fields__})
+
+
+def placed(path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats | None = None) -> Places:
+    """Put boxes into the frame of a path.
+
+    Args:
+        path: The path.
+        boxes: (Q, 5) boxes.
+        low: (Q,) first station where a centre may be; the whole path by default.
+        high: (Q,) last station.
+
+    Returns:
+        Their places: centres by the stretch asked for, outlines (corners and middles of the sides) within 15 m of it.
+    """
+    station, offset = path.project(boxes[:, :2], low, high)
+    corners = box_corners(boxes)
+    outline = np.concatenate([corners, 0.5 * (corners + np.roll(corners, -1, axis=1))], axis=1)
+    around = np.repeat(station, outline.shape[1])
+    stations, offsets = path.project(outline.reshape(-1, 2), around - OUTLINE_REACH_M, around + OUTLINE_REACH_M)
+    stations, offsets = stations.reshape(outline.shape[:2]), offsets.reshape(outline.shape[:2])
+    return Places(
+        station=station,
+        offset=offset,
+        rear=stations.min(axis=1, initial=np.inf),
+        front=stations.max(axis=1, initial=-np.inf),
+        right=offsets.min(axis=1, initial=np.inf),
+        left=offsets.max(axis=1, initial=-np.inf),
+    )
+
+
+def _components(path: EgoPath, station: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+    tangent = path.tangent(station)
+    along = velocity[..., 0] * tangent[..., 0] + velocity[..., 1] * tangent[..., 1]
+    across = velocity[..., 1] * tangent[..., 0] - velocity[..., 0] * tangent[..., 1]
+    return np.asarray(along), np.asarray(across)
