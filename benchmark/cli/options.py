@@ -84,6 +84,7 @@ class Verifiable(StrEnum):
     PROTOCOLS = "protocols"
     PDM = "pdm"
     DRIVERS = "drivers"
+    SEVERITY = "severity"
     MODEL = "model"
 
 

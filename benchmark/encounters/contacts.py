@@ -32,7 +32,10 @@ _OTHER_KG: Final = 1600.0
 FATAL_M_S: Final = 31.74
 """Change of velocity at which a crash is surely fatal for those inside (Joksch 1993: 71 miles an hour)."""
 STOPPED_M_S: Final = 0.05
+AHEAD_RAD: Final = np.deg2rad(30.0)
 BEHIND_RAD: Final = np.deg2rad(150.0)
+_STANDING_M_S: Final = 0.005
+_STEPS_AHEAD_S: Final = 0.1 * np.arange(1, 30)
 _NOT_AGENTS: Final = ("movable_object.", "static_object.")
 
 
@@ -108,6 +111,16 @@ class Pairs:
         return time_to_contact(self.ego, self.ego_velocity, self.other, self.moving)
 
     @property
+    def time_to_contact_nuplan(self) -> Floats:
+        """(P,) ``ttc_nuplan@code``: 0.1 to 2.9 s in steps of 0.1 s, the other moved along its heading; else infinite."""
+        heading = np.column_stack([np.cos(self.other[:, 4]), np.sin(self.other[:, 4])])
+        ego, other = (np.repeat(boxes[:, None], len(_STEPS_AHEAD_S), axis=1) for boxes in (self.ego, self.other))
+        ego[..., :2] += _STEPS_AHEAD_S[:, None] * self.ego_velocity[:, None]
+        other[..., :2] += _STEPS_AHEAD_S[:, None] * (self.other_speed[:, None] * heading)[:, None]
+        touching = boxes_overlap(ego, other) & (self.ego_speed > _STANDING_M_S)[:, None]
+        return np.where(touching.any(axis=1), _STEPS_AHEAD_S[touching.argmax(axis=1)], np.inf)
+
+    @property
     def delta_v_nuplan(self) -> Floats:
         """(P,) ``delta_v_nuplan@code``: equal masses, and sizes of velocities along the headings."""
         first, second = np.abs(self.ego_speed), self.other_speed
@@ -158,22 +171,34 @@ def contact_kinds(ego: Floats, ego_speed: Floats, other: Floats, other_speed: Fl
     Returns:
         (...) indices into `KINDS`.
     """
-    yaw = ego[..., 4]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    offset = other[..., :2] - ego[..., :2]
-    along = offset[..., 0] * cos + offset[..., 1] * sin + EGO_CENTER_FROM_REAR_AXLE_M
-    across = offset[..., 1] * cos - offset[..., 0] * sin
     front = ego.copy()
-    front[..., 0] += 0.5 * ego[..., 2] * cos
-    front[..., 1] += 0.5 * ego[..., 2] * sin
+    front[..., 0] += 0.5 * ego[..., 2] * np.cos(ego[..., 4])
+    front[..., 1] += 0.5 * ego[..., 2] * np.sin(ego[..., 4])
     front[..., 2] = 0.0
     conditions = [
         ego_speed <= STOPPED_M_S,
         ~agents | (other_speed <= STOPPED_M_S),
-        np.arctan2(np.abs(across), along) > BEHIND_RAD,
+        bearing(ego, other) > BEHIND_RAD,
         boxes_overlap(front, other),
     ]
     return np.select(conditions, [STOPPED_EGO, STOPPED_TRACK, REAR, FRONT], LATERAL)
+
+
+def bearing(ego: Floats, other: Floats) -> Floats:
+    """Angle between the ego's heading and the direction from its rear axle to the centre of another.
+
+    Args:
+        ego: (..., 5) boxes.
+        other: (..., 5) boxes.
+
+    Returns:
+        (...) radians, 0 straight ahead to pi straight behind.
+    """
+    cos, sin = np.cos(ego[..., 4]), np.sin(ego[..., 4])
+    offset = other[..., :2] - ego[..., :2]
+    along = offset[..., 0] * cos + offset[..., 1] * sin + EGO_CENTER_FROM_REAR_AXLE_M
+    across = offset[..., 1] * cos - offset[..., 0] * sin
+    return np.asarray(np.arctan2(np.abs(across), along))
 
 
 def at_fault(kind: ContactKind, unsure: bool) -> bool:

@@ -1,8 +1,8 @@
 """Where agents are along and across the ego's path, and how they move along and across it.
 
 ``docs/severity.md``, "What a driver sees". An agent's place on the path hardly ever depends on where the ego is, so it
-is found once for every instant; only where the nearest point of the whole path lies outside the stretch around the ego is
-it found again for that stretch.
+is found once for every instant; only where the nearest point of the whole path lies outside the stretch around the ego
+is it found again for that stretch.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.encounters.ego_path import EgoPath
-from benchmark.encounters.tracks import Tracks
+from benchmark.encounters.tracks import Integers, Tracks
 from benchmark.geometry import Bools, Floats, box_corners
 
 LOOK_BACK_M: Final = 50.0
@@ -106,42 +106,50 @@ class Relations:
             stations: (R,) where they are.
 
         Returns:
-            Every agent as seen by each.
+            Every agent as seen by each, (R, N).
         """
-        rows, agents = len(stations), len(self.boxes)
-        at = self.places
-        values = {
-            name: np.broadcast_to(getattr(at, name)[:, instant], (rows, agents)).copy()
-            for name in Places.__dataclass_fields__
-        }
-        along, across = (
-            np.broadcast_to(array[:, instant], (rows, agents)).copy() for array in (self.along, self.across)
-        )
-        offset = self.boxes[None, :, instant, :2] - self.path.position(stations)[:, None]
-        near = self.present[:, instant] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
-        low, high = stations[:, None] - LOOK_BACK_M, stations[:, None] + LOOK_AHEAD_M
-        again = near & ((values["station"] < low) | (values["station"] > high))
-        row, agent = np.nonzero(again)
-        if len(row):
-            found = placed(self.path, self.boxes[agent, instant], low[row, 0], high[row, 0])
-            for name, array in values.items():
-                array[row, agent] = getattr(found, name)
-            along[row, agent], across[row, agent] = _components(self.path, found.station, self.velocity[agent, instant])
+        return self.seen(np.arange(len(self.boxes)), np.array(instant), stations[:, None])
+
+    def seen(self, agents: Integers, instants: Integers, stations: Floats) -> "Around":
+        """Some agents at some instants, as seen by egos on the path.
+
+        Args:
+            agents: Indices; the three broadcast against one another.
+            instants: Indices.
+            stations: Where the ego is, metres.
+
+        Returns:
+            What is seen, in the shape that they broadcast to.
+        """
+        eyes = self.path.position(stations)
+        agents, instants, stations = np.broadcast_arrays(agents, instants, stations)
+        places = {name: getattr(self.places, name)[agents, instants] for name in Places.__dataclass_fields__}
+        along, across = self.along[agents, instants], self.across[agents, instants]
+        offset = self.boxes[agents, instants, :2] - eyes
+        near = self.present[agents, instants] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
+        low, high = stations - LOOK_BACK_M, stations + LOOK_AHEAD_M
+        again = near & ((places["station"] < low) | (places["station"] > high))
+        if again.any():
+            agent, instant = agents[again], instants[again]
+            found = placed(self.path, self.boxes[agent, instant], low[again], high[again])
+            for name, array in places.items():
+                array[again] = getattr(found, name)
+            along[again], across[again] = _components(self.path, found.station, self.velocity[agent, instant])
         length, width = self.path.size
         return Around(
-            ahead=near & (values["station"] >= stations[:, None]),
-            gap=values["rear"] - (stations[:, None] + 0.5 * length),
-            extent=values["front"] - values["rear"],
-            side=np.maximum(values["right"], -values["left"]) - 0.5 * width,
+            ahead=near & (places["station"] >= stations),
+            gap=places["rear"] - (stations + 0.5 * length),
+            extent=places["front"] - places["rear"],
+            side=np.maximum(places["right"], -places["left"]) - 0.5 * width,
             along=along,
             across=across,
-            towards=np.where(values["offset"] > 0, -across, across),
+            towards=np.where(places["offset"] > 0, -across, across),
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Around:
-    """N agents as seen by R egos; all (R, N), metres and m/s.
+    """Agents as seen by egos, usually (R, N); metres and m/s.
 
     Attributes:
         ahead: Whether the agent is there, within 100 m, and its centre not behind the ego's.
