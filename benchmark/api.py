@@ -382,7 +382,8 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
-        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity`` or ``model``.
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``,
+            ``severity``, ``realism`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``model`` does not have.
         model: With ``model``: which one.
 
@@ -399,6 +400,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
     from benchmark.drivers.verification import verify_drivers
     from benchmark.pdm.verification import verify_pdm
     from benchmark.protocols.verification import verify_protocols
+    from benchmark.realism.verification import verify_realism
     from benchmark.severity.verification import verify_severity
     from generation.verification.denoiser import verify_denoiser
     from generation.verification.physics import verify_physics
@@ -412,6 +414,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None) -> "
         "pdm": verify_pdm,
         "drivers": verify_drivers,
         "severity": verify_severity,
+        "realism": verify_realism,
     }
     if what not in known:
         raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)} and model")

@@ -85,6 +85,7 @@ class Verifiable(StrEnum):
     PDM = "pdm"
     DRIVERS = "drivers"
     SEVERITY = "severity"
+    REALISM = "realism"
     MODEL = "model"
 
 

@@ -208,7 +208,7 @@ class Base:
         return failed
 
     def _counted(self, states: Floats, times: Floats, start: Floats) -> Tracks:
-        """Agents that a manoeuvre could touch, without those that overlap the ego at the start of scene or manoeuvre."""
+        """Agents that a manoeuvre could touch; not those that overlap the ego at its start or that of the scene."""
         tracks = self.situation.tracks
         first = np.searchsorted(tracks.seconds, times[0] - STEP_S, side="right") - 1
         frames = slice(max(int(first), 0), None)

@@ -1,7 +1,7 @@
 """Twenty-five things that a driver could still do: brake so hard, and swerve so far, from a moment on.
 
-``docs/severity.md``, "Time to last chance". A kinematic bicycle follows the path, shifted sideways, by pure pursuit; what
-braking leaves of the friction circle limits steering.
+``docs/severity.md``, "Time to last chance". A kinematic bicycle follows the path, shifted sideways, by pure pursuit;
+what braking leaves of the friction circle limits steering.
 """
 
 from dataclasses import dataclass

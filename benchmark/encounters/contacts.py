@@ -112,7 +112,7 @@ class Pairs:
 
     @property
     def time_to_contact_nuplan(self) -> Floats:
-        """(P,) ``ttc_nuplan@code``: 0.1 to 2.9 s in steps of 0.1 s, the other moved along its heading; else infinite."""
+        """(P,) ``ttc_nuplan@code``: 0.1 to 2.9 s in steps, the other moved along its heading; else infinite."""
         heading = np.column_stack([np.cos(self.other[:, 4]), np.sin(self.other[:, 4])])
         ego, other = (np.repeat(boxes[:, None], len(_STEPS_AHEAD_S), axis=1) for boxes in (self.ego, self.other))
         ego[..., :2] += _STEPS_AHEAD_S[:, None] * self.ego_velocity[:, None]
