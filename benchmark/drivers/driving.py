@@ -16,7 +16,7 @@ from benchmark.drivers.reaction import REACTING, Driver, Reactions
 from benchmark.encounters.ego_path import EgoPath
 from benchmark.encounters.relations import Around, Relations
 from benchmark.encounters.sight import visible
-from benchmark.encounters.tracks import STEP_S, Integers, Tracks
+from benchmark.encounters.tracks import STEP_S, Tracks
 from benchmark.geometry import Bools, Floats
 
 SLOWEST_REACTING_M_S: Final = 0.5
@@ -163,6 +163,8 @@ def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
         watched = _Watched(situation, around, step, station[:, step], now, (now - before) / STEP_S)
         latched = free <= step
         found, targets = watched.reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
+        seen = watched.seen(found | watched.in_the_way(idm))
+        found &= seen
         verdict = found.any(axis=1)
         unsafe[:, step] = verdict
         for row in np.flatnonzero(verdict & ~latched).tolist():
@@ -171,7 +173,7 @@ def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
         latched |= verdict
         target = np.where(found, targets, 0.0).max(axis=1, initial=0.0)
         reacted = memory.react(verdict[:, None], now[:, None], target[:, None])[:, 0]
-        following = now + STEP_S * idm_acceleration(now, free_speed, *watched.leaders(idm))
+        following = now + STEP_S * idm_acceleration(now, free_speed, *watched.leaders(seen & idm[:, None]))
         after = np.maximum(np.where(idm, following, np.where(verdict, reacted, now)), 0.0)
         speed[:, step + 1] = np.where(latched, after, speed[:, step + 1])
         station[:, step + 1] = np.where(latched, station[:, step] + STEP_S * after, station[:, step + 1])
@@ -193,7 +195,7 @@ class _Watched:
     acceleration: Floats
 
     def reactions(self, rungs: Sequence[Rung], looks: Bools) -> tuple[Bools, Floats]:
-        """(R, N) agents that each driver sees and finds unsafe, and (R, N) the braking that FSM asks for."""
+        """(R, N) agents that each driver would find unsafe if it saw them, and (R, N) what braking FSM asks for."""
         shape = self.around.gap.shape
         found, targets = np.zeros(shape, np.bool_), np.zeros(shape)
         length = float(self.situation.path.size[0])
@@ -207,29 +209,28 @@ class _Watched:
                 targets[row] = fuzzy_targets(around, *dynamics)[0]
             if rung.adversary_only:
                 found[row] &= np.arange(shape[1]) == self.situation.adversary
-        found &= ~self.situation.ignored
-        return self._seen(found), targets
+        return found & ~self.situation.ignored, targets
 
-    def leaders(self, idm: Bools) -> tuple[Floats, Floats]:
-        """(R,) gap to and speed of the nearest visible agent in the way of those that keep distance."""
-        in_the_way = self.around.ahead & (self.around.side <= 0) & ~self.situation.ignored & idm[:, None]
-        gap = np.where(self._seen(in_the_way), self.around.gap, np.inf)
+    def in_the_way(self, idm: Bools) -> Bools:
+        """(R, N) agents that those who keep distance might follow."""
+        return np.asarray(self.around.ahead & (self.around.side <= 0) & ~self.situation.ignored & idm[:, None])
+
+    def leaders(self, followed: Bools) -> tuple[Floats, Floats]:
+        """(R,) gap to and speed of the nearest of the (R, N) agents that may be followed."""
+        gap = np.where(followed, self.around.gap, np.inf)
         if not gap.shape[1]:
             return np.full(len(gap), np.inf), np.zeros(len(gap))
         nearest = np.argmin(gap, axis=1)
         rows = np.arange(len(gap))
         return gap[rows, nearest], self.around.along[rows, nearest]
 
-    def _seen(self, asked: Bools) -> Bools:
+    def seen(self, asked: Bools) -> Bools:
         """Those of (R, N) agents that are visible."""
         row, agent = np.nonzero(asked)
         if not len(row):
             return asked
         relations = self.situation.relations
-        eyes = self._eyes(row)
+        eyes = self.situation.path.position(self.station[row])
         boxes, present = relations.boxes[:, self.step], relations.present[:, self.step]
         asked[row, agent] = visible(eyes, agent, boxes, present, relations.hides)
         return asked
-
-    def _eyes(self, row: Integers) -> Floats:
-        return self.situation.path.position(self.station[row])

@@ -32,6 +32,8 @@ class EgoPath:
         size: (2,) length and width of the ego.
         tracks: The recording.
         vertex_seconds: (M - 2,) times of the vertices but the first and the last.
+        length: (M - 1,) of the segments, metres.
+        direction: (2, M - 1) unit vectors along them.
     """
 
     points: Floats
@@ -40,6 +42,8 @@ class EgoPath:
     size: Floats
     tracks: Tracks
     vertex_seconds: Floats
+    length: Floats
+    direction: Floats
 
     @classmethod
     def of(cls, tracks: Tracks) -> "EgoPath":
@@ -59,9 +63,10 @@ class EgoPath:
         points = np.concatenate([before[None], boxes[:, :2], after[None]])
         yaw = np.concatenate([boxes[:1, 4], boxes[:, 4], boxes[-1:, 4]])
         yaw = np.concatenate([yaw[:1], yaw[0] + np.cumsum(wrap_angle(np.diff(yaw)))])
-        length = np.hypot(*np.diff(points, axis=0).T)
+        step = np.diff(points, axis=0).T
+        length = np.hypot(*step)
         station = np.concatenate([[0.0], np.cumsum(length)]) - length[0]
-        return cls(points, yaw, station, tracks.ego[0, 2:4], tracks, tracks.seconds[kept])
+        return cls(points, yaw, station, tracks.ego[0, 2:4], tracks, tracks.seconds[kept], length, step / length)
 
     @property
     def end_m(self) -> float:
@@ -104,7 +109,7 @@ class EgoPath:
         frame, fraction = between(self.tracks.seconds, times)
         first, second = self.tracks.ego[frame, :2], self.tracks.ego[frame + 1, :2]
         centre = first + fraction[..., None] * (second - first)
-        station, _, _ = self._onto(centre, segment, self.station[segment], self.station[segment + 1])
+        station, _ = self._onto(centre, segment, self.station[segment], self.station[segment + 1])
         return station
 
     def recorded_speed(self, times: Floats) -> Floats:
@@ -148,7 +153,7 @@ class EgoPath:
         for start in range(0, count, batch):
             rows = slice(start, start + batch)
             segment = np.minimum(first[rows, None] + np.arange(width), last[rows, None])
-            along, _, distance = self._onto(points[rows, None], segment, low[rows, None], high[rows, None])
+            along, distance = self._onto(points[rows, None], segment, low[rows, None], high[rows, None])
             nearest = np.argmin(distance, axis=1)[:, None]
             station[rows] = np.take_along_axis(along, nearest, axis=1)[:, 0]
             squared[rows] = np.take_along_axis(distance, nearest, axis=1)[:, 0]
@@ -156,17 +161,20 @@ class EgoPath:
         left = tangent[:, 0] * offset[:, 1] - tangent[:, 1] * offset[:, 0]
         return station, np.copysign(np.sqrt(squared), left)
 
-    def _onto(self, points: Floats, segment: Integers, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats]:
-        """Feet of points on segments between two stations: station, distance along the segment, distance squared."""
-        start, base = self.points[segment], self.station[segment]
-        direction = self.points[segment + 1] - start
-        length = self.station[segment + 1] - base
-        direction = direction / length[..., None]
-        offset = points - start
-        along = offset[..., 0] * direction[..., 0] + offset[..., 1] * direction[..., 1]
-        along = np.clip(along, np.maximum(low - base, 0.0), np.minimum(high - base, length))
-        miss = offset - along[..., None] * direction
-        return base + along, along, miss[..., 0] ** 2 + miss[..., 1] ** 2
+    def _onto(self, points: Floats, segment: Integers, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+        """Feet of points on segments between two stations: station, and distance squared."""
+        base = self.station[segment]
+        x, y = (points[..., axis] - self.points[:, axis][segment] for axis in range(2))
+        cos, sin = (each[segment] for each in self.direction)
+        along = x * cos
+        along += y * sin
+        np.clip(along, np.maximum(low - base, 0.0), np.minimum(high - base, self.length[segment]), out=along)
+        x -= along * cos
+        y -= along * sin
+        np.multiply(x, x, out=x)
+        x += y * y
+        base += along
+        return base, x
 
 
 def _spaced(centres: Floats) -> Integers:

@@ -87,7 +87,8 @@ class Relations:
         moved = np.ones(shape, np.bool_)
         moved[:, 1:] = (boxes[:, 1:] != boxes[:, :-1]).any(axis=-1) | ~present[:, :-1]
         asked = moved & present
-        found = placed(path, boxes[asked])
+        # Nobody drives backwards: what is behind all of the recording is behind everybody, whatever its outline.
+        found = placed(path, boxes[asked], outlines_from=float(path.recorded_station(times).min()))
         owner = np.cumsum(asked.ravel()).reshape(shape) - 1
         owner = np.where(present, owner, 0)
         filled = {
@@ -129,6 +130,11 @@ class Relations:
         near = self.present[agents, instants] & (np.hypot(offset[..., 0], offset[..., 1]) <= HORIZON_M)
         low, high = stations - LOOK_BACK_M, stations + LOOK_AHEAD_M
         again = near & ((places["station"] < low) | (places["station"] > high))
+        if again.any():
+            boxes = self.boxes[agents[again], instants[again]]
+            places["station"][again], _ = self.path.project(boxes[:, :2], low[again], high[again])
+            # What is behind is ignored, so that only what lies ahead on this stretch is placed again.
+            again &= places["station"] >= stations
         if again.any():
             agent, instant = agents[again], instants[again]
             found = placed(self.path, self.boxes[agent, instant], low[again], high[again])
@@ -174,7 +180,9 @@ class Around:
         return Around(**{name: getattr(self, name)[ego : ego + 1] for name in Around.__dataclass_fields__})
 
 
-def placed(path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats | None = None) -> Places:
+def placed(
+    path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats | None = None, outlines_from: float = -np.inf
+) -> Places:
     """Put boxes into the frame of a path.
 
     Args:
@@ -182,24 +190,22 @@ def placed(path: EgoPath, boxes: Floats, low: Floats | None = None, high: Floats
         boxes: (Q, 5) boxes.
         low: (Q,) first station where a centre may be; the whole path by default.
         high: (Q,) last station.
+        outlines_from: Boxes whose centre lies before this station have no outline.
 
     Returns:
         Their places: centres by the stretch asked for, outlines (corners and middles of the sides) within 15 m of it.
     """
     station, offset = path.project(boxes[:, :2], low, high)
-    corners = box_corners(boxes)
+    rear, front, right, left = station.copy(), station.copy(), offset.copy(), offset.copy()
+    rows = np.flatnonzero(station >= outlines_from)
+    corners = box_corners(boxes[rows])
     outline = np.concatenate([corners, 0.5 * (corners + np.roll(corners, -1, axis=1))], axis=1)
-    around = np.repeat(station, outline.shape[1])
+    around = np.repeat(station[rows], outline.shape[1])
     stations, offsets = path.project(outline.reshape(-1, 2), around - OUTLINE_REACH_M, around + OUTLINE_REACH_M)
     stations, offsets = stations.reshape(outline.shape[:2]), offsets.reshape(outline.shape[:2])
-    return Places(
-        station=station,
-        offset=offset,
-        rear=stations.min(axis=1, initial=np.inf),
-        front=stations.max(axis=1, initial=-np.inf),
-        right=offsets.min(axis=1, initial=np.inf),
-        left=offsets.max(axis=1, initial=-np.inf),
-    )
+    rear[rows], front[rows] = stations.min(axis=1), stations.max(axis=1)
+    right[rows], left[rows] = offsets.min(axis=1), offsets.max(axis=1)
+    return Places(station, offset, rear, front, right, left)
 
 
 def _components(path: EgoPath, station: Floats, velocity: Floats) -> tuple[Floats, Floats]:

@@ -12,7 +12,7 @@ from benchmark.drivers.verification.recorded import compare_encounters, compare_
 from benchmark.drivers.verification.straight_road import compare_functions, compare_straight
 from benchmark.drivers.verification.tables import compare_tables
 from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import golden_directory
+from benchmark.verification.golden import readable_set
 
 __all__ = ["BUILT_IN", "verify_drivers"]
 
@@ -41,7 +41,7 @@ def verify_drivers(golden: Path | None = None) -> list[Check]:
     Raises:
         InputError: If the set cannot be used.
     """
-    folder = golden_directory(BUILT_IN if golden is None else golden, "drivers", *FILES)
+    folder = readable_set(BUILT_IN if golden is None else golden, "drivers", *FILES)
     comparison = Comparison()
     compare_functions(comparison, folder / "functions.npz")
     compare_straight(comparison, folder / "straight.npz")

@@ -10,7 +10,7 @@ from typing import Final
 from benchmark.realism.verification.deviations import compare_deviations
 from benchmark.realism.verification.motion import compare_arrays, compare_motion
 from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import golden_directory
+from benchmark.verification.golden import readable_set
 
 __all__ = ["BUILT_IN", "verify_realism"]
 
@@ -23,6 +23,7 @@ FILES: Final = (
     "plain_arrays.npz",
     "plain_features.npz",
     "plain_divergences.json",
+    "scene-*.npz",
 )
 
 
@@ -38,7 +39,7 @@ def verify_realism(golden: Path | None = None) -> list[Check]:
     Raises:
         InputError: If the set cannot be used.
     """
-    folder = golden_directory(BUILT_IN if golden is None else golden, "realism", *FILES)
+    folder = readable_set(BUILT_IN if golden is None else golden, "realism", *FILES)
     comparison = Comparison()
     compare_arrays(comparison, folder)
     compare_motion(comparison, folder)

@@ -78,6 +78,8 @@ def _compare_distances(
             found[setting, variant] = histograms(inputs[variant], *_setting(facts.path, setting), edges)
         return found[setting, variant]
 
+    if not list(facts):
+        raise InputError(f"{facts.path} is about nothing; get the set again")
     for setting in facts:
         for variant in facts.inner(setting):
             golden = facts.inner(setting).inner(variant)

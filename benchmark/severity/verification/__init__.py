@@ -11,7 +11,7 @@ from benchmark.severity.verification.chances import compare_last_chances, compar
 from benchmark.severity.verification.contacts import compare_contacts
 from benchmark.severity.verification.encounters import compare_encounters
 from benchmark.verification.checks import Check, Comparison
-from benchmark.verification.golden import golden_directory
+from benchmark.verification.golden import readable_set
 
 __all__ = ["BUILT_IN", "verify_severity"]
 
@@ -32,7 +32,7 @@ def verify_severity(golden: Path | None = None) -> list[Check]:
     Raises:
         InputError: If the set cannot be used.
     """
-    folder = golden_directory(BUILT_IN if golden is None else golden, "severity", *FILES)
+    folder = readable_set(BUILT_IN if golden is None else golden, "severity", *FILES)
     comparison = Comparison()
     compare_contacts(comparison, folder / "contacts.json")
     compare_encounters(comparison, folder)
