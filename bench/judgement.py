@@ -60,7 +60,9 @@ def main() -> None:
     parser.add_argument("--last-chances", type=int, default=5)
     options = parser.parse_args()
     clock = Clock()
-    adversaries, recorded, chances, objects = {}, {}, [], []
+    adversaries, recorded = {}, {}
+    chances: list[float] = []
+    objects: list[int] = []
     for number in range(options.scenes):
         scene = town_scene("val", number)
         tracks, agent = Tracks.of_scene(scene), adversary_of(scene)

@@ -10,7 +10,7 @@ from benchmark.drivers.outcomes import Outcome, Surroundings
 from benchmark.drivers.reaction import Driver
 from benchmark.drivers.verification.straight_road import DriverArrays
 from benchmark.encounters.sight import first_visible
-from benchmark.encounters.tracks import STEP_S, Tracks
+from benchmark.encounters.tracks import Tracks
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.verification.checks import Comparison
@@ -36,7 +36,7 @@ def compare_encounters(comparison: Comparison, folder: Path) -> None:
     stored = DriverArrays.read(folder / "encounters.npz")
     for facts in GoldenFacts.read_list(folder / "encounters.json"):
         name = facts.text("name")
-        outcomes = _driven(facts, encounter_tracks(stored, name, facts.text("category")), None)
+        outcomes = _driven(facts, stored.encounter(name, facts.text("category")), None)
         for driver, outcome in outcomes.items():
             golden = facts.inner("drivers").inner(driver)
             if golden.flag("fragile"):
@@ -81,27 +81,6 @@ def compare_scenes(comparison: Comparison, folder: Path) -> None:
             comparison.verdicts("scenes: unsafe steps", steps, where=where)
             reason = golden.whole("first_reason") if golden.known("first_reason") else None
             comparison.verdicts("scenes: reason", np.array([outcome.reason != reason]), where=where)
-
-
-def encounter_tracks(stored: DriverArrays, name: str, category: str) -> Tracks:
-    """The two tracks of an encounter, 10 Hz.
-
-    Args:
-        stored: ``encounters.npz``.
-        name: Of the encounter.
-        category: Of the other.
-
-    Returns:
-        The tracks.
-
-    Raises:
-        InputError: If they are not there.
-    """
-    ego = stored.floats(f"{name}/ego", None, 5)
-    if len(ego) < 2:
-        raise InputError(f"{stored.path}: {name} has fewer than two frames; get the set again")
-    other, valid = stored.floats(f"{name}/other", len(ego), 5), stored.verdicts(f"{name}/valid", len(ego))
-    return Tracks(STEP_S * np.arange(len(ego)), ego, other[None], valid[None], (category,))
 
 
 def _scene_tracks(stored: DriverArrays, scene: str, kind: str) -> Tracks:

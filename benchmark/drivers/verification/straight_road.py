@@ -15,9 +15,9 @@ from benchmark.drivers.rules import (
 )
 from benchmark.drivers.straight import OtherCar, drive_straight
 from benchmark.drivers.verification.following import following_distances
+from benchmark.encounters.golden import TrackArrays
 from benchmark.errors import InputError
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
 
 MODELS: Final = {
     "CC_human_driver": Driver.CC,
@@ -29,7 +29,7 @@ MODELS: Final = {
 TOLERANCE: Final = 1e-9
 
 
-class DriverArrays(GoldenArrays):
+class DriverArrays(TrackArrays):
     """Arrays of one file."""
 
     def drivers(self, *needed: Driver) -> tuple[Driver, ...]:

@@ -35,7 +35,7 @@ def compare_last_chances(comparison: Comparison, folder: Path) -> None:
         name = facts.text("name")
         if "last_chance" in facts.texts("fragile"):
             continue
-        base = Base(Situation.of(stored.tracks(name, facts.text("category"))))
+        base = Base(Situation.of(stored.encounter(name, facts.text("category"))))
         threatened = "last_chance" in facts
         comparison.verdicts("last chance: threatened", np.array([(base.contact is None) == threatened]), where=name)
         if threatened and base.contact is not None:
@@ -97,7 +97,7 @@ def compare_manoeuvres(comparison: Comparison, folder: Path) -> None:
     for label in sorted(traces.names):
         name, number = _manoeuvre(traces.path, label, categories)
         golden = traces.floats(label, None, STATE_COLUMNS)
-        tried = Base(Situation.of(stored.tracks(name, categories[name]))).try_from(ONSET_S)
+        tried = Base(Situation.of(stored.encounter(name, categories[name]))).try_from(ONSET_S)
         ours, failed = tried.states[number], int(tried.failed[number])
         ended = len(ours) if failed < 0 else failed + 1
         comparison.verdicts("manoeuvres: when they end", np.array([len(golden) not in (ended, ended - 1)]), where=label)

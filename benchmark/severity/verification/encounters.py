@@ -5,12 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.encounters.tracks import STEP_S, Tracks
-from benchmark.errors import InputError
+from benchmark.encounters.golden import TrackArrays
 from benchmark.geometry import Floats
 from benchmark.severity.encounter import Severity, severity_of
 from benchmark.verification.checks import Comparison
-from benchmark.verification.golden import GoldenArrays
 from benchmark.verification.golden_facts import GoldenFacts
 
 TOLERANCE: Final = 1e-6
@@ -19,27 +17,8 @@ NEVER_S: Final = 1e6
 """Longer times come from speeds that differ by rounding alone."""
 
 
-class EncounterArrays(GoldenArrays):
+class EncounterArrays(TrackArrays):
     """Tracks and series of encounters."""
-
-    def tracks(self, name: str, category: str) -> Tracks:
-        """The two tracks of an encounter, 10 Hz.
-
-        Args:
-            name: Of the encounter.
-            category: Of the other.
-
-        Returns:
-            The tracks.
-
-        Raises:
-            InputError: If they are not there.
-        """
-        ego = self.floats(f"{name}/ego", None, 5)
-        if len(ego) < 2:
-            raise InputError(f"{self.path}: {name} has fewer than two frames; get the set again")
-        other, valid = self.floats(f"{name}/other", len(ego), 5), self.verdicts(f"{name}/valid", len(ego))
-        return Tracks(STEP_S * np.arange(len(ego)), ego, other[None], valid[None], (category,))
 
     def series(self, name: str, length: int) -> Floats:
         """Numbers of which some are not counted (NaN) or never come (infinite)."""
@@ -60,7 +39,7 @@ def compare_encounters(comparison: Comparison, folder: Path) -> None:
     for facts in GoldenFacts.read_list(folder / "encounters.json"):
         name = facts.text("name")
         fragile = facts.texts("fragile")
-        ours = severity_of(stored.tracks(name, facts.text("category")), 0)
+        ours = severity_of(stored.encounter(name, facts.text("category")), 0)
         for quantity in ("gap", "ttc", "btn"):
             if quantity not in fragile:
                 golden = stored.series(f"{name}/{quantity}", len(ours.times))

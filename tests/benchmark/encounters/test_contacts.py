@@ -123,7 +123,7 @@ def test_velocities_look_at_the_past_only_and_inside_a_run() -> None:
     x = np.where(seconds < 0.5, 0.0, 10.0 * (seconds - 0.5))
     track = boxes(x, 0.0 * x, yaw=0.0)
     valid = np.ones((1, 13), np.bool_)
-    tracks = Tracks(seconds, boxes(0 * x, 0 * x, yaw=0.0), track[None], valid, ("vehicle.car",))
+    tracks = Tracks(seconds, boxes(0.0 * x, 0.0 * x, yaw=0.0), track[None], valid, ("vehicle.car",))
     assert tracks.velocities_at(np.array([0.5]))[0, 0, 0] == 0.0
     assert tracks.velocities_at(np.array([0.6]))[0, 0, 0] == pytest.approx(5.0)
     assert tracks.velocities_at(np.array([1.0]))[0, 0, 0] == pytest.approx(10.0)
