@@ -1,5 +1,6 @@
 """Reading JSON of golden sets: a stranger's numbers and words, each checked when it is taken."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -118,6 +119,20 @@ class GoldenFacts:
     def texts(self, name: str) -> list[str]:
         """A list of words."""
         return self._all(name, str, "words")
+
+    def fragile(self, *names: str) -> bool:
+        """Whether a value is marked as one that changes when its inputs move a little, and so is to be left out.
+
+        Args:
+            names: Of the value; none for all of the object.
+
+        Returns:
+            Whether ``fragile`` is true, or a list that has one of the names in it, alone or at the end of a path.
+        """
+        if "fragile" not in self or isinstance(self._value["fragile"], bool):
+            return bool(self._value.get("fragile", False))
+        marked = {re.split(r"[/.: ]", entry)[-1] for entry in self.texts("fragile")}
+        return not marked.isdisjoint(names)
 
     def _all(self, name: str, kind: type, meaning: str) -> list[Any]:
         value = self._taken(name)

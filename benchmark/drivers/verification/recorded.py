@@ -39,7 +39,7 @@ def compare_encounters(comparison: Comparison, folder: Path) -> None:
         outcomes = _driven(facts, stored.encounter(name, facts.text("category")), None)
         for driver, outcome in outcomes.items():
             golden = facts.inner("drivers").inner(driver)
-            if golden.flag("fragile"):
+            if golden.fragile():
                 continue
             _compare_outcome(comparison, "encounters", outcome, golden, name)
             for quantity in ("speed", "station"):
@@ -72,7 +72,7 @@ def compare_scenes(comparison: Comparison, folder: Path) -> None:
         comparison.verdicts("scenes: first visible", _differ(seen, golden_seen), where=where)
         for driver, outcome in _driven(facts, tracks, adversary).items():
             golden = facts.inner("drivers").inner(driver)
-            if golden.flag("fragile"):
+            if golden.fragile():
                 continue
             _compare_outcome(comparison, "scenes", outcome, golden, where)
             station = np.array([outcome.station[-1]])

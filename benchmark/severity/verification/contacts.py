@@ -113,4 +113,4 @@ def _compare_official(comparison: Comparison, cases: list[GoldenFacts], pairs: P
 
 def _not_fragile(cases: list[GoldenFacts], name: str) -> Bools:
     """Cases whose value stands when all poses move a little."""
-    return np.array([not ("fragile" in case and name in case.texts("fragile")) for case in cases], np.bool_)
+    return np.array([not case.fragile(name) for case in cases], np.bool_)

@@ -38,13 +38,12 @@ def compare_encounters(comparison: Comparison, folder: Path) -> None:
     stored = EncounterArrays.read(folder / "encounters.npz")
     for facts in GoldenFacts.read_list(folder / "encounters.json"):
         name = facts.text("name")
-        fragile = facts.texts("fragile")
         ours = severity_of(stored.encounter(name, facts.text("category")), 0)
         for quantity in ("gap", "ttc", "btn"):
-            if quantity not in fragile:
+            if not facts.fragile(quantity):
                 golden = stored.series(f"{name}/{quantity}", len(ours.times))
                 _compare_series(comparison, quantity, getattr(ours, quantity), golden, name)
-        _compare_summary(comparison, ours, facts.inner("severity"), fragile, name)
+        _compare_summary(comparison, ours, facts, name)
 
 
 def _compare_series(comparison: Comparison, quantity: str, ours: Floats, golden: Floats, where: str) -> None:
@@ -55,9 +54,8 @@ def _compare_series(comparison: Comparison, quantity: str, ours: Floats, golden:
     comparison.numbers(f"encounters: {quantity}", ours[both], golden[both], TOLERANCE, where=where)
 
 
-def _compare_summary(
-    comparison: Comparison, ours: Severity, golden: GoldenFacts, fragile: list[str], where: str
-) -> None:
+def _compare_summary(comparison: Comparison, ours: Severity, facts: GoldenFacts, where: str) -> None:
+    golden = facts.inner("severity")
     values = {
         "min_gap": (ours.min_gap, TOLERANCE),
         "first_contact": (ours.contact_s, SAME_TIME_S),
@@ -68,13 +66,13 @@ def _compare_summary(
         "max_btn": (ours.max_btn, TOLERANCE),
     }
     for name, (value, tolerance) in values.items():
-        if name in fragile:
+        if facts.fragile(name):
             continue
         theirs = golden.number(name) if golden.known(name) else None
         comparison.verdicts(f"encounters: whether there is a {name}", np.array([(value is None) != (theirs is None)]))
         if value is not None and theirs is not None:
             found = (np.array([value]), np.array([theirs]))
             comparison.numbers(f"encounters: {name}", *found, tolerance, where=where)
-    if "first" not in fragile:
+    if not facts.fragile("first"):
         first = golden.text("first") if golden.known("first") else None
         comparison.verdicts("encounters: first", np.array([ours.first != first]), where=where)
