@@ -22,15 +22,13 @@ from benchmark.encounters.relations import Around
 from benchmark.geometry import Bools, Floats
 
 
-def unsafe_agents(driver: Driver, around: Around, speed: Floats, acceleration: Floats, length: float) -> Bools:
+def unsafe_agents(driver: Driver, around: Around, speed: Floats) -> Bools:
     """Which agents a driver finds unsafe; whether it sees them is another question.
 
     Args:
-        driver: One of `benchmark.drivers.reaction.REACTING`.
+        driver: The careful human, that of the regulation, or RSS; FSM's question is `fuzzy_targets`.
         around: N agents around R egos.
         speed: (R, 1) of the egos, m/s.
-        acceleration: (R, 1) of the egos over the step before, m/s^2.
-        length: Of the ego, metres.
 
     Returns:
         (R, N) verdicts.
@@ -42,16 +40,20 @@ def unsafe_agents(driver: Driver, around: Around, speed: Floats, acceleration: F
     elif driver is Driver.R157:
         near = (around.gap <= 0) | ((closing > 0) & (around.gap <= regulation_time(closing) * closing))
         verdict = (around.side <= REGULATION_SIDE_M) & near
-    elif driver is Driver.RSS:
+    else:
         along = rss_distance_along(speed, np.maximum(around.along, 0.0))
         verdict = (around.gap < along) & (around.side < rss_distance_across(np.abs(around.across)))
-    else:
-        verdict = fuzzy_targets(around, speed, acceleration, length) > 0
     return np.asarray(verdict & around.ahead)
 
 
 def fuzzy_targets(around: Around, speed: Floats, acceleration: Floats, length: float) -> Floats:
-    """The braking that FSM asks for because of each agent; arguments as in `unsafe_agents`.
+    """The braking that FSM asks for because of each agent.
+
+    Args:
+        around: N agents around R egos.
+        speed: (R, 1) of the egos, m/s.
+        acceleration: (R, 1) of the egos over the step before, m/s^2.
+        length: Of the ego, metres.
 
     Returns:
         (R, N) m/s^2, 0 where it is at ease or does not look.

@@ -204,9 +204,11 @@ class _Watched:
                 continue
             around = self.around.row(row)
             dynamics = (self.speed[row : row + 1, None], self.acceleration[row : row + 1, None], length)
-            found[row] = unsafe_agents(rung.driver, around, *dynamics)[0]
-            if rung.driver is Driver.FSM and found[row].any():
+            if rung.driver is Driver.FSM:
                 targets[row] = fuzzy_targets(around, *dynamics)[0]
+                found[row] = targets[row] > 0
+            else:
+                found[row] = unsafe_agents(rung.driver, around, dynamics[0])[0]
             if rung.adversary_only:
                 found[row] &= np.arange(shape[1]) == self.situation.adversary
         return found & ~self.situation.ignored, targets
