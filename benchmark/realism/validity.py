@@ -12,7 +12,7 @@ import shapely
 
 from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.dynamics.driver_limits import broken_limit
-from benchmark.encounters.tracks import Tracks
+from benchmark.encounters.tracks import Integers, Tracks
 from benchmark.geometry import Bools, Floats, box_corners, box_gap, boxes_overlap, wrap_angle
 from benchmark.road_map import RoadMap
 
@@ -71,16 +71,19 @@ def faults_of(tracks: Tracks, agent: int, frames: slice, road_map: RoadMap | Non
     """Look for faults of an adversary.
 
     Args:
-        tracks: Everybody, 12 Hz, as written.
+        tracks: Everybody, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and its
+            corners there break every limit.
         agent: Index of the adversary.
-        frames: Its adversarial stretch.
+        frames: Its adversarial stretch; frames at which it is not there do not count.
         road_map: The map, if there is one.
 
     Returns:
         What was found.
     """
-    seconds, boxes = tracks.seconds[frames], tracks.agents[agent, frames]
-    others, present = _others(tracks, agent, frames)
+    there = np.arange(len(tracks.seconds))[frames]
+    there = there[tracks.valid[agent, there]]
+    seconds, boxes = tracks.seconds[there], tracks.agents[agent, there]
+    others, present = _others(tracks, agent, there)
     touching, near = _nearness(boxes, others, present)
     ego = len(others) - 1
     return Faults(
@@ -126,9 +129,9 @@ def teleports(seconds: Floats, boxes: Floats) -> Bools:
     return np.asarray(far | (np.abs(wrap_angle(np.diff(boxes[:, 4]))) > TELEPORT_RAD))
 
 
-def _others(tracks: Tracks, agent: int, frames: slice) -> tuple[Floats, Bools]:
+def _others(tracks: Tracks, agent: int, frames: Integers) -> tuple[Floats, Bools]:
     """Everybody else, the recorded ego as the last one."""
-    others = np.concatenate([np.delete(tracks.agents, agent, axis=0)[:, frames], tracks.ego[None, frames]])
+    others = np.concatenate([np.delete(tracks.agents, agent, axis=0)[:, frames], tracks.ego[frames][None]])
     present = np.delete(tracks.valid, agent, axis=0)[:, frames]
     return others, np.concatenate([present, np.ones((1, present.shape[1]), np.bool_)])
 

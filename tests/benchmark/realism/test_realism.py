@@ -133,6 +133,16 @@ def test_each_fault_is_found() -> None:
     assert faults(spinning).teleport
 
 
+def test_frames_at_which_it_is_not_there_do_not_count() -> None:
+    jumping = along(40.0, 198.25, 6.0)
+    jumping[:20, 0] = jumping[20, 0]
+    tracks = scene(ego(3.0), jumping)
+    assert faults_of(tracks, 0, slice(None)).beyond_limits
+    late = tracks.valid.copy()
+    late[0, :20] = False
+    assert not faults_of(replace(tracks, valid=late), 0, slice(None)).beyond_limits
+
+
 def test_rates_count_those_who_could_be_asked() -> None:
     some = [Faults(True, None, False, None, False, False), Faults(False, True, False, False, False, False)]
     rates = {rate.fault: (rate.count, rate.of) for rate in validity_rates(some)}
