@@ -71,8 +71,8 @@ def faults_of(tracks: Tracks, agent: int, frames: slice, road_map: RoadMap | Non
     """Look for faults of an adversary.
 
     Args:
-        tracks: Everybody, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and its
-            corners there break every limit.
+        tracks: Everybody, 12 Hz, as generated: what a reader of a data set gets is linear between 2 Hz keyframes, and
+            its corners there break every limit.
         agent: Index of the adversary.
         frames: Its adversarial stretch; frames at which it is not there do not count.
         road_map: The map, if there is one.
