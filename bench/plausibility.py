@@ -14,10 +14,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import DriverLimits, MotionModel, SimulatedMotion, VehicleState, rear_axle, simulate
+from benchmark.dynamics.driver_limits import LIMIT_TOLERANCE, SIDEWAYS_M_S, broken_limit
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.machine.workers import single_threaded
 from generation.diffusion.prior import TrajectoryPrior, diversify
-from generation.search.verify import LIMIT_TOLERANCE, SIDEWAYS_M_S, broken_limit
 
 GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "golden" / "physics" / "physics.npz"
 FRAMES = 36

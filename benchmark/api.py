@@ -402,7 +402,8 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
     """Compare numerics with golden numbers (docs/verify.md).
 
     Args:
-        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``infos``, ``results`` or ``model``.
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
+            ``infos``, ``results`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
         model: With ``model``: which one.
         noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
@@ -424,8 +425,11 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 
         return verify_infos(golden)
     from adapters.verification.result_files import verify_results
+    from benchmark.drivers.verification import verify_drivers
     from benchmark.pdm.verification import verify_pdm
     from benchmark.protocols.verification import verify_protocols
+    from benchmark.realism.verification import verify_realism
+    from benchmark.severity.verification import verify_severity
     from generation.verification.denoiser import verify_denoiser
     from generation.verification.physics import verify_physics
     from generation.verification.scoring import verify_scoring
@@ -437,6 +441,9 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         "protocols": verify_protocols,
         "pdm": verify_pdm,
         "results": verify_results,
+        "drivers": verify_drivers,
+        "severity": verify_severity,
+        "realism": verify_realism,
     }
     if what not in known:
         raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)}, infos and model")

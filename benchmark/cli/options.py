@@ -104,6 +104,9 @@ class Verifiable(StrEnum):
     PDM = "pdm"
     INFOS = "infos"
     RESULTS = "results"
+    DRIVERS = "drivers"
+    SEVERITY = "severity"
+    REALISM = "realism"
     MODEL = "model"
 
 

@@ -10,22 +10,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.encounters.contacts import AHEAD_RAD, BEHIND_RAD, FRONT, LATERAL, STOPPED_TRACK, contact_kinds
 from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.pdm.definition import HEADING, LENGTH_M, SIDE_SPEED, SPEED, STATES, WIDTH_M
 from benchmark.pdm.road import Whereabouts, footprints
 from benchmark.pdm.traffic import Traffic
 
-STOPPED_M_S: Final = 0.05
 STANDING_M_S: Final = 0.005
 """Below this speed nothing is projected ahead."""
-BEHIND_RAD: Final = np.deg2rad(150.0)
-AHEAD_RAD: Final = np.deg2rad(30.0)
 AHEAD_STATES: Final = (0, 3, 6, 9)
 """How far the car is projected, in states of 0.1 s."""
 TTC_STATES: Final = STATES - AHEAD_STATES[-1]
 """States that are projected, the first ones."""
-STOPPED_EGO, STOPPED_TRACK, FRONT, REAR, LATERAL = range(5)
-"""Kinds of contact."""
 
 Integers = NDArray[np.int64]
 
@@ -89,16 +85,8 @@ def collisions(states: Floats, samples: Integers, traffic: Traffic, where: Where
     plan, other = pairs.plan[pair], pairs.other[pair]
     mine, theirs = boxes[plan, state], traffic.box[other, state]
     unsure = (where.multiple_lanes | where.non_drivable)[plan, state]
-    kind = np.select(
-        [
-            np.hypot(states[plan, state, SPEED], states[plan, state, SIDE_SPEED]) <= STOPPED_M_S,
-            ~traffic.is_agent[other] | (traffic.speed[other] <= STOPPED_M_S),
-            _angle_to(states[plan, state], theirs) > BEHIND_RAD,
-            boxes_overlap(_front_edge(mine), theirs),
-        ],
-        [STOPPED_EGO, STOPPED_TRACK, REAR, FRONT],
-        LATERAL,
-    )
+    speed = np.hypot(states[plan, state, SPEED], states[plan, state, SIDE_SPEED])
+    kind = contact_kinds(mine, speed, theirs, traffic.speed[other], traffic.is_agent[other])
     at_fault = (kind == STOPPED_TRACK) | (kind == FRONT) | ((kind == LATERAL) & unsure)
     kept = _up_to_first(pair, state, ~at_fault, len(pairs.plan))
     plan, state, other, kind, at_fault = plan[kept], state[kept], other[kept], kind[kept], at_fault[kept]
@@ -183,15 +171,6 @@ def _angle_to(states: Floats, boxes: Floats) -> Floats:
     along = offset[..., 0] * np.cos(states[..., HEADING]) + offset[..., 1] * np.sin(states[..., HEADING])
     across = offset[..., 1] * np.cos(states[..., HEADING]) - offset[..., 0] * np.sin(states[..., HEADING])
     return np.asarray(np.arctan2(np.abs(across), along))
-
-
-def _front_edge(boxes: Floats) -> Floats:
-    """The front edges of boxes, as boxes without length."""
-    edge = boxes.copy()
-    edge[..., 0] += 0.5 * boxes[..., 2] * np.cos(boxes[..., 4])
-    edge[..., 1] += 0.5 * boxes[..., 2] * np.sin(boxes[..., 4])
-    edge[..., 2] = 0.0
-    return edge
 
 
 def _up_to_first(pair: Integers, instant: Integers, excused: Bools, pairs: int) -> Bools:

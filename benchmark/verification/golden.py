@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.foreign.arrays import read_npz
 from benchmark.foreign.files import one_line
+from benchmark.foreign.json_text import read_json
 from benchmark.geometry import Bools, Floats
 
 
@@ -33,6 +34,29 @@ def golden_directory(golden: Path, kind: str, *names: str) -> Path:
             below = any((golden / kind).glob(name))
             advice = f"did you mean {golden / kind}?" if below else f"a set of this kind holds {', '.join(names)}"
             raise InputError(f"the golden set {golden} has no {name}; {advice}")
+    return golden
+
+
+def readable_set(golden: Path, kind: str, *names: str) -> Path:
+    """A directory of npz and JSON files that can all be read, so that nothing is computed for a damaged set.
+
+    Args:
+        golden: The directory.
+        kind: As in `golden_directory`.
+        names: Files that must be in it; a name may be a pattern.
+
+    Returns:
+        The directory.
+
+    Raises:
+        InputError: If it is absent, lacks a file, or a file cannot be read.
+    """
+    golden_directory(golden, kind, *names)
+    for path in sorted({path for name in names for path in golden.glob(name)}):
+        if path.suffix == ".json":
+            read_json(path)
+        else:
+            GoldenArrays.read(path)
     return golden
 
 

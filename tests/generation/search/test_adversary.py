@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from benchmark.dynamics.bicycle import DriverLimits, MotionModel, rear_axle
+from benchmark.dynamics.driver_limits import broken_limit
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.machine.storage import canonical_json
@@ -13,7 +14,7 @@ from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
 from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, broken_limit
+from generation.search.verify import Discard
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.generation.search.one_vehicle import attempt
 from tests.hand_made import Car, scene_on_straight_road

@@ -1,0 +1,76 @@
+"""IDM as a reference driver: the formula of nuPlan's planner, with brakes that a car has.
+
+Not `benchmark.dynamics.idm`, which drives the town's traffic: that one carries its authors' later corrections so that
+platoons do not collide; this one is the plain model of Treiber, Hennecke and Helbing (2000) that the field names so.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from benchmark.geometry import Floats
+
+ACCELERATION: Final = 1.0
+COMFORTABLE_BRAKING: Final = 2.0
+HARDEST_BRAKING: Final = 6.0
+"""nuPlan's own policy brakes with at most 2 m/s^2 and so cannot avoid a cut-in."""
+TIME_GAP_S: Final = 1.5
+STANDSTILL_GAP_M: Final = 1.0
+SMALLEST_GAP_M: Final = 1.0
+_EXPONENT: Final = 4
+
+
+def idm_acceleration(speed: Floats, free_speed: float, gap: Floats, leader_speed: Floats) -> Floats:
+    """Acceleration of a car that keeps distance.
+
+    Args:
+        speed: (...) of the ego, m/s.
+        free_speed: What it would drive on a free road, m/s.
+        gap: (...) metres to the leader, infinite without one.
+        leader_speed: (...) of the leader along the path, m/s.
+
+    Returns:
+        (...) m/s^2.
+    """
+    near = np.maximum(gap, SMALLEST_GAP_M)
+    closing = _wanted_while_closing(speed, leader_speed, TIME_GAP_S, ACCELERATION, COMFORTABLE_BRAKING)
+    wanted = STANDSTILL_GAP_M + np.maximum(closing, 0.0)
+    raw = ACCELERATION * (1 - (speed / free_speed) ** _EXPONENT - (wanted / near) ** 2)
+    return np.asarray(np.clip(raw, -HARDEST_BRAKING, ACCELERATION))
+
+
+def raw_acceleration(
+    speed: Floats,
+    gap: Floats,
+    leader_speed: Floats,
+    free_speed: float,
+    standstill_gap: float,
+    time_gap: float,
+    acceleration: float,
+    braking: float,
+) -> Floats:
+    """NuPlan's formula as it stands: no limit, and a leader that drives away shortens the wanted gap.
+
+    Args:
+        speed: (...) m/s.
+        gap: (...) metres.
+        leader_speed: (...) m/s.
+        free_speed: m/s.
+        standstill_gap: Metres.
+        time_gap: Seconds.
+        acceleration: m/s^2.
+        braking: Comfortable, m/s^2.
+
+    Returns:
+        (...) m/s^2.
+    """
+    wanted = standstill_gap + _wanted_while_closing(speed, leader_speed, time_gap, acceleration, braking)
+    near = np.maximum(gap, standstill_gap)
+    return np.asarray(acceleration * (1 - (speed / free_speed) ** _EXPONENT - (wanted / near) ** 2))
+
+
+def _wanted_while_closing(
+    speed: Floats, leader_speed: Floats, time_gap: float, acceleration: float, braking: float
+) -> Floats:
+    closing = speed * (speed - leader_speed) / (2 * np.sqrt(acceleration * braking))
+    return np.asarray(speed * time_gap + closing)

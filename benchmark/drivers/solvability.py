@@ -1,0 +1,86 @@
+"""The ladder of a scene: who survives it, and whether anybody could.
+
+``docs/severity.md``, "What solvable means". That the recorded ego passes says nothing of a driver who reacts; that a
+careful human passes does.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import shapely
+
+from benchmark.drivers.driving import Situation, drive
+from benchmark.drivers.last_chance import REACTION_S, Base, LastChance
+from benchmark.drivers.outcomes import Outcome, Surroundings
+from benchmark.drivers.reaction import Driver
+from benchmark.encounters.sight import first_visible
+from benchmark.encounters.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class SceneLadder:
+    """What the reference drivers make of a scene.
+
+    Attributes:
+        situation: The scene.
+        outcomes: By driver, from the weakest statement to the most cautious.
+        first_visible: When the recorded ego first sees the adversary, seconds; ``None`` for never.
+        drivable: Where manoeuvres may go; ``None`` without a map, which a report must say.
+    """
+
+    situation: Situation
+    outcomes: dict[Driver, Outcome]
+    first_visible: float | None
+    drivable: shapely.MultiPolygon | None
+
+    @classmethod
+    def of(
+        cls, tracks: Tracks, adversary: int, start: float | None = None, drivable: shapely.MultiPolygon | None = None
+    ) -> "SceneLadder":
+        """Let all drivers drive a scene.
+
+        Args:
+            tracks: Everybody.
+            adversary: Index of the adversary.
+            start: When drivers take over, seconds; at the first frame by default.
+            drivable: Where manoeuvres may go; anywhere by default.
+
+        Returns:
+            The ladder.
+        """
+        situation = Situation.of(tracks, start, adversary)
+        surroundings = Surroundings.of(situation)
+        outcomes = {motion.rung.driver: surroundings.outcome(motion) for motion in drive(situation)}
+        return cls(situation, outcomes, first_visible(tracks, adversary, situation.times), drivable)
+
+    def survives(self, driver: Driver) -> bool:
+        """Whether a driver hits nobody."""
+        return self.outcomes[driver].survives
+
+    @cached_property
+    def base(self) -> Base:
+        """The ego at constant speed, whose contact is to be avoided."""
+        return Base(self.situation, Driver.CONSTANT, self.drivable)
+
+    @cached_property
+    def last_chance(self) -> LastChance:
+        """Of the ego at constant speed."""
+        return self.base.last_chance()
+
+    @property
+    def margin_s(self) -> float | None:
+        """Time from when somebody could have reacted to the last chance; ``None`` where there is no last chance."""
+        if self.last_chance.time is None or self.first_visible is None:
+            return None
+        return self.last_chance.time - (self.first_visible + REACTION_S)
+
+    @cached_property
+    def unsolvable(self) -> bool:
+        """Whether nobody could have avoided it.
+
+        No sampled manoeuvre succeeds 0.75 s after the adversary is first visible, and neither the careful human nor
+        FSM survives.
+        """
+        if self.survives(Driver.CC) or self.survives(Driver.FSM):
+            return False
+        return not self.base.avoidable_after(self.first_visible)

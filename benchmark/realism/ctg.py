@@ -1,0 +1,271 @@
+"""``ctg-realism@code``: the "realism deviation" that papers on nuScenes quote, with every quirk of its public code.
+
+For comparison with the literature, never for a ranking: sizes of accelerations are projected on the axes of the world,
+speeds above 4 m/s fall out of the histograms, and noise of 5 cm costs more than anything a driver does. The page
+``docs/realism.md`` says what each of the four versions of the code does. Single precision is part of the definition.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.geometry import Bools, Floats
+
+NAME: Final = "ctg-realism@code"
+STEP_S: Final = 0.5
+SAMPLES_PER_STEP: Final = 5
+"""Tracks come at 10 Hz; every fifth sample is kept."""
+BINS: Final = 20
+_MOVING_M_S: Final = 0.5
+_RANGES: Final = {
+    "velocity": (0.0, 4.0),
+    "lon_accel": (-2.0, 2.0),
+    "lat_accel": (-2.0, 2.0),
+    "jerk": (-1.0, 1.0),
+    "rel_pos_norm": (0.0, 50.0),
+    "rel_lon_pos_abs": (0.0, 50.0),
+    "rel_lat_pos": (0.0, 50.0),
+    "rel_yaw_abs": (0.0, np.pi),
+    "rel_yaw_vel_abs": (0.0, np.pi),
+    "rel_vel_norm": (0.0, 4.0),
+    "rel_lon_vel": (-4.0, 4.0),
+    "rel_lat_vel": (-4.0, 4.0),
+    "rel_accel_norm": (0.0, 2.0),
+    "rel_lon_accel": (-2.0, 2.0),
+    "rel_lat_accel": (-2.0, 2.0),
+    "rel_jerk": (-1.0, 1.0),
+}
+AGENT_NAMES: Final = tuple(_RANGES)[:4]
+RELATIVE_NAMES: Final = tuple(_RANGES)[4:]
+MEANS: Final = {
+    "mean_real_dev": ("lon_accel", "lat_accel", "jerk"),
+    "mean_real_dev_int": ("rel_lon_accel", "rel_lat_accel", "rel_jerk"),
+}
+"""The two numbers that are quoted, and what they are means of."""
+
+Singles = NDArray[np.float32]
+Histograms = dict[str, Floats]
+
+
+class Version(StrEnum):
+    """Which public code: `CTG` is the one that published numbers come from."""
+
+    OLD = "old"
+    HEAD = "head"
+    CTG = "ctg"
+    MTD = "mtd"
+
+
+class Mask(StrEnum):
+    """Which agents count; `CURRENT_SPEED` is the default of the public script."""
+
+    NONE = "None"
+    CURRENT_SPEED = "current_speed"
+    ANY_SPEED = "any_speed"
+
+
+class Normalisation(StrEnum):
+    """Whether histograms are averaged over scenes or summed."""
+
+    SCENE = "scene"
+    DATASET = "dataset"
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTracks:
+    """One scene, 10 Hz.
+
+    Attributes:
+        position: (N, T, 2) metres, NaN where an agent is absent.
+        yaw: (N, T) headings in the world, radians, NaN where it is absent.
+    """
+
+    position: Floats
+    yaw: Floats
+
+
+def histograms(
+    scenes: Sequence[SceneTracks],
+    version: Version = Version.CTG,
+    normalisation: Normalisation = Normalisation.SCENE,
+    mask: Mask = Mask.CURRENT_SPEED,
+    edges: Mapping[str, Floats] | None = None,
+) -> Histograms:
+    """The histograms of scenes.
+
+    Args:
+        scenes: At least one.
+        version: Which code.
+        normalisation: How scenes are put together.
+        mask: Which agents count; versions without masks do not look at it.
+        edges: (21,) edges by name; those of the code by default.
+
+    Returns:
+        (20,) shares by name; relative ones in the version `CTG` alone.
+    """
+    edges = bin_edges() if edges is None else edges
+    counts = [_counts(scene, version, mask, edges) for scene in scenes]
+    found = {}
+    for name in counts[0]:
+        of_scenes = np.array([each[name] for each in counts])
+        totals = of_scenes.sum(axis=1, keepdims=True)
+        if normalisation is Normalisation.SCENE:
+            found[name] = np.mean(of_scenes / np.where(totals > 0, totals, 1.0), axis=0)
+        else:
+            found[name] = of_scenes.sum(axis=0) / max(float(totals.sum()), 1.0)
+    return found
+
+
+def deviations(first: Histograms, second: Histograms, edges: Mapping[str, Floats] | None = None) -> dict[str, float]:
+    """Earth mover's distances of histograms, and the means that are quoted.
+
+    Args:
+        first: Of generated scenes.
+        second: Of recordings, with the same names.
+        edges: As in `histograms`.
+
+    Returns:
+        By name.
+    """
+    edges = bin_edges() if edges is None else edges
+    found = {}
+    for name, shares in first.items():
+        widths = np.diff(np.asarray(edges[name])[1:])
+        moved = np.abs(np.cumsum(_normalised(shares) - _normalised(second[name])))[:-1]
+        found[name] = float((widths * moved).sum())
+    means = {
+        mean: float(np.mean([found[name] for name in names]))
+        for mean, names in MEANS.items()
+        if all(name in found for name in names)
+    }
+    return {**found, **means}
+
+
+def bin_edges() -> dict[str, Floats]:
+    """(21,) edges by name: those that the public code makes in single precision."""
+    import torch
+
+    return {
+        name: torch.linspace(low, high, BINS + 1, dtype=torch.float32).double().numpy()
+        for name, (low, high) in _RANGES.items()
+    }
+
+
+def _normalised(shares: Floats) -> Floats:
+    total = float(shares.sum())
+    return shares / total if total > 0 else shares
+
+
+def _counts(scene: SceneTracks, version: Version, mask: Mask, edges: Mapping[str, Floats]) -> Histograms:
+    position = scene.position[:, ::SAMPLES_PER_STEP].astype(np.float32)
+    yaw = scene.yaw[:, ::SAMPLES_PER_STEP].astype(np.float32)
+    values = _agent_values(position, yaw, version)
+    masked = version in (Version.CTG, Version.MTD)
+    counts = _counted(position, values["velocity"], mask) if masked else np.ones(yaw.shape, np.bool_)
+    found = {name: _histogram(values[name], counts, edges[name]) for name in AGENT_NAMES}
+    if version is Version.CTG:
+        relative, of_other = _relative_values(position, yaw, counts)
+        found |= {name: _histogram(relative[name], of_other, edges[name]) for name in RELATIVE_NAMES}
+    return found
+
+
+def _histogram(values: Singles, counts: Bools, edges: Floats) -> Floats:
+    kept = values[counts]
+    # What follows an absent sample is NaN and falls out, as what is out of range does.
+    return np.histogram(kept[np.isfinite(kept)], np.asarray(edges, np.float32))[0].astype(np.float64)
+
+
+def _agent_values(position: Singles, yaw: Singles, version: Version) -> dict[str, Singles]:
+    if version is Version.OLD:
+        # That code pads with the first difference itself, and differentiates positions where velocities are meant.
+        velocity = _differences(position, position[:, 1:2] - position[:, :1])
+        acceleration = _differences(position, velocity[:, 1:2] - velocity[:, :1])
+        size = _norm(acceleration)
+        jerk = _differences(size, size[:, 1:2] - size[:, :1])
+    else:
+        velocity = _repeating(position)
+        acceleration = _repeating(velocity)
+        size = _norm(acceleration)
+        jerk = _repeating(size)
+    return {
+        "velocity": _norm(velocity),
+        "lon_accel": size * np.cos(yaw),
+        "lat_accel": size * np.sin(yaw),
+        "jerk": jerk,
+    }
+
+
+def _counted(position: Singles, speed: Singles, mask: Mask) -> Bools:
+    """(N, T) samples that count: an agent on the line x + y = 0 is lost, and one that comes after the second sample."""
+    filled = np.nan_to_num(position)
+    there = filled[..., 0] + filled[..., 1] != 0
+    counts = there & there[:, 1:2]
+    if mask is Mask.CURRENT_SPEED:
+        counts &= speed[:, :1] > _MOVING_M_S
+    elif mask is Mask.ANY_SPEED:
+        counts &= (speed > _MOVING_M_S).any(axis=1, keepdims=True)
+    return np.asarray(counts)
+
+
+def _relative_values(position: Singles, yaw: Singles, counts: Bools) -> tuple[dict[str, Singles], Bools]:
+    """Values of ordered pairs of observer and other, and where the other counts."""
+    seen = _seen_from(np.nan_to_num(position), yaw)
+    turn = np.asarray((yaw[None] - yaw[:, None] + np.pi) % (2 * np.pi) - np.pi, np.float32)
+    pairs = ~np.eye(len(position), dtype=np.bool_)
+    place, turn = seen[pairs], turn[pairs]
+    of_other = np.broadcast_to(counts, (len(position), *counts.shape))[pairs]
+    velocity = _repeating(place)
+    acceleration = _repeating(velocity)
+    size = _norm(acceleration)
+    values = {
+        "rel_pos_norm": _norm(place),
+        "rel_lon_pos_abs": np.abs(place[..., 0]),
+        "rel_lat_pos": np.abs(place[..., 1]),
+        "rel_yaw_abs": np.abs(turn),
+        "rel_yaw_vel_abs": np.abs(_repeating(turn)),
+        "rel_vel_norm": _norm(velocity),
+        "rel_lon_vel": velocity[..., 0],
+        "rel_lat_vel": velocity[..., 1],
+        "rel_accel_norm": size,
+        "rel_lon_accel": acceleration[..., 0],
+        "rel_lat_accel": acceleration[..., 1],
+        "rel_jerk": _repeating(size),
+    }
+    return values, of_other
+
+
+def _seen_from(position: Singles, yaw: Singles) -> Singles:
+    """(N, N, T, 2) places in the frames of observers, through inverted matrices as the code does it.
+
+    The rounding of that inversion decides about the bins of cars that all but stand.
+    """
+    import torch
+
+    absent = np.isnan(yaw)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    zero, one = np.zeros_like(yaw), np.ones_like(yaw)
+    rows = [[cos, -sin, position[..., 0]], [sin, cos, position[..., 1]], [zero, zero, one]]
+    frame = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).astype(np.float32)
+    frame[absent] = np.eye(3, dtype=np.float32)
+    inverse = torch.linalg.inv(torch.from_numpy(frame))
+    inverse[torch.from_numpy(absent)] = torch.nan
+    points = torch.from_numpy(np.concatenate([position, one[..., None]], axis=-1).astype(np.float32))
+    return np.asarray(torch.einsum("itab,jtb->ijta", inverse, points).numpy()[..., :2], np.float32)
+
+
+def _repeating(values: Singles) -> Singles:
+    """Differences a second along the second axis; the first one is repeated."""
+    return _differences(values, values[:, :1] - (values[:, 1:2] - values[:, :1]))
+
+
+def _differences(values: Singles, before: Singles) -> Singles:
+    earlier = np.concatenate([before, values[:, :-1]], axis=1)
+    return np.asarray((values - earlier) / np.float32(STEP_S), np.float32)
+
+
+def _norm(values: Singles) -> Singles:
+    return np.asarray(np.linalg.norm(values, axis=-1), np.float32)

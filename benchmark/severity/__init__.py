@@ -1,0 +1,1 @@
+"""How severe an encounter is, with and without contact, and what counts as a successful attack."""
