@@ -80,51 +80,8 @@ INCREASE: Final = {"UniAD": "12.6", "VAD": "26.1", "SparseDrive": "8.6", "Diffus
 """The paper's "× increase": (adv - val) / val of the averages, so an increase *by* that many times the baseline."""
 
 
-@dataclass(frozen=True, slots=True)
-class PublishedPlanning:
-    """What is printed of a published checkpoint on the nuScenes validation split, under its own protocol.
-
-    Attributes:
-        model: Name of our model that loads the checkpoint.
-        column: ``collision`` in per cent or ``l2`` in metres.
-        values: At 1 s, 2 s, 3 s and their average as printed; empty where it is not.
-        source: Where.
-    """
-
-    model: str
-    column: str
-    values: tuple[str, str, str, str]
-    source: str
-
-
-def _table_1(planner: str, model: str) -> PublishedPlanning:
-    row = next(row for row in TABLE_1 if (row.model, row.data_set) == (model, "nuScenes-val"))
-    return PublishedPlanning(planner, "collision", row.percent, TABLE_1_SOURCE)
-
-
-_UNIAD: Final = "UniAD's repository, README"
-_UNIAD_SAME: Final = "UniAD's repository, issues 29 and 166 (uniad_base_e2e.pth evaluated again)"
-_VAD: Final = "VAD's repository, README"
-_SPARSE: Final = "SparseDrive's repository, README (released stage 2)"
-_DIFFUSION: Final = "DiffusionDrive's repository, README of the nuScenes branch"
-PLANNING: Final = (
-    PublishedPlanning("uniad", "collision", ("0.05", "0.17", "0.71", "0.31"), _UNIAD),
-    _table_1("uniad", "UniAD"),
-    PublishedPlanning("uniad", "l2", ("0.48", "0.96", "1.65", "1.03"), _UNIAD),
-    PublishedPlanning("uniad", "l2", ("0.51", "0.98", "1.65", ""), _UNIAD_SAME),
-    PublishedPlanning("vad-tiny", "collision", ("0.21", "0.35", "0.58", "0.38"), _VAD),
-    PublishedPlanning("vad-tiny", "l2", ("0.46", "0.76", "1.12", "0.78"), _VAD),
-    PublishedPlanning("vad-base", "collision", ("0.07", "0.17", "0.41", "0.22"), _VAD),
-    _table_1("vad-base", "VAD"),
-    PublishedPlanning("vad-base", "l2", ("0.41", "0.70", "1.05", "0.72"), _VAD),
-    PublishedPlanning("sparsedrive", "collision", ("0.01", "0.05", "0.23", "0.10"), _SPARSE),
-    _table_1("sparsedrive", "SparseDrive"),
-    PublishedPlanning("sparsedrive", "l2", ("0.30", "0.58", "0.95", "0.61"), _SPARSE),
-    PublishedPlanning("diffusiondrive", "collision", ("0.03", "0.05", "0.16", "0.08"), _DIFFUSION),
-    _table_1("diffusiondrive", "DiffusionDrive"),
-    PublishedPlanning("diffusiondrive", "l2", ("0.27", "0.54", "0.90", "0.57"), _DIFFUSION),
-)
-"""Planning results of the published checkpoints. Where one number is printed twice it was measured twice."""
+CHECKPOINTS: Final = ("uniad", "vad-tiny", "vad-base", "sparsedrive", "diffusiondrive")
+"""Our models that load published checkpoints, of which planning results are printed (`published_planning`)."""
 PLANNING_ALLOWED: Final = {"collision": 0.03, "l2": 0.02}
 """How far ours may be from the nearest published value, per cent and metres. Two evaluations of one checkpoint by
 others are 0.03 % apart (DiffusionDrive at 1 s: 0.03 and 0.059), for VAD up to 0.07 %, and their L2 up to 0.03 m."""
@@ -237,6 +194,19 @@ STANDING: Final[tuple[StandingValue, ...]] = (
     *map(_from_table_1, TABLE_1),
 )
 """Who prints which number on which split under which protocol: what specifications and the paper give, no more."""
+
+
+def published_planning(model: str, protocol: str) -> tuple[StandingValue, ...]:
+    """What is printed of a published checkpoint on the nuScenes validation split, under one protocol.
+
+    Args:
+        model: Name of our model that loads the checkpoint.
+        protocol: Its own protocol.
+
+    Returns:
+        The values; where one number is printed twice it was measured twice.
+    """
+    return tuple(each for each in STANDING if model in each.ours and (each.split, each.protocol) == ("val", protocol))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from benchmark.machine.storage import read_json, write_json
 from benchmark.metrics.rates import HORIZONS
 from benchmark.planning import Planner
 from benchmark.protocols import PROTOCOLS, STANDARD
-from benchmark.published import PLANNING, PLANNING_ALLOWED, VAL_SAMPLES
+from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, VAL_SAMPLES, published_planning
 from benchmark.records.reproduction import ComparedNumber, Reproduction, write_reproduction
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import Stored
@@ -78,11 +78,6 @@ class Expected:
     numbers: tuple[_Published, ...]
 
 
-def published_models() -> tuple[str, ...]:
-    """Models of which numbers are published."""
-    return tuple(dict.fromkeys(each.model for each in PLANNING))
-
-
 def published_numbers(model: str, protocol: str) -> Expected:
     """The published numbers of a model on the official validation split.
 
@@ -96,9 +91,9 @@ def published_numbers(model: str, protocol: str) -> Expected:
     Raises:
         InputError: If none are known.
     """
-    rows = [each for each in PLANNING if each.model == model]
-    if not rows:
-        known = published_models()
+    rows = published_planning(model, protocol)
+    if model not in CHECKPOINTS or not rows:
+        known = CHECKPOINTS
         raise InputError(
             f"no numbers are published of {model}; {did_you_mean(model, known)}there are those of {', '.join(known)}, "
             "and --expected FILE takes others"
