@@ -1,8 +1,9 @@
 """The main path of an import: recognise, read, match with samples, check, convert."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -12,8 +13,13 @@ from adapters.result_files.plausibility import require_plausible
 from adapters.result_files.recognition import Recognised
 from adapters.result_files.samples import RecordedSamples
 from benchmark.errors import InputError
+from benchmark.foreign.refusals import RefusedFile
 from benchmark.geometry import Floats
 from benchmark.planning import Plan
+from benchmark.records.run_schema import SampleOrder
+
+SHOWN: Final[tuple[SampleOrder, ...]] = ("assumed", "consistent", "proven", "tokens")
+"""How well the order of a file is shown, worst first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +80,33 @@ def import_results(
 
 
 def _read(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
-    """Of a file without tokens: of the whole split, or of the chosen scenes where only their number fits."""
-    if opened.format.by_place and scenes is not None:
-        content = opened.content
+    """Of a file without tokens: in the order of info files that it does not contradict, the better shown one of two."""
+    if not opened.format.by_place:
+        return opened.format.read(opened.path, opened.content, samples)
+    found: list[FilePlans] = []
+    refused: RefusedFile | None = None
+    for ordered in samples.in_orders():
+        try:
+            found.append(_of_part(opened, ordered, scenes))
+        except RefusedFile as error:
+            refused = refused or error
+    if refused is not None and not found:
+        raise refused
+    best = max(found, key=lambda plans: SHOWN.index(plans.order))
+    if any(other.order == best.order and not np.array_equal(other.rows, best.rows) for other in found):
+        return replace(best, order="assumed", shown_by=f"{best.shown_by}; another order of info files fits as well")
+    return best
+
+
+def _of_part(opened: Recognised, samples: RecordedSamples, scenes: Collection[str] | None) -> FilePlans:
+    """Of the whole split, or of the chosen scenes where only their number fits."""
+    content = opened.content
+    if scenes is not None:
         entries = content["bbox_results"] if isinstance(content, dict) else content
         chosen = samples.of_scenes(scenes)
         if len(entries) == len(chosen.by_time) != len(samples.by_time):
-            return opened.format.read(opened.path, content, chosen)
-    return opened.format.read(opened.path, opened.content, samples)
+            samples = chosen
+    return opened.format.read(opened.path, content, samples)
 
 
 def _joined(parts: Sequence[FilePlans], opened: Sequence[Recognised], samples: RecordedSamples) -> FilePlans:

@@ -1,7 +1,7 @@
 """What an importer must know of the samples that plans belong to: tokens, poses, recorded lidar futures, orders."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.datasets.infos.order import exported_order
 from benchmark.geometry import Bools, Floats, rotation_matrix, yaw_of_quaternion
 from benchmark.planning import Command
 from benchmark.scene import Scene
@@ -81,21 +82,24 @@ class RecordedSamples:
         side = Command.RIGHT if x > 0 else Command.LEFT
         return abs(abs(x) - COMMAND_LATERAL_M) <= UNDECIDED_M and command in (side, Command.STRAIGHT)
 
+    def in_orders(self) -> tuple["RecordedSamples", ...]:
+        """The same in every order of info files that are sorted by time, the likelier one first.
+
+        Where scenes overlap in time, as all variants of one recording do, a converter mixes them, and the info files
+        that are exported here keep them apart (`benchmark.datasets.infos.order`). Nobody can run a planner with memory
+        on variants that are mixed; recordings of two cars at the same time have official info files.
+        """
+        exported = exported_order(self.scenes, self.timestamps_us)
+        if np.array_equal(exported, self.by_time):
+            return (self,)
+        variants = len(np.unique(self.timestamps_us)) < len(self.timestamps_us)
+        apart = replace(self, by_time=exported)
+        return (apart, self) if variants else (self, apart)
+
     def of_scenes(self, scenes: Collection[str]) -> "RecordedSamples":
         """The same with the orders of info files that hold only some scenes."""
         chosen = np.isin(np.array(self.scenes), list(scenes))
-        return RecordedSamples(
-            self.name,
-            self.tokens,
-            self.scenes,
-            self.timestamps_us,
-            self.ego_pose,
-            self.lidar_in_ego,
-            self.future,
-            self.valid,
-            self.by_time[chosen[self.by_time]],
-            self.by_table[chosen[self.by_table]],
-        )
+        return replace(self, by_time=self.by_time[chosen[self.by_time]], by_table=self.by_table[chosen[self.by_table]])
 
 
 def samples_of_data(data: "DataSet", split: str) -> RecordedSamples:

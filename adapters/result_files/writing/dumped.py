@@ -56,8 +56,8 @@ class DumpedPlans:
 
     @cached_property
     def info_rows(self) -> Rows:
-        """Rows of the scenes that ran, in the order of an info file that is sorted by time."""
-        return self.samples.of_scenes(self.scenes).by_time
+        """Rows of the scenes that ran, in the likelier order of an info file that is sorted by time."""
+        return self.samples.in_orders()[0].of_scenes(self.scenes).by_time
 
     def waypoints(self, row: int, frame: FileFrame, steps: int = PLAN_STEPS) -> Floats:
         """(K, 2) waypoints of a sample in the frame of a file, metres."""

@@ -78,6 +78,27 @@ def test_what_is_known_of_the_order(tmp_path: Path) -> None:
     assert {order for name, order in orders.items() if name not in proven | consistent} == {"tokens"}
 
 
+@pytest.mark.parametrize("name", ["sparsedrive", "vad-out"])
+@pytest.mark.parametrize("mixed", [False, True], ids=["kept apart", "mixed"])
+def test_variants_are_found_whether_info_files_keep_them_apart_or_mix_them(
+    tmp_path: Path, name: str, mixed: bool
+) -> None:
+    recorded = made_up_samples()
+    ticks = [recorded.scenes[:row].count(scene) for row, scene in enumerate(recorded.scenes)]
+    times = np.array(ticks, np.int64) * 500_000
+    samples = dataclasses.replace(recorded, timestamps_us=times, by_time=np.argsort(times, kind="stable"))
+    apart, official = samples.in_orders()
+    assert [samples.scenes[row] for row in apart.by_time] == sorted(samples.scenes)
+    assert official.by_time.tolist() == samples.by_time.tolist() != apart.by_time.tolist()
+    plans = made_up_plans(samples)
+    dumped = DumpedPlans(samples, tuple(dict.fromkeys(samples.scenes)), plans, 6)
+    # A cached property: what a run on mixed info files would have dumped.
+    vars(dumped)["info_rows"] = (official if mixed else apart).by_time
+    found = import_results([recognise(WRITERS[name](tmp_path, dumped))], samples).found
+    assert found.rows.tolist() == dumped.info_rows.tolist()
+    assert found.order in ("proven", "consistent")
+
+
 def test_one_command_alone_leaves_the_order_assumed(tmp_path: Path) -> None:
     samples = made_up_samples()
     straight = tuple(scene for scene in ("scene-0003", "scene-0004"))
