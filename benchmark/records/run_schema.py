@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 SCHEMA = 4
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
@@ -17,17 +17,8 @@ Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
 Version = Annotated[int, Field(ge=0, le=1000)]
 Told = str | int | float | bool | None
 """What is said of a machine: a record with anything else there is damaged."""
-Label = Annotated[str, Field(max_length=200)]
-
-
-def _names_a_file(name: str) -> str:
-    if not name.isprintable() or "\\" in name or {"", ".", ".."} & set(name.split("/")):
-        raise ValueError("must be a name that files can be named after")
-    return name
-
-
-Name = Annotated[Label, AfterValidator(_names_a_file)]
-"""Of something that files are named after; scenes of one of several roots have that root's name before a slash."""
+Name = Annotated[str, Field(max_length=200)]
+"""Of something that files are named after, and text wherever it is shown."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 LightName = Literal["day", "dusk", "night", "rain"]
 PlaceName = Literal["roundabout", "car-park", "junction", "bend", "straight", "unknown"]
@@ -54,7 +45,7 @@ class PlannerFacts(Stored):
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
     """
 
-    name: Label
+    name: str
     privileged: bool
     weights_sha256: str | None = None
     code_sha256: str | None = None
@@ -202,7 +193,7 @@ class RunFacts(Stored):
         """Judging anew replaces much of this, so that damage in it would be gone without a word."""
         if len(set(self.scenes)) != len(self.scenes) or not self.scenes:
             raise ValueError("scenes must be names, each once")
-        if self.scene_facts and self.scene_facts.keys() != set(self.scenes):
+        if not self.scene_facts.keys() <= set(self.scenes):
             raise ValueError("scene_facts must be of the scenes")
         named = self.config.get("protocols", list(self.protocols))
         if not isinstance(named, list) or Counter(map(str, named)) != Counter(self.protocols.keys()):

@@ -37,6 +37,7 @@ FUNCTION_OF = {
     "demo": "demo",
     "doctor": "doctor",
     "data info": "data_contents",
+    "data export infos": "export_infos",
     "data stats": "data_statistics",
     "data show": "write_pictures",
     "data check": "check_data",

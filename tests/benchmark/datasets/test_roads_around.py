@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely.geometry.polygon import orient
 
@@ -31,6 +31,8 @@ def test_kerb_lines_are_the_edges_within_the_patch(pose: np.ndarray[tuple[int], 
     lines = RoadsAround(surfaces, pose).kerb_lines()
     patch = shapely.Polygon(to_global(np.array([[51.0, 24.8], [-51.0, 24.8], [-51.0, -24.8], [51.0, -24.8]]), pose))
     edges = surfaces.road_map.drivable_area.boundary.intersection(patch)
+    # Whether an edge along the border of the patch is in it is for rounding to say.
+    assume(edges.intersection(patch.boundary).length == 0.0)
     # Points lie on edges, at equal distances along each, and all edges are there.
     points = shapely.points(to_global(lines.astype(np.float64).reshape(-1, 2), pose))
     assert len(points) == 0 or shapely.distance(points, edges).max() < 1e-4

@@ -178,6 +178,7 @@ def test_old_and_missing_protocols_are_said(folder: Path, monkeypatch: pytest.Mo
 
     def forget(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
         del run["protocols"]["vad"]
+        run["config"]["protocols"].remove("vad")
 
     edited(folder, forget)
     assert "is not judged by vad" in checked(folder)[1][0].sentence
