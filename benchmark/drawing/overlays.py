@@ -18,7 +18,7 @@ from benchmark.drawing.placing import (
 )
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, box_corners
-from benchmark.records.run_schema import SampleRow
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.scenes import RefinementTrace, Sheet, TraceRound
 
 EXACT: Final = "exact"

@@ -8,7 +8,7 @@ from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, ego_footprints, to_global, wrap_angle
 from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes
-from benchmark.records.run_schema import SampleRow
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.scenes import Sheet, SheetAgent
 from benchmark.waypoints import points_in_lidar, waypoints_in_lidar
 

@@ -19,8 +19,8 @@ from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import SampleRow
 from benchmark.waypoints import waypoints_in_lidar
 
 COMMON_STEPS: Final = PLAN_STEPS - 1

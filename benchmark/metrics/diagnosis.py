@@ -30,8 +30,8 @@ from benchmark.geometry import Bools, Floats, boxes_overlap
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.exact import ego_boxes, object_boxes
-from benchmark.records import run_schema
-from benchmark.records.run_schema import Cause, DiagnosisRow
+from benchmark.records import row_schema
+from benchmark.records.row_schema import Cause, DiagnosisRow
 from benchmark.truth import SampleTruth
 from benchmark.waypoints import chord_headings, points_in_lidar
 
@@ -51,7 +51,7 @@ class Reason(StrEnum):
     CLEAR = "plan clear of forecast"
     CLEAR_OF_LIKELIEST = "plan clear of forecast, hits another likely mode"
     HITS = "plan hits forecast"
-    NOT_NEAR = run_schema.NOT_NEAR
+    NOT_NEAR = row_schema.NOT_NEAR
     NONE = "no forecasts"
 
     @property

@@ -18,8 +18,9 @@ from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.driving import COLUMNS as DRIVING_COLUMNS
 from benchmark.records.driving import sample_scores
+from benchmark.records.row_schema import CAUSES, PlaceName, SampleRow
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
-from benchmark.records.run_schema import CAUSES, LightName, PlaceName, SampleRow
+from benchmark.records.run_schema import LightName
 
 SliceKind = Literal["place", "light", "manoeuvre", "speed", "command"]
 KINDS: Final[tuple[SliceKind, ...]] = get_args(SliceKind)

@@ -13,8 +13,9 @@ from pydantic import Field, model_validator
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json
 from benchmark.published import ABLATION
-from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow, Stored
+from benchmark.records.run_schema import DataFacts, PlannerFacts, RateRow
 from benchmark.records.store import read_each, validated
+from benchmark.records.stored import Stored
 from benchmark.report.cells import RANKS_NOTHING
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted

@@ -10,7 +10,8 @@ from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.pdm.definition import DEFINITION, NOTE, PDM, VERSION
 from benchmark.pdm.totals import FILTERED, SubScores
-from benchmark.records.run_schema import DrivingRow, DrivingSummary, RateRow, SampleRow
+from benchmark.records.row_schema import DrivingRow, SampleRow
+from benchmark.records.run_schema import DrivingSummary, RateRow
 
 __all__ = [
     "COLUMNS",

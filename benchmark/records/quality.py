@@ -26,8 +26,9 @@ from benchmark.records.quality_schema import (
     Sum,
     VideoRow,
 )
-from benchmark.records.run_schema import RateRow, SceneFacts, Stored
+from benchmark.records.run_schema import RateRow, SceneFacts
 from benchmark.records.store import read_each, validated
+from benchmark.records.stored import Stored
 
 _Read = TypeVar("_Read", bound=Stored)
 

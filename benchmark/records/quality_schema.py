@@ -6,7 +6,8 @@ from typing import Any, Final, Self
 
 from pydantic import Field, field_validator
 
-from benchmark.records.run_schema import DataFacts, RateRow, ReviewFacts, SceneFacts, Stored
+from benchmark.records.run_schema import DataFacts, RateRow, ReviewFacts, SceneFacts
+from benchmark.records.stored import Stored
 
 QUALITY_SCHEMA: Final = 1
 """Version of the format and of the numbers: raised whenever either changes."""

@@ -14,7 +14,8 @@ from pydantic import Field, ValidationError
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import DataFacts, PlannerFacts, Stored
+from benchmark.records.run_schema import DataFacts, PlannerFacts
+from benchmark.records.stored import Stored
 
 REPRODUCTION_FILE: Final = "reproduction.json"
 UNITS: Final = {"collision": "%", "l2": "m", "samples": ""}

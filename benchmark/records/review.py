@@ -16,8 +16,9 @@ from benchmark.errors import InputError
 from benchmark.foreign.json_text import read_json
 from benchmark.foreign.limits import VERDICTS
 from benchmark.machine.storage import content_key
-from benchmark.records.run_schema import ReviewFacts, Stored
+from benchmark.records.run_schema import ReviewFacts
 from benchmark.records.store import validated
+from benchmark.records.stored import Stored
 from benchmark.report.words import counted
 
 REVIEW_FILE: Final = "review.json"

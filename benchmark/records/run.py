@@ -21,17 +21,10 @@ from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.driving import summarise_driving
-from benchmark.records.run_schema import (
-    SCHEMA,
-    ProtocolSummary,
-    RateRow,
-    RunFacts,
-    SampleRow,
-    SceneFacts,
-    Stored,
-    Summary,
-)
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
 from benchmark.records.store import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_each, read_files, replace_files, validated
+from benchmark.records.stored import Stored
 
 _Read = TypeVar("_Read", bound=Stored)
 

@@ -1,16 +1,17 @@
-"""The schema of a run record's files, checked at the edge: what `benchmark.records.run` writes and reads."""
+"""The schema of ``run.json`` and ``summary.json``, checked at the edge; rows are `benchmark.records.row_schema`."""
 
 from collections import Counter
-from typing import Annotated, Any, Final, Literal, Self, get_args
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from benchmark.records.stored import Stored
 
 SCHEMA = 4
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 AS_PUBLISHED: Final = "as_published"
 """Setting of a planner that does something as in its published runs: what, joined by ``+`` (docs/models.md)."""
-Waypoints = list[list[float]]
 MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
 Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
@@ -21,13 +22,6 @@ Name = Annotated[str, Field(max_length=200)]
 """Of something that files are named after, and text wherever it is shown."""
 SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
 LightName = Literal["day", "dusk", "night", "rain"]
-PlaceName = Literal["roundabout", "car-park", "junction", "bend", "straight", "unknown"]
-
-
-class Stored(BaseModel):
-    """What files of ours hold: nothing unknown, every number finite."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class PlannerFacts(Stored):
@@ -199,145 +193,6 @@ class RunFacts(Stored):
         if not isinstance(named, list) or Counter(map(str, named)) != Counter(self.protocols.keys()):
             raise ValueError("the protocols of config must be those that judged")
         return self
-
-
-class ForecastRow(Stored):
-    """A planner's expectation of the others, as it gave it."""
-
-    boxes: list[list[float]]
-    trajectories: list[list[Waypoints]]
-    scores: list[list[float]]
-
-
-class PlanRow(Stored):
-    """A plan as the planner gave it, in its own frame."""
-
-    frame: Literal["lidar", "ego"]
-    waypoints: Waypoints
-    modes: list[Waypoints] | None = None
-    mode_scores: list[float] | None = None
-    forecasts: ForecastRow | None = None
-
-
-class OutcomeRow(Stored):
-    """The verdict of one protocol on one sample (`benchmark.protocols.Outcomes`)."""
-
-    collision: list[bool]
-    l2: list[float | None]
-    counted: bool
-    steps: dict[str, list[Any]]
-    facts: dict[str, Any]
-
-
-Cause = Literal["unseen", "misforecast", "misplanned", "not attributable"]
-CAUSES: Final[tuple[Cause, ...]] = get_args(Cause)
-"""Verdicts of a diagnosis."""
-NOT_NEAR: Final = "no forecast near"
-"""The case of the rule that is verdict ``unseen``; the first versions counted it as misplanning."""
-
-
-class DiagnosisRow(Stored):
-    """Why a colliding plan collides (`benchmark.metrics.diagnosis`).
-
-    Attributes:
-        cause: The verdict.
-        reason: Which of the rule's cases it is.
-        hit: Instance that is touched first.
-        first_contact_s: When.
-    """
-
-    cause: Cause
-    reason: str
-    hit: str
-    first_contact_s: float
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_two_causes(cls, stored: Any) -> Any:
-        """Records of the first versions: their two words, and what no forecast was near is a cause of its own."""
-        if not isinstance(stored, dict) or stored.get("cause") not in ("misforecasting", "misplanning"):
-            return stored
-        if stored["cause"] == "misforecasting":
-            return {**stored, "cause": "misforecast"}
-        return {**stored, "cause": "unseen" if stored.get("reason") == NOT_NEAR else "misplanned"}
-
-
-class DrivingRow(Stored):
-    """What ``nuscenes-pdm`` says of one plan (`benchmark.pdm.judging.DrivenPlan`, which explains each)."""
-
-    nc: float
-    dac: float
-    ddc: float
-    ep: float
-    ttc: float
-    lk: float
-    hc: float | None
-    ec: float | None
-    forgiven: list[str]
-    progress_m: float
-    recorded_progress_m: float
-    collision_s: float | None
-    ttc_s: float | None
-
-
-class LongerRow(Stored):
-    """What ``exact`` says of a plan that goes on beyond 3 s: all its steps up to 6 s, judged as one plan.
-
-    Attributes:
-        collision: Contact at each step.
-        l2: Displacement from the recorded ego, metres; null past the end of the scene.
-    """
-
-    collision: list[bool]
-    l2: list[float | None]
-
-
-class SampleRow(Stored):
-    """One line of ``samples.jsonl``.
-
-    Attributes:
-        scene: Scene name.
-        sample_token: Sample token.
-        index: Number of the sample in its scene.
-        timestamp_us: Keyframe time.
-        status: ``failed`` where the planner raised; such a row has no plan and no outcomes and is never a zero.
-        command: 0 right, 1 left, 2 straight.
-        ego_motion: Where the ego motion came from.
-        lidar_ahead_m: Lidar origin ahead of the rear axle: what turns an ``ego`` plan into a ``lidar`` one.
-        complete: Whether the recording goes on for 3 s.
-        recorded_future: (6, 3) x, y, yaw of the recorded lidar origin, null past the end of the scene.
-        plan: The plan, or null.
-        error: Traceback, or null.
-        outcomes: Verdicts by protocol.
-        diagnosis: Why the plan collides, or null where it does not under ``exact``.
-        disagreements: For each protocol whose verdict on the sample differs from that of ``exact``, the cause
-            (`benchmark.metrics.disagreement`).
-        driving: Sub-scores of the plan, or null where there is no plan, the recording ends within 3 s or there is no
-            map with lanes; null in records of schema 1 and 2.
-        longer: Verdicts beyond 3 s, or null where the plan ends there.
-        place: What kind of place the recorded car is on (docs/manoeuvres.md); null in older records.
-        speed_m_s: Its speed; null in older records.
-    """
-
-    scene: str
-    sample_token: str
-    index: int
-    timestamp_us: int
-    status: Literal["ok", "failed"]
-    command: int
-    ego_motion: str
-    lidar_ahead_m: float
-    complete: bool
-    recorded_future: list[list[float] | None]
-    plan: PlanRow | None
-    error: str | None
-    outcomes: dict[str, OutcomeRow]
-    diagnosis: DiagnosisRow | None = None
-    disagreements: dict[str, str] = Field(default_factory=dict)
-    driving: DrivingRow | None = None
-    longer: LongerRow | None = None
-    place: PlaceName | None = None
-    speed_m_s: float | None = Field(default=None, ge=0)
 
 
 class RateRow(Stored):

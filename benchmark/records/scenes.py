@@ -14,9 +14,10 @@ from pydantic import Field
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, file_sha256, read_json
 from benchmark.records.attempts import Attempt
-from benchmark.records.run_schema import DataFacts, ReviewFacts, Stored
+from benchmark.records.run_schema import DataFacts, ReviewFacts
 from benchmark.records.statistics import Runtime, SplitStatistics
 from benchmark.records.store import validated
+from benchmark.records.stored import Stored
 
 SCHEMA: Final = 1
 SHEET_FILE, ROUNDS_FILE, SPLIT_FILE = "sheet.json", "rounds.json", "split.json"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.machine.storage import write_bytes, writing_to
-from benchmark.records.run_schema import SampleRow
+from benchmark.records.row_schema import SampleRow
 
 FAILURES_FILE: Final = "failures.txt"
 

@@ -20,7 +20,7 @@ from benchmark.pdm.judging import judge_scene
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
-from benchmark.records.run_schema import SampleRow
+from benchmark.records.row_schema import SampleRow
 from benchmark.scene import Scene
 from benchmark.surroundings.circumstances import Circumstances
 from benchmark.truth import SampleTruth

@@ -16,7 +16,7 @@ from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, VAL_SAMPLES, published_planning
 from benchmark.records.reproduction import ComparedNumber, Reproduction, write_reproduction
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import Stored
+from benchmark.records.stored import Stored
 from benchmark.runs.plan_rows import PlannerFactory
 
 if TYPE_CHECKING:

@@ -11,8 +11,9 @@ from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
 from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.review import review_words
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
-from benchmark.records.run_schema import SCHEMA, SampleRow
+from benchmark.records.run_schema import SCHEMA
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
 from benchmark.surroundings.circumstances import circumstances_of

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
-from benchmark.records.run_schema import PlannerFacts, SampleRow
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
 from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, rows_path, scene_key
 from benchmark.surroundings.circumstances import circumstances_of

@@ -16,8 +16,9 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
+from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, load_record, summarise
-from benchmark.records.run_schema import DrivingSummary, OutcomeRow, ProtocolSummary, SampleRow, SceneFacts
+from benchmark.records.run_schema import DrivingSummary, ProtocolSummary, SceneFacts
 from benchmark.report.words import counted
 from benchmark.runs.judging import plan_of
 from benchmark.runs.rescoring import judged_anew, record_directories, require_same_data

@@ -11,8 +11,8 @@ from benchmark.drawing.placing import frame_seconds
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.records.planner_versions import labelled
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, protocol_of
-from benchmark.records.run_schema import SampleRow
 from benchmark.records.scenes import Sheet
 from benchmark.report.words import split_of
 

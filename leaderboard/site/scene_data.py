@@ -30,8 +30,8 @@ from benchmark.drawing.palette import ON_DARK
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.disagreement import EXACT
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import SampleRow
 from benchmark.records.scenes import Polygon, Sheet, SheetAgent, SheetMap, Sheets, StoredSheet, picture_name
 from benchmark.waypoints import points_in_ego
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path

@@ -11,8 +11,8 @@ from benchmark.machine.storage import content_key, file_name
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.quality import QualityRecord
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, scene_failures
-from benchmark.records.run_schema import SampleRow
 from benchmark.records.scenes import Sheet, Sheets
 from benchmark.report.words import split_of
 from leaderboard.tables.rows import split_place

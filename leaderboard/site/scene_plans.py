@@ -9,8 +9,8 @@ from benchmark.constants import PLAN_STEP_S
 from benchmark.drawing.placing import PlacedForecasts, placed_plan
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.disagreement import EXACT
+from benchmark.records.row_schema import OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import OutcomeRow, PlanRow, SampleRow
 from leaderboard.site.packing import CENTIMETRE, DECIMETRE, MILLIRADIAN, packed, packed_path
 
 MODES_SHOWN: Final = 12

@@ -10,8 +10,8 @@ import numpy as np
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
+from benchmark.records.row_schema import CAUSES, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import CAUSES, SampleRow
 from benchmark.report.cells import Cell, Origin, Shown, origin_of
 from benchmark.report.table import Table, table_of
 from leaderboard.tables.rows import in_table_order, row_name, run_notes, stale_notes

@@ -9,8 +9,8 @@ from benchmark.metrics.rates import HORIZONS
 from benchmark.metrics.scores import takes_maxima
 from benchmark.metrics.slices import KINDS, Slice, SliceKind, causes_by, driving_by, rates_by, slicing
 from benchmark.records.driving import DEFINITION, PDM, SUB_SCORES, TOTALS
+from benchmark.records.row_schema import CAUSES
 from benchmark.records.run import NATIVE, RunRecord
-from benchmark.records.run_schema import CAUSES
 from benchmark.report.cells import Shown, origin_of
 from benchmark.report.table import Brief, Table, table_of
 from leaderboard.tables.driving import driver_name

@@ -14,8 +14,8 @@ from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
 from benchmark.protocols.stacked import stack
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import SampleRow
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from benchmark.geometry import Floats, to_global
 from benchmark.metrics.diagnosis import forecasts_in_lidar
 from benchmark.planning import PlanFrame
 from benchmark.protocols.exact import ego_boxes
-from benchmark.records.run_schema import SampleRow
+from benchmark.records.row_schema import SampleRow
 from benchmark.runs.judging import plan_of
 from tests.benchmark.drawing.one_scene import FRAMES, agent, sheet
 from tests.benchmark.records.test_run import row

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from benchmark.geometry import Floats, to_global, to_local
 from benchmark.metrics.consistency import INSTANTS, MEAN, apart, consistency
+from benchmark.records.row_schema import PlanRow, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import PlanRow, SampleRow
 from benchmark.waypoints import waypoints_in_lidar
 from tests.benchmark.records.hand_made_records import CLEAN, hand_made
 from tests.benchmark.records.test_run import row

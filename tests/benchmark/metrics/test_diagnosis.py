@@ -13,7 +13,7 @@ from benchmark.metrics.diagnosis import Reason, diagnose, forecast_boxes, foreca
 from benchmark.planning import Command, Forecasts, Plan, PlanFrame
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.exact import Exact
-from benchmark.records.run_schema import DiagnosisRow
+from benchmark.records.row_schema import DiagnosisRow
 from benchmark.truth import SampleTruth
 from tests.benchmark.metrics.slow_diagnosis import slow_reason
 

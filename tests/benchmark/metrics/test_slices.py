@@ -23,8 +23,9 @@ from benchmark.metrics.slices import (
     slicing,
 )
 from benchmark.records.driving import summarise_driving
+from benchmark.records.row_schema import DiagnosisRow, DrivingRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
-from benchmark.records.run_schema import DiagnosisRow, DrivingRow, SampleRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, UNCOUNTED, hand_made
 
 SCENES = {

@@ -12,8 +12,9 @@ from benchmark.planning import Command
 from benchmark.protocols import LEAVING_OUT, NATIVE_PROTOCOLS, PROTOCOLS, masking_protocols
 from benchmark.protocols.raster import CELL_M, EXTENT_M, RasterProtocol
 from benchmark.protocols.stacked import stack
+from benchmark.records.row_schema import OutcomeRow
 from benchmark.records.run import summarise
-from benchmark.records.run_schema import OutcomeRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.truth import SampleTruth
 from tests.benchmark.protocols.protocol_cases import Traits, plan_of, sample_of, traits
 from tests.benchmark.records.test_run import row as _record_row

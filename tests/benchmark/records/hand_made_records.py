@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmark.protocols import PROTOCOLS
+from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
-from benchmark.records.run_schema import DataFacts, OutcomeRow, PlannerFacts, RunFacts, SampleRow, SceneFacts
+from benchmark.records.run_schema import DataFacts, PlannerFacts, RunFacts, SceneFacts
 from tests.benchmark.records.test_run import row
 
 CLEAN, HIT, LATE = "......", "xxxxxx", ".....x"

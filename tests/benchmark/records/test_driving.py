@@ -10,8 +10,8 @@ import pytest
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.pdm.definition import VERSION
 from benchmark.records.driving import COLUMNS, SUB_SCORES, sample_scores, summarise_driving
+from benchmark.records.row_schema import DrivingRow, SampleRow
 from benchmark.records.run import load_record, summarise
-from benchmark.records.run_schema import DrivingRow, SampleRow
 from benchmark.runs.rescoring import rescore
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight

@@ -13,8 +13,9 @@ from pydantic import ValidationError
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.protocols import PROTOCOLS, STANDARD
+from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
 from benchmark.records.run import find_records, load_record, protocol_of, scene_failures, summarise
-from benchmark.records.run_schema import CAUSES, DiagnosisRow, SampleRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Straight
 

@@ -16,8 +16,8 @@ from benchmark.geometry import Floats
 from benchmark.metrics.longer_plans import longer_rates
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS, exact
+from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import load_record
-from benchmark.records.run_schema import SampleRow
 from benchmark.runs.rescoring import rescore
 from benchmark.truth import SampleTruth
 from leaderboard.tables.collision import run_tables

@@ -10,8 +10,9 @@ import shapely
 from shapely.geometry import MultiPolygon
 
 from benchmark.evaluation import evaluate
+from benchmark.records.row_schema import PlaceName
 from benchmark.records.run import load_record
-from benchmark.records.run_schema import LightName, PlaceName
+from benchmark.records.run_schema import LightName
 from benchmark.road_map import RoadMap
 from benchmark.scene import Look
 from benchmark.surroundings.circumstances import circumstances_of

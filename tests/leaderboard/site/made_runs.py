@@ -13,17 +13,9 @@ from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
 from benchmark.planning import Command, PlanFrame
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
+from benchmark.records.row_schema import DiagnosisRow, DrivingRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import write_record
-from benchmark.records.run_schema import (
-    DataFacts,
-    DiagnosisRow,
-    DrivingRow,
-    ForecastRow,
-    OutcomeRow,
-    PlanRow,
-    SampleRow,
-    SceneFacts,
-)
+from benchmark.records.run_schema import DataFacts, SceneFacts
 from benchmark.truth import SampleTruth
 from tests.leaderboard.site.made_scenes import MadeScene
 

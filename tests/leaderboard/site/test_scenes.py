@@ -17,8 +17,8 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, to_global
 from benchmark.planning import Plan, PlanFrame
 from benchmark.protocols.exact import ego_boxes
+from benchmark.records.row_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import RunRecord, find_records
-from benchmark.records.run_schema import DiagnosisRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.scenes import NO_SHEETS, SheetMap, Sheets, find_sheets, picture_name
 from leaderboard.site.packing import CENTIMETRE, packed, packed_path
 from leaderboard.site.scene_data import scene_files

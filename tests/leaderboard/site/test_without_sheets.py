@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmark.machine.storage import content_key
+from benchmark.records.row_schema import PlanRow, SampleRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import PlanRow, SampleRow
 from leaderboard.build import write_leaderboard
 from leaderboard.site.scene_plans import sample_entry
 from tests.leaderboard.site.big_workspace import DATA_NAME

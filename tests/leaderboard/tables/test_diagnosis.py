@@ -8,8 +8,9 @@ import pytest
 
 from adapters.baselines.idm import IntelligentDriver
 from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.records.row_schema import CAUSES, DiagnosisRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import CAUSES, DiagnosisRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.report.table import Table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from tests.benchmark.fake_data import town_of_two

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.records.planner_versions import labelled
+from benchmark.records.row_schema import CAUSES, DiagnosisRow
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import CAUSES, DiagnosisRow, SceneFacts
+from benchmark.records.run_schema import SceneFacts
 from benchmark.report.cells import UNDEFINED, Cell, number
 from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
