@@ -4,9 +4,10 @@ Everything is imported inside the functions, so that ``import benchmark`` and ``
 and a missing extra breaks only what needs it.
 """
 
+import importlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, cast
 
 from benchmark.errors import InputError, did_you_mean
 
@@ -398,6 +399,21 @@ def _shown(
     return records, quality, sheets, ablations
 
 
+_VERIFIED: Final = {
+    "physics": "generation.verification.physics",
+    "scoring": "generation.verification.scoring",
+    "denoiser": "generation.verification.denoiser",
+    "protocols": "benchmark.protocols.verification",
+    "pdm": "benchmark.pdm.verification",
+    "results": "adapters.verification.result_files",
+    "drivers": "benchmark.drivers.verification",
+    "severity": "benchmark.severity.verification",
+    "realism": "benchmark.realism.verification",
+    "infos": "benchmark.datasets.infos.verification",
+}
+"""What `verify` compares, and where its ``verify_NAME`` is: imported when it is asked for, since some need torch."""
+
+
 def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
     """Compare numerics with golden numbers (docs/verify.md).
 
@@ -420,34 +436,10 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
         raise InputError("--noise belongs to verify model; leave it out")
     if model is not None:
         raise InputError("--model belongs to verify model; leave it out")
-    if what == "infos":
-        from benchmark.datasets.infos.verification import verify_infos
-
-        return verify_infos(golden)
-    from adapters.verification.result_files import verify_results
-    from benchmark.drivers.verification import verify_drivers
-    from benchmark.pdm.verification import verify_pdm
-    from benchmark.protocols.verification import verify_protocols
-    from benchmark.realism.verification import verify_realism
-    from benchmark.severity.verification import verify_severity
-    from generation.verification.denoiser import verify_denoiser
-    from generation.verification.physics import verify_physics
-    from generation.verification.scoring import verify_scoring
-
-    known: Final = {
-        "physics": verify_physics,
-        "scoring": verify_scoring,
-        "denoiser": verify_denoiser,
-        "protocols": verify_protocols,
-        "pdm": verify_pdm,
-        "results": verify_results,
-        "drivers": verify_drivers,
-        "severity": verify_severity,
-        "realism": verify_realism,
-    }
-    if what not in known:
-        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(known)}, infos and model")
-    return known[what](golden)
+    if what not in _VERIFIED:
+        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(_VERIFIED)} and model")
+    verified = getattr(importlib.import_module(_VERIFIED[what]), f"verify_{what}")
+    return cast("list[Check]", verified(golden))
 
 
 def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":

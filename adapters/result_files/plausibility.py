@@ -63,6 +63,12 @@ def require_plausible(path: Path, plans: Floats, rows: Rows, samples: RecordedSa
     Raises:
         RefusedFile: With the category of the first test that fails, and what would fit.
     """
+    # Plans may be as large as numbers get: squares of those are infinite, and every test below refuses them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _tested(path, plans, rows, samples)
+
+
+def _tested(path: Path, plans: Floats, rows: Rows, samples: RecordedSamples) -> Plausibility:
     complete = samples.complete[rows]
     plan, recorded = plans[complete, :PLAN_STEPS], samples.future[rows][complete]
     size, gone = np.linalg.norm(plan, axis=2), np.linalg.norm(recorded, axis=2)

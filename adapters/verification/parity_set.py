@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from adapters.models import Model, resolve
@@ -17,6 +17,7 @@ from adapters.verification.own_rounding import Run
 from benchmark.errors import InputError
 from benchmark.machine.devices import single_precision
 from benchmark.machine.storage import read_json
+from benchmark.records.store import validated
 from benchmark.verification.checks import Check, Comparison
 from benchmark.verification.filled_networks import fill, same_names_and_shapes
 from benchmark.verification.golden import GoldenArrays, golden_directory
@@ -191,12 +192,11 @@ def read_sets(folder: Path, manifests: Callable[[Any, int], Sequence[ParityManif
 
 def described(path: Path, parse: Callable[[Any], T]) -> T:
     """What a JSON file of a golden set says; an `InputError` where it is not of the form that `parse` wants."""
-    try:
-        return parse(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} does not describe a golden set: {place}: {first['msg']}") from error
+    return validated(
+        parse,
+        read_json(path),
+        lambda where, why: f"{path} does not describe a golden set: {where or 'the whole file'}: {why}",
+    )
 
 
 def keys_file(folder: Path, where: str) -> Path:

@@ -271,7 +271,16 @@ _FILES: Final = (
         named=(*_of_bytes((*variants.JSON_PLANS, *variants.JSONS)), *SPARSE),
     ),
     *(
-        _file("result files", f"eval --results, {name}", name, form, (*_EVAL, *_READ, *_RESULTS), named=named)
+        _file(
+            "result files",
+            f"eval --results, {name}",
+            name,
+            form,
+            (*_EVAL, *_READ, *_RESULTS),
+            named=named,
+            # Where samples are named, one less is a partial run: the others are judged, and it is said.
+            other_files=form == "json",
+        )
         for name, form, named in (
             ("uniad.pkl", "pickle", (*_RESULT_FILES, *SPARSE)),
             ("vad-out.pkl", "pickle", _PICKLES),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
+from benchmark.cli.what_next import say_next
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -98,6 +99,14 @@ def splits_to_build(
     return found
 
 
+def frozen_scenes(
+    wanted: "Sequence[SplitToBuild]", names: tuple[str, ...] | None, limit: int | None
+) -> tuple[str, ...]:
+    """Names of the scenes that frozen splits give, all or those that were asked for."""
+    chosen = [one.frozen.chosen(names, limit) for one in wanted if one.frozen is not None]
+    return tuple(scene.name for of_split in chosen for scene, _ in of_split)
+
+
 def build_one(
     source: "DataSet", one: SplitToBuild, settings: "BuildSettings", unlike: "Sequence[str]", *, profile: bool
 ) -> Built:
@@ -115,6 +124,26 @@ def build_one(
     timed = {} if runtime is None else {"runtime": runtime.model_dump()}
     table = "" if runtime is None else "\n" + runtime.table().plain(indent="  ", least=(10, 9, 9, 9)).rstrip("\n")
     return Built("\n".join([report.summary(), *unlike]) + table, report.as_json() | told | timed)
+
+
+def say_built(
+    wanted: "Sequence[SplitToBuild]", settings: "Sequence[BuildSettings]", again: str, *, json_output: bool
+) -> None:
+    """Say where the built splits are, and what comes next.
+
+    Args:
+        wanted: The splits.
+        settings: With which each was built.
+        again: Options that lead another command to them.
+        json_output: Whether nobody reads it.
+    """
+    roots, files = (", ".join(map(str, places)) for places in zip(*((each.out, each.freeze) for each in settings)))
+    say_next(
+        f"data set: {roots}" + ("" if wanted[0].freeze is None else f"; frozen split: {files}"),
+        (f"data show {settings[0].out} --to pictures", "a picture of each scene"),
+        (f"eval --split {wanted[0].split} --model idm{again}", "a planner on it; yours: docs/planners.md"),
+        json_output=json_output,
+    )
 
 
 def _require_no_search(split: str, context: typer.Context) -> None:

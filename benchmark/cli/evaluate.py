@@ -129,7 +129,7 @@ def eval_command(
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:
-        running = [api.model_that_runs(name, checkpoint, data=data) for name in model]
+        running = [api.model_that_runs(each, checkpoint, data=data) for each in model]
         runs = [*running, *([] if plans is None else [str(plans)]), *map(str, results or ())]
         say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
         return
@@ -138,9 +138,9 @@ def eval_command(
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(
-            name, checkpoint, data=data, seed=seed, device=device, precision=precision, as_published=published
+            each, checkpoint, data=data, seed=seed, device=device, precision=precision, as_published=published
         )
-        for name in model
+        for each in model
     ]
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     dataset = api.open_split(source, split, out, workers=workers)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.built_splits import build_one, splits_to_build
+from benchmark.cli.built_splits import build_one, frozen_scenes, say_built, splits_to_build
 from benchmark.cli.options import (
     AddressOption,
     AskedLook,
@@ -143,9 +143,7 @@ def generate_command(
     if frozen is None:
         ahead = require_source(data, tables, source_split, out, scenes=named, limit=limit)
     else:
-        chosen = [each.frozen.chosen(named, limit) for each in wanted if each.frozen is not None]
-        made = tuple(scene.name for of_seed in chosen for scene, _ in of_seed)
-        ahead = replace(require_root(data, tables, out), scenes=made)
+        ahead = replace(require_root(data, tables, out), scenes=frozen_scenes(wanted, named, limit))
     require_place(out, "--out")
     if renderer is RendererName.SCHEMATIC and not dry_run:
         # How many a search finds is not known.
@@ -230,16 +228,7 @@ def generate_command(
     if json_output:
         print_json(built[0].said if seeds is None else [each.said for each in built])
     if not dry_run:
-        roots, files = ", ".join(str(each.out) for each in own), ", ".join(str(each.freeze) for each in own)
-        say_next(
-            f"data set: {roots}" + ("" if freeze is None else f"; frozen split: {files}"),
-            (f"data show {own[0].out} --to pictures", "a picture of each scene"),
-            (
-                f"eval --split {wanted[0].split} --model idm{same_place(data, out, tables)}",
-                "a planner on it; yours: docs/planners.md",
-            ),
-            json_output=json_output,
-        )
+        say_built(wanted, own, same_place(data, out, tables), json_output=json_output)
 
 
 def _require_generated(split: str) -> None:

@@ -7,14 +7,14 @@ options. A seed is no part of a version, nor is the data set.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DataFacts, PlannerFacts
+from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 
 REPRODUCTION_FILE: Final = "reproduction.json"
@@ -134,13 +134,11 @@ def with_reproductions(records: Sequence[RunRecord], found: Iterable[Reproductio
 
 
 def _read(path: Path) -> Reproduction:
-    value: Any = read_json(path)
-    try:
-        return Reproduction.model_validate(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(
-            f"{path} does not say what was reproduced: {where}: {first['msg']}; run challenger-bench reproduce again "
-            "or delete it"
-        ) from error
+    return validated(
+        Reproduction.model_validate,
+        read_json(path),
+        lambda where, why: (
+            f"{path} does not say what was reproduced: {where or 'the whole file'}: {why}; run challenger-bench "
+            "reproduce again or delete it"
+        ),
+    )

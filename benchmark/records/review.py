@@ -243,7 +243,7 @@ def checked_verdict(stored: Any, what: str) -> Verdict:
         Verdict.model_validate,
         stored,
         lambda where, why: (
-            f"{what} is none: {f'{where}: ' if where else ''}{why.removeprefix('Value error, ')}; a verdict is "
+            f"{what} is none: {f'{where}: ' if where else ''}{why}; a verdict is "
             "accepted or rejected, and a rejection has a reason"
         ),
     )

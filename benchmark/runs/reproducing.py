@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from benchmark.errors import InputError, did_you_mean
 from benchmark.evaluation import EvalSettings, evaluate
@@ -16,6 +16,7 @@ from benchmark.protocols import PROTOCOLS, STANDARD
 from benchmark.published import CHECKPOINTS, PLANNING_ALLOWED, VAL_SAMPLES, published_planning
 from benchmark.records.reproduction import ComparedNumber, Reproduction, write_reproduction
 from benchmark.records.run import RunRecord
+from benchmark.records.store import validated
 from benchmark.records.stored import Stored
 from benchmark.runs.plan_rows import PlannerFactory
 
@@ -122,14 +123,13 @@ def expected_file(path: Path, model: str, split: str) -> Expected:
     Raises:
         InputError: If it is no such file, or is of another model or split.
     """
-    try:
-        said = ExpectedValues.model_validate(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise InputError(f"{path} is no file of expected values: {where}: {first['msg']}; see docs/reproduce.md") from (
-            error
-        )
+    said = validated(
+        ExpectedValues.model_validate,
+        read_json(path),
+        lambda where, why: (
+            f"{path} is no file of expected values: {where or 'the whole file'}: {why}; see docs/reproduce.md"
+        ),
+    )
     if said.model != model or said.split != split:
         raise InputError(f"{path} is of {said.model} on {said.split}, not of {model} on {split}; name another file")
     if said.protocol not in PROTOCOLS:

@@ -4,7 +4,6 @@ One list for ``generate --preset NAME --dry-run`` and for ``docs/generation.md``
 leaves open is no departure; `READINGS` says how it is read and what each reading kept where it was tried.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -270,15 +269,3 @@ def told(preset: str, hyper: HyperParameters) -> list[str]:
     if preset == "paper" and READINGS:
         lines += ["what the text leaves open:", *(f"- {each.sentence()}" for each in READINGS)]
     return lines
-
-
-def departures_table(found: Sequence[Departure]) -> str:
-    """Markdown for ``docs/generation.md``."""
-    rows = [f"| {each.said} | {each.instead} | {each.reason} |" for each in found]
-    return "\n".join(["| said | here | because |", "|---|---|---|", *rows])
-
-
-def readings_table() -> str:
-    """Markdown for ``docs/generation.md``."""
-    rows = [f"| {each.open} | {each.taken} | {each.why} |" for each in READINGS]
-    return "\n".join(["| open | taken | tried |", "|---|---|---|", *rows])

@@ -2,9 +2,9 @@
 
 import importlib.util
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Final
 
 from benchmark import api
 from benchmark.errors import InputError, did_you_mean
@@ -123,13 +123,6 @@ def require_device(name: str) -> None:
     """Refuse what names no device; whether this machine has it is only known to torch, which is slow to import."""
     if not _DEVICE.fullmatch(name):
         raise InputError(f"there is no device {name!r}; use cpu, cuda, cuda:1 or auto")
-
-
-def require_search(preset: str, settings: Mapping[str, Any], changes: Sequence[str]) -> None:
-    """Refuse settings of the search that there are not; raises `InputError`."""
-    from generation.search.presets import Preset, hyper_parameters
-
-    hyper_parameters(cast(Preset, preset), settings, changes)
 
 
 def require_published(name: str, *, files: bool = False) -> None:

@@ -62,9 +62,10 @@ def test_below_the_counts_nothing_is_tested() -> None:
     assert all(text.startswith("not testable") for text in said.values())
 
 
-def test_what_is_beyond_all_plans_is_refused_however_few_there_are() -> None:
-    with pytest.raises(RefusedFile, match="reaches 2e\\+04 m") as refused:
-        require_plausible(PATH, np.full((2, 6, 2), 2e4), ROWS[:2], SAMPLES)
+@pytest.mark.parametrize("far_m", [2e4, 1e300])
+def test_what_is_beyond_all_plans_is_refused_however_few_there_are(far_m: float) -> None:
+    with pytest.raises(RefusedFile, match=r"reaches \S+e\+\d+ m") as refused:
+        require_plausible(PATH, np.full((2, 6, 2), far_m), ROWS[:2], SAMPLES)
     assert refused.value.category == "unit"
 
 

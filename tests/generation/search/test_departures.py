@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -5,14 +6,25 @@ from generation.search.departures import (
     PAPER,
     READINGS,
     REFERENCE,
+    Departure,
     departures,
-    departures_table,
-    readings_table,
     told,
 )
 from generation.search.hyperparameters import HyperParameters
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "generation.md").read_text()
+
+
+def departures_table(found: Sequence[Departure]) -> str:
+    """Markdown for ``docs/generation.md``."""
+    rows = [f"| {each.said} | {each.instead} | {each.reason} |" for each in found]
+    return "\n".join(["| said | here | because |", "|---|---|---|", *rows])
+
+
+def readings_table() -> str:
+    """Markdown for ``docs/generation.md``."""
+    rows = [f"| {each.open} | {each.taken} | {each.why} |" for each in READINGS]
+    return "\n".join(["| open | taken | tried |", "|---|---|---|", *rows])
 
 
 def test_the_page_has_every_departure_and_every_reading() -> None:
