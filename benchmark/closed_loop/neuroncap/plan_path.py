@@ -126,10 +126,12 @@ def _headings(waypoints: Waypoints) -> Floats:
     """
     points = np.concatenate([np.zeros_like(waypoints[:1, :2]), waypoints[:, :2], waypoints[-1:, :2]])
     chord = points[2:] - points[:-2]
-    heading = np.arctan2(chord[:, 1], chord[:, 0])
-    if heading.dtype == np.float32:
-        heading = np.arctan2(np.sin(heading).astype(np.float64), np.cos(heading).astype(np.float64))
-    return np.asarray(heading, np.float64)
+    precision = chord.dtype
+    chord = chord.astype(np.float64)
+    heading = np.arctan2(chord[:, 1], chord[:, 0]).astype(precision).astype(np.float64)
+    if precision == np.float64:
+        return np.asarray(heading)
+    return np.asarray(np.arctan2(np.sin(heading).astype(precision), np.cos(heading).astype(precision), dtype=np.float64))
 
 
 @functools.cache

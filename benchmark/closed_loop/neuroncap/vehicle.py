@@ -1,7 +1,8 @@
 """NeuroNCAP's car: half a second of a plan in five sub-steps of tracker and kinematic bicycle.
 
 Explicit Euler without lags. The published code mixes single and double precision; switch ``float32`` repeats where it
-rounds, which costs 1e-4 m at map coordinates.
+rounds, which costs 1e-4 m at map coordinates. Functions of angles are rounded from double precision: single ones differ
+in their last digit from one numerical library to the next.
 """
 
 from dataclasses import dataclass
@@ -75,11 +76,13 @@ class Vehicle:
         Returns:
             The car.
         """
-        at = np.asarray(pose, _single if switches.float32 == "code" else np.float64)
+        rounded = switches.float32 == "code"
+        at = np.asarray(np.asarray(pose, _single) if rounded else pose, np.float64)
+        heading = float(np.arctan2(at[1, 0], at[0, 0]))
         return cls(
             x=float(at[0, 3]),
             y=float(at[1, 3]),
-            heading=float(np.arctan2(at[1, 0], at[0, 0])),
+            heading=float(_single(heading)) if rounded else heading,
             speed=float(canbus[_VELOCITY_X]),
             acceleration=float(canbus[_ACCELERATION_X]),
             steering=float(steering_wheel_rad) / _STEERING_RATIO,
@@ -177,10 +180,9 @@ def _moved(now: Vehicle, acceleration: float, steering_rate: float, car: Car, *,
     turned = SUBSTEP_S * now.speed * np.tan(now.steering) / car.wheelbase_m
     if rounded and now.fresh:
         # The first sub-step is in single precision: its grid is 1.2e-4 m wide at coordinates over 1024.
-        heading = _single(now.heading)
         forward = _single(SUBSTEP_S) * _single(now.speed)
-        x = float(_single(now.x) + forward * np.cos(heading))
-        y = float(_single(now.y) + forward * np.sin(heading))
+        x = float(_single(now.x) + forward * _single(np.cos(now.heading)))
+        y = float(_single(now.y) + forward * _single(np.sin(now.heading)))
         new_heading = float(_single(wrap_angle(np.array(now.heading + turned))))
     else:
         x = now.x + SUBSTEP_S * now.speed * float(np.cos(now.heading))
