@@ -75,7 +75,9 @@ def usable_waypoints(plan: ArrayLike, switches: Switches) -> Waypoints:
         UnusablePlanError: If there are not 1 to 6 waypoints, or some are not finite.
     """
     try:
-        waypoints: Waypoints = np.array(plan, np.float32 if switches.float32 == "code" else np.float64)
+        # What is too large for single precision becomes infinite, and is refused as such.
+        with np.errstate(over="ignore"):
+            waypoints: Waypoints = np.array(plan, np.float32 if switches.float32 == "code" else np.float64)
     except (TypeError, ValueError):
         raise UnusablePlanError("the plan is no table of numbers") from None
     if waypoints.ndim != 2 or not 1 <= len(waypoints) <= PLAN_STEPS or waypoints.shape[1] < 2:
@@ -131,7 +133,8 @@ def _headings(waypoints: Waypoints) -> Floats:
     heading = np.arctan2(chord[:, 1], chord[:, 0]).astype(precision).astype(np.float64)
     if precision == np.float64:
         return np.asarray(heading)
-    return np.asarray(np.arctan2(np.sin(heading).astype(precision), np.cos(heading).astype(precision), dtype=np.float64))
+    sin, cos = np.sin(heading).astype(precision), np.cos(heading).astype(precision)
+    return np.asarray(np.arctan2(sin, cos, dtype=np.float64))
 
 
 @functools.cache
