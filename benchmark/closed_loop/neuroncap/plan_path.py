@@ -115,9 +115,8 @@ def path_of(waypoints: Waypoints, plan_us: int, start_us: int) -> PlanPath:
     step, heading = np.diff(poses, axis=0), poses[:-1, 2]
     speed = _speed_fit(len(step)) @ (step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading))
     turns = wrap_angle(step[:, 2])
-    curvature = fitted_curvature(SUBSTEP_S * speed[:, None], turns[:, None], _CURVATURE_RATE_PENALTY / SUBSTEP_S**2)[
-        :, 0
-    ]
+    penalty = _CURVATURE_RATE_PENALTY / SUBSTEP_S**2
+    curvature = fitted_curvature(SUBSTEP_S * speed[:, None], turns[:, None], penalty)[:, 0]
     return PlanPath(start_us, poses, speed, curvature)
 
 

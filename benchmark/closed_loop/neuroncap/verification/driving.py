@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from benchmark.closed_loop.neuroncap.actors import Integers
 from benchmark.closed_loop.neuroncap.car import Car
 from benchmark.closed_loop.neuroncap.recording import CAN_COLUMNS
 from benchmark.closed_loop.neuroncap.switches import CODE
@@ -17,7 +18,7 @@ from benchmark.closed_loop.neuroncap.verification.golden_set import (
     beyond_single,
 )
 from benchmark.errors import InputError
-from benchmark.geometry import Floats, wrap_angle
+from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.verification.checks import Comparison
 
 STATE_COLUMNS: Final = (
@@ -73,9 +74,9 @@ def compare_driving(comparison: Comparison, path: Path) -> None:
 def _compare(
     comparison: Comparison,
     stored: NcapArrays,
-    case: np.ndarray,
+    case: Integers,
     plans: list[Floats],
-    kept: np.ndarray,
+    kept: Bools,
     reading: Literal["code", "float64"],
     called: str,
     tolerance: float,

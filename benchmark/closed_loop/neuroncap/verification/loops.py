@@ -86,7 +86,7 @@ def compare_loops(comparison: Comparison, folder: Path) -> None:
                 switches=CODE,
                 check_futures=run.flag("evaluate_future_collisions"),
             )
-            compare_run(comparison, engine, run, stored, where)
+            compare_run(comparison, engine, run, stored, where, turning_freely=_optimized(scenario))
     if failed:
         comparison.note("loops: inferences", f"{failed} runs in which the published engine itself failed are left out")
 
@@ -156,6 +156,11 @@ def _cast(recording: Recording) -> Cast:
     return Cast({actor.uuid: actor.kind for actor in actors}, sizes, tracks)
 
 
+def _optimized(scenario: Scenario) -> frozenset[str]:
+    """Actors on the renderer's own track, beyond whose end the published rotation is noise times 1e5."""
+    return frozenset(uuid for actor in scenario.actors if actor.mode == "optimized" for uuid in actor.uuids)
+
+
 def _compare_stage(
     comparison: Comparison, stage: Staged, scenario: Scenario, run: NcapFacts, stored: NcapArrays, where: str
 ) -> None:
@@ -173,7 +178,7 @@ def _compare_stage(
     if not same:
         return
     poses = stored.floats(f"{key}_scenario_actor_poses", count, times.shape[1], 4, 4)
-    optimized = {uuid for actor in scenario.actors if actor.mode == "optimized" for uuid in actor.uuids}
+    optimized = _optimized(scenario)
     for number, (actor, facts) in enumerate(zip(stage.actors, run.objects("scenario_actors"))):
         other = actor.uuid != facts.text("uuid") or actor.is_target != facts.flag("is_target")
         comparison.verdicts("loops: who is there, in order", np.array([other]), where=where)

@@ -40,7 +40,15 @@ _CHECK_COLUMNS: Final = 7
 _YAW: Final = 3
 
 
-def compare_run(comparison: Comparison, engine: Engine, run: NcapFacts, stored: NcapArrays, where: str) -> None:
+def compare_run(
+    comparison: Comparison,
+    engine: Engine,
+    run: NcapFacts,
+    stored: NcapArrays,
+    where: str,
+    *,
+    turning_freely: frozenset[str],
+) -> None:
     """Drive a run again.
 
     Args:
@@ -49,11 +57,13 @@ def compare_run(comparison: Comparison, engine: Engine, run: NcapFacts, stored: 
         run: What the published engine said of it.
         stored: Its arrays.
         where: Its name.
+        turning_freely: Actors whose headings are not compared.
 
     Raises:
         InputError: If the arrays do not fit together.
     """
     replay = _Replay(comparison, engine, stored, run.text("key"), where)
+    replay.turning_freely = turning_freely
     world = replay.drive()
     count = np.array([len(engine.actors) != run.whole("n_engine_actors")])
     comparison.verdicts("loops: number of actors", count, where=where)
@@ -71,6 +81,7 @@ class _Replay:
     def __init__(self, comparison: Comparison, engine: Engine, stored: NcapArrays, key: str, where: str) -> None:
         self._comparison, self._engine, self._where = comparison, engine, where
         self.asked = 0
+        self.turning_freely: frozenset[str] = frozenset()
         shape = stored.integers(f"{key}_state_time", None)
         self._times = shape
         count = len(shape)
@@ -124,7 +135,7 @@ class _Replay:
             others = [column for column in range(boxes.shape[1]) if column != _YAW]
             self._numbers("loops: boxes of actors (m)", boxes[:, others], rows[:, 2:][:, others])
             turned = wrap_angle(boxes[:, _YAW] - rows[:, 2 + _YAW])
-            free = np.array([self._turns_freely(int(index)) for index in rows[:, 1]])
+            free = np.array([self._uuid(int(index)) in self.turning_freely for index in rows[:, 1]])
             self._comparison.errors("loops: headings of actors (rad)", turned[~free], CODE_TOLERANCE, where=self._where)
 
     def _box(self, index: int, time_us: int) -> tuple[float, ...]:
@@ -135,10 +146,8 @@ class _Replay:
         pose = actor.pose_at(time_us)
         return (*pose[:3, 3].tolist(), heading_of(pose), *actor.size[:2].tolist())
 
-    def _turns_freely(self, index: int) -> bool:
-        """Whether an actor stands on its track's end, where the published rotation is noise times 1e5."""
-        actor = self._engine.actors[index]
-        return bool(np.linalg.norm(np.diff(actor.poses[:, :3, 3], axis=0), axis=1).min(initial=1.0) == 0.0)
+    def _uuid(self, index: int) -> str:
+        return self._engine.actors[index].uuid if 0 <= index < len(self._engine.actors) else ""
 
     def _compare_step(self, world: World, number: int, driven: int) -> None:
         if number >= len(self._post_times) or (world.last is not None and driven >= len(self._states)):

@@ -51,11 +51,14 @@ def compare_aggregates(comparison: Comparison, path: Path) -> None:
 def _require_runs(runs: Mapping[str, Any], path: Path, where: str) -> None:
     for sequences in runs.values():
         for found in sequences.values() if isinstance(sequences, Mapping) else [None]:
-            fits = isinstance(found, Mapping) and all(
-                each is None or isinstance(each, Mapping) for each in found.values()
-            )
-            if not fits:
+            if not isinstance(found, Mapping) or not all(each is None or _is_metrics(each) for each in found.values()):
                 raise InputError(f"{path}: the runs of {where} are not types of sequences of runs; get the file again")
+
+
+def _is_metrics(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(
+        "info" in name or metric is None or isinstance(metric, int | float) for name, metric in value.items()
+    )
 
 
 def _flat(table: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
