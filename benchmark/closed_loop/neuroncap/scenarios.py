@@ -29,7 +29,8 @@ class Jitter:
         lateral: Metres across it, to the right.
         angle: Direction of the actor's road, radians; without it the two above are not drawn.
         yaw: Radians.
-        times: Seconds for each of the actor's times; the published code does not read it.
+        times: Seconds for each of the actor's times, where official ones have more of them than there are times; the
+            published code does not read it.
         uniform: Evenly between the limits, or normal with them as standard deviations.
     """
 
@@ -247,16 +248,16 @@ def _actor(facts: _Facts) -> ScenarioActor:
         flipped=facts.texts("flip_uuids"),
         exclusive_group=next(iter(facts.texts("exclusive_group")), None),
         size=facts.array("dims", 3) if "dims" in facts else None,
-        jitter=_jitter(facts.inner("jitter"), 0 if times is None else len(times)) if "jitter" in facts else None,
+        jitter=_jitter(facts.inner("jitter")) if "jitter" in facts else None,
     )
 
 
-def _jitter(facts: _Facts, count: int) -> Jitter:
+def _jitter(facts: _Facts) -> Jitter:
     return Jitter(
         longitudinal=facts.maybe("longitudinal"),
         lateral=facts.maybe("lateral"),
         angle=facts.maybe("long_lat_angle"),
         yaw=facts.maybe("yaw_jitter"),
-        times=tuple(facts.array("times", count).tolist()) if "times" in facts else None,
+        times=tuple(facts.array("times", None).tolist()) if "times" in facts else None,
         uniform=facts.flag("uniform", True),
     )

@@ -161,7 +161,8 @@ def _own_poses(actor: ScenarioActor, uuid: str, height: float, draws: Draws, sta
         if jitter.yaw is not None:
             yaw += draw(jitter.yaw)
         if jitter.times is not None and stage.switches.jitter_times == "paper":
-            times = times + np.array([draw(limit) if limit else 0.0 for limit in jitter.times])
+            moved = [draw(limit) if limit else 0.0 for limit in jitter.times[: len(times)]]
+            times = times + np.pad(moved, (0, len(times) - len(moved)))
     if uuid in actor.flipped:
         yaw += np.pi
     positions[:, 2] += 0.5 * height
