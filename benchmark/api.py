@@ -410,6 +410,7 @@ _VERIFIED: Final = {
     "severity": "benchmark.severity.verification",
     "realism": "benchmark.realism.verification",
     "infos": "benchmark.datasets.infos.verification",
+    "neuroncap": "benchmark.closed_loop.neuroncap.verification",
 }
 """What `verify` compares, and where its ``verify_NAME`` is: imported when it is asked for, since some need torch."""
 
@@ -419,7 +420,7 @@ def verify(what: str, golden: Path | None = None, model: str | None = None, *, n
 
     Args:
         what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
-            ``infos``, ``results`` or ``model``.
+            ``neuroncap``, ``infos``, ``results`` or ``model``.
         golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
         model: With ``model``: which one.
         noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.

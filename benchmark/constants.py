@@ -34,6 +34,8 @@ EGO_HEIGHT_M: Final = 1.56
 """Body of the recording car (a Renault Zoe) without mirrors."""
 EGO_CENTER_FROM_REAR_AXLE_M: Final = 1.39
 """Box centre ahead of the rear axle, which is the origin of ``ego_pose``."""
+EGO_WHEELBASE_M: Final = 2.588
+"""Of the recording car."""
 LIDAR_FROM_REAR_AXLE_M: Final = 0.943713
 """LIDAR_TOP ahead of the rear axle in nuScenes; used where a data set has no lidar calibration."""
 EGO_BOX_FROM_LIDAR_M: Final = 0.5

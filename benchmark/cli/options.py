@@ -102,6 +102,7 @@ class Verifiable(StrEnum):
     DENOISER = "denoiser"
     PROTOCOLS = "protocols"
     PDM = "pdm"
+    NEURONCAP = "neuroncap"
     INFOS = "infos"
     RESULTS = "results"
     DRIVERS = "drivers"

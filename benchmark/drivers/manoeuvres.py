@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
+from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_WHEELBASE_M
 from benchmark.drivers.rules import HARDEST_BRAKING
 from benchmark.encounters.ego_path import EgoPath
 from benchmark.geometry import Floats, wrap_angle
@@ -20,7 +20,6 @@ MANOEUVRES: Final = tuple((braking, offset) for braking in BRAKING for offset in
 """Index ``5 i + j`` is the i-th braking with the j-th offset."""
 STEP_S: Final = 0.05
 LONGEST_STEPS: Final = 120
-WHEELBASE_M: Final = 2.588
 _BUILD_UP: Final = 12.65 * STEP_S
 _LARGEST_STEERING_RAD: Final = 0.6
 _STEERING_STEP_RAD: Final = 0.03
@@ -74,11 +73,11 @@ def manoeuvres(path: EgoPath, starts: Starts, steps: int) -> Floats:
         station, _ = path.project(position, station - _BACK_M, station + _AHEAD_M)
         wanted = _steering_to(path, position, heading, speed, station, offset)
         left = np.sqrt(np.maximum(HARDEST_BRAKING**2 - built_up**2, 0.0))
-        largest = np.minimum(_LARGEST_STEERING_RAD, np.arctan(left * WHEELBASE_M / np.maximum(speed, 0.1) ** 2))
+        largest = np.minimum(_LARGEST_STEERING_RAD, np.arctan(left * EGO_WHEELBASE_M / np.maximum(speed, 0.1) ** 2))
         change = np.clip(np.clip(wanted, -largest, largest) - steering, -_STEERING_STEP_RAD, _STEERING_STEP_RAD)
         steering = np.clip(steering + change, -largest, largest)
         speed = np.maximum(speed - STEP_S * built_up, 0.0)
-        turned = heading + STEP_S * speed * np.tan(steering) / WHEELBASE_M
+        turned = heading + STEP_S * speed * np.tan(steering) / EGO_WHEELBASE_M
         x = x + STEP_S * speed * np.cos(0.5 * (heading + turned))
         y = y + STEP_S * speed * np.sin(0.5 * (heading + turned))
         heading = turned
@@ -99,7 +98,7 @@ def _start(path: EgoPath, starts: Starts) -> tuple[Floats, ...]:
     x = starts.pose[:, 0] - EGO_CENTER_FROM_REAR_AXLE_M * np.cos(heading)
     y = starts.pose[:, 1] - EGO_CENTER_FROM_REAR_AXLE_M * np.sin(heading)
     turn = wrap_angle(path.heading(starts.station + 1.0) - path.heading(starts.station - 1.0))
-    steering = np.clip(np.arctan(WHEELBASE_M * turn / 2), -_LARGEST_STEERING_RAD, _LARGEST_STEERING_RAD)
+    steering = np.clip(np.arctan(EGO_WHEELBASE_M * turn / 2), -_LARGEST_STEERING_RAD, _LARGEST_STEERING_RAD)
     return x, y, heading, starts.speed, steering, starts.station - EGO_CENTER_FROM_REAR_AXLE_M
 
 
@@ -113,4 +112,4 @@ def _steering_to(
     target = path.position(aim) + offset[:, None] * normal - position
     cos, sin = np.cos(heading), np.sin(heading)
     ahead, left = target[:, 0] * cos + target[:, 1] * sin, target[:, 1] * cos - target[:, 0] * sin
-    return np.asarray(np.arctan(2 * WHEELBASE_M * left / (ahead**2 + left**2)))
+    return np.asarray(np.arctan(2 * EGO_WHEELBASE_M * left / (ahead**2 + left**2)))

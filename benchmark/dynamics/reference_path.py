@@ -92,7 +92,7 @@ def fitted_path(position: Floats, heading: Floats, direction: Floats, *, dt: flo
     if smooth:
         np.maximum(along, 0.0, out=along)
     speed = _speed_fit(len(step), dt, smooth) @ along
-    curvature = _fit_curvature(speed * dt, wrapped(np.diff(heading, axis=0)), CURVATURE_RATE_PENALTY / dt**2)
+    curvature = fitted_curvature(speed * dt, wrapped(np.diff(heading, axis=0)), CURVATURE_RATE_PENALTY / dt**2)
     return ReferencePath(position, heading, direction, speed, curvature)
 
 
@@ -178,8 +178,17 @@ def _directions(chord: Floats) -> Floats:
     return np.asarray(direction)
 
 
-def _fit_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
-    """Curvature (F, B): turns are travel times curvature, with a penalty on its change."""
+def fitted_curvature(travel: Floats, turns: Floats, rate_penalty: float) -> Floats:
+    """Curvature by least squares: turns are travel times curvature, with a penalty on its change.
+
+    Args:
+        travel: (F, B) metres in each frame.
+        turns: (F, B) radians in each frame.
+        rate_penalty: Weight of the squared change of curvature from frame to frame.
+
+    Returns:
+        (F, B) radians per metre.
+    """
     pull = travel * travel
     pull[0] += INITIAL_CURVATURE_PENALTY
     return _chain(pull, travel * turns, np.full((len(travel) - 1, 1), rate_penalty))

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmark.constants import EGO_WHEELBASE_M
 from benchmark.geometry import Floats, rotation_matrix
 from benchmark.machine.storage import canonical_json
 from benchmark.scene import Scene
@@ -20,7 +21,6 @@ from generation.nuscenes_writer.plan import SourceInfo
 MESSAGES: Final = ("ms_imu", "pose", "steeranglefeedback", "vehicle_monitor", "zoe_veh_info", "zoesensors")
 _RATES_HZ: Final = dict(zip(MESSAGES, (50, 50, 50, 2, 25, 25)))
 _GRAVITY: Final = 9.81
-_WHEELBASE_M: Final = 2.588
 _STEERING_RATIO: Final = 14.9
 """Turns of the steering wheel per turn of the road wheels (Renault Zoe)."""
 _WHEEL_RADIUS_M: Final = 0.31
@@ -166,7 +166,7 @@ def _one_hemisphere(rotation: Floats) -> Floats:
 def _steering(speed: Floats, yaw_rate: Floats) -> Floats:
     """Steering wheel angle of a kinematic bicycle, held where the car hardly moves."""
     moving = np.abs(speed) >= _SLOWEST_STEERING_M_S
-    road_wheel = np.arctan(_WHEELBASE_M * yaw_rate / np.where(moving, speed, 1.0))
+    road_wheel = np.arctan(EGO_WHEELBASE_M * yaw_rate / np.where(moving, speed, 1.0))
     source = np.maximum.accumulate(np.where(moving, np.arange(len(speed)), -1))
     held = np.where(source >= 0, road_wheel[np.maximum(source, 0)], 0.0)
     return np.clip(_STEERING_RATIO * held, -_STEERING_LIMIT_RAD, _STEERING_LIMIT_RAD)

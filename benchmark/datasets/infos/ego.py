@@ -5,7 +5,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.constants import COMMAND_LATERAL_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.infos.can_messages import CanMessages
 from benchmark.datasets.infos.frames import SensorFrame, roll
 from benchmark.datasets.infos.scene_rows import SceneRows
@@ -13,7 +13,6 @@ from benchmark.geometry import Floats
 
 HISTORY_STEPS: Final = 2
 _RIGHT, _LEFT, _STRAIGHT = range(3)
-_WHEELBASE_M: Final = 2.588
 _LEFT_HAND_TRAFFIC: Final = "singapore"
 STATUS_VALUES: Final = 10
 
@@ -96,7 +95,7 @@ class Drive:
         else:
             forward, steering = measured.velocity[0], measured.steering
             sign = -1.0 if location.startswith(_LEFT_HAND_TRAFFIC) else 1.0
-            curvature = 2 * sign * steering / _WHEELBASE_M
+            curvature = 2 * sign * steering / EGO_WHEELBASE_M
         return np.array(
             [
                 speed * np.cos(ahead),

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmark.constants import EGO_WHEELBASE_M
 from benchmark.geometry import Floats, to_global, wrap_angle
 from benchmark.pdm.comfort import history_rows
 from benchmark.pdm.definition import HEADING, STATE_COLUMNS, STATES
@@ -24,7 +25,6 @@ __all__ = ["BUILT_IN", "verify_pdm"]
 BUILT_IN: Final = Path(__file__).parent / "golden" / "pdm"
 """The golden set in the package, in the same form as any other."""
 STATES_TOLERANCE, TOLERANCE = 1e-9, 1e-8
-SHORT_WHEELBASE_M: Final = 2.588
 SHORT_SAMPLES: Final = (0, 6)
 """Samples that the set has with a shorter wheelbase too."""
 
@@ -97,7 +97,7 @@ def _compare_motions(comparison: Comparison, scene: GoldenScene) -> None:
     some = list(SHORT_SAMPLES)
     short = stored.floats("lqr_states_short_wheelbase", len(some), scene.count, STATES, STATE_COLUMNS)
     plans, now = scene.plans[some].reshape(-1, *scene.plans.shape[2:]), np.repeat(scene.now[some], scene.count, axis=0)
-    ours = tracked(plans, now, wheelbase_m=SHORT_WHEELBASE_M)
+    ours = tracked(plans, now, wheelbase_m=EGO_WHEELBASE_M)
     _compare_states(comparison, ", short wheelbase", ours, short, where)
 
 

@@ -6,7 +6,7 @@ from math import sin
 
 import numpy as np
 
-from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M, EGO_WIDTH_M
+from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_HEIGHT_M, EGO_LENGTH_M, EGO_WHEELBASE_M, EGO_WIDTH_M
 from benchmark.geometry import Floats
 from generation.sources.town.curves import (
     at_lengths,
@@ -27,8 +27,6 @@ _COMFORTABLE_LATERAL_MPS2 = 2.2
 _COMFORTABLE_BRAKING_MPS2 = 1.2
 _LANE_CHANGE_M = (32.0, 46.0)
 _ROOM_FOR_LANE_CHANGE_M = 75.0
-
-_EGO_WHEELBASE_M = 2.588
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,7 @@ class Body:
     center_ahead: float
 
 
-EGO_BODY = Body("vehicle.car", EGO_LENGTH_M, EGO_WIDTH_M, EGO_HEIGHT_M, _EGO_WHEELBASE_M, EGO_CENTER_FROM_REAR_AXLE_M)
+EGO_BODY = Body("vehicle.car", EGO_LENGTH_M, EGO_WIDTH_M, EGO_HEIGHT_M, EGO_WHEELBASE_M, EGO_CENTER_FROM_REAR_AXLE_M)
 
 
 @dataclass(frozen=True, slots=True)

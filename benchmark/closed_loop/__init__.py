@@ -1,0 +1,1 @@
+"""Closed loop: the plan is driven and the world answers (docs/closed-loop.md)."""

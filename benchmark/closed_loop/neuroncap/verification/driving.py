@@ -1,0 +1,133 @@
+"""The car: every sub-step of plans of all kinds, as the published code drives them and in double precision."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from benchmark.closed_loop.neuroncap.actors import Integers
+from benchmark.closed_loop.neuroncap.car import Car
+from benchmark.closed_loop.neuroncap.recording import CAN_COLUMNS
+from benchmark.closed_loop.neuroncap.switches import CODE
+from benchmark.closed_loop.neuroncap.vehicle import STEP_US, SUBSTEPS, Vehicle, driven
+from benchmark.closed_loop.neuroncap.verification.golden_set import (
+    CODE_TOLERANCE,
+    TOLERANCE,
+    NcapArrays,
+    beyond_single,
+)
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.verification.checks import Comparison
+
+STATE_COLUMNS: Final = (
+    "x",
+    "y",
+    "heading",
+    "speed",
+    "acceleration",
+    "steering_angle",
+    "yaw_rate",
+    "yaw_acceleration",
+    "steering_rate",
+)
+COMMAND_COLUMNS: Final = ("acceleration", "steering_rate")
+_HEADING: Final = STATE_COLUMNS.index("heading")
+_LAST_BIT_M: Final = 1e-3
+"""Cases whose two golden versions are further apart are decided by the last bit after their first step."""
+_READINGS: Final[dict[Literal["code", "float64"], tuple[str, float]]] = {
+    "code": ("as code", CODE_TOLERANCE),
+    "float64": ("in double precision", TOLERANCE),
+}
+
+
+def compare_driving(comparison: Comparison, path: Path) -> None:
+    """Compare all cases.
+
+    Args:
+        comparison: Takes the errors.
+        path: ``vehicle.npz``.
+
+    Raises:
+        InputError: If the file cannot be used.
+    """
+    stored = NcapArrays.read(path)
+    cases = len(stored.texts("name"))
+    case = stored.integers("step_case", None)
+    if not len(case) or (case < 0).any() or (case >= cases).any():
+        raise InputError(f"{path}: step_case has no steps, or names cases that are not there; fetch the file again")
+    plans = stored.plans("plan", stored.integers("plan_waypoints", len(case)).tolist())
+    fragile = stored.floats("code_minus_float64_m", cases) > _LAST_BIT_M
+    first = np.r_[True, case[1:] != case[:-1]]
+    kept = first | ~fragile[case]
+    for reading, (called, tolerance) in _READINGS.items():
+        _compare(comparison, stored, case, plans, kept, reading, called, tolerance)
+    names, starts = stored.texts("name"), stored.texts("initial", cases)
+    left_out = [f"{names[index]} {starts[index]}" for index in np.flatnonzero(fragile)]
+    if left_out:
+        note = f"after their first step, {', '.join(left_out)} are decided by the last bit and left out"
+        for called, _ in _READINGS.values():
+            comparison.note(f"car {called}: states of sub-steps", note)
+
+
+def _compare(
+    comparison: Comparison,
+    stored: NcapArrays,
+    case: Integers,
+    plans: list[Floats],
+    kept: Bools,
+    reading: Literal["code", "float64"],
+    called: str,
+    tolerance: float,
+) -> None:
+    golden = _Golden(stored, reading, len(plans))
+    switches = CODE if reading == "code" else replace(CODE, float32="paper")
+    car, cases = Car.of(switches), len(stored.texts("name"))
+    poses, canbus = stored.floats("ego2world", cases, 4, 4), stored.floats("canbus", cases, CAN_COLUMNS)
+    wheel, start = stored.floats("steering_wheel", cases), stored.integers("start_time", cases)
+    vehicle, time, last = Vehicle.start(poses[0], canbus[0].astype(np.float32), 0.0, switches), 0, -1
+    for number, plan in enumerate(plans):
+        which = int(case[number])
+        if which != last:
+            row = canbus[which].astype(np.float32)
+            vehicle, time = Vehicle.start(poses[which], row, float(wheel[which]), switches), int(start[which])
+        last = which
+        step = driven(vehicle, plan, time, car, switches)
+        vehicle, time = step.vehicle, time + STEP_US
+        if not kept[number]:
+            continue
+        where = f"{stored.path.name}, step {number}"
+        states = np.abs(step.states - golden.states[number])
+        states[:, _HEADING] = np.abs(wrap_angle(step.states[:, _HEADING] - golden.states[number][:, _HEADING]))
+        comparison.errors(f"car {called}: states of sub-steps", states, tolerance, where=where)
+        for name, ours, theirs in (
+            ("commands", step.commands, golden.commands[number]),
+            ("commands before the limit", step.unlimited, golden.unlimited[number]),
+            ("poses", vehicle.pose, golden.poses[number]),
+        ):
+            comparison.numbers(f"car {called}: {name}", ours, theirs, tolerance, where=where)
+        rows = vehicle.canbus(car, switches).astype(np.float64)
+        beyond = beyond_single(rows, golden.canbus[number])
+        comparison.errors(
+            f"car {called}: CAN rows, beyond one step of single precision", beyond, tolerance, where=where
+        )
+        speed = np.linalg.norm(rows[13:15].astype(np.float32)).astype(np.float64)
+        beyond = beyond_single(np.array([speed]), golden.speeds[number : number + 1])
+        comparison.errors(f"car {called}: speeds, beyond one step of single precision", beyond, tolerance, where=where)
+        comparison.verdicts(f"car {called}: times", np.array([time != golden.times[number]]), where=where)
+
+
+class _Golden:
+    """Golden arrays of one reading, S steps."""
+
+    def __init__(self, stored: NcapArrays, reading: str, steps: int) -> None:
+        columns = stored.columns("state_columns", *STATE_COLUMNS)
+        commands = stored.columns("command_columns", *COMMAND_COLUMNS)
+        self.states = stored.floats(f"{reading}_substep_state", steps, SUBSTEPS, None)[..., columns]
+        self.commands = stored.floats(f"{reading}_substep_command", steps, SUBSTEPS, None)[..., commands]
+        self.unlimited = stored.floats(f"{reading}_substep_command_unclipped", steps, SUBSTEPS, None)[..., commands]
+        self.poses = stored.floats(f"{reading}_step_pose", steps, 4, 4)
+        self.canbus = stored.floats(f"{reading}_step_canbus", steps, CAN_COLUMNS)
+        self.speeds = stored.floats(f"{reading}_step_speed", steps)
+        self.times = stored.integers(f"{reading}_step_time", steps)
