@@ -4,8 +4,8 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Final, Protocol
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from benchmark.encounters.contacts import (
 from benchmark.encounters.tracks import STEP_S, Integers, Tracks
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, wrap_angle
 from benchmark.protocols.exact import INSTANTS_PER_STEP, ego_boxes, object_boxes
+from benchmark.records.row_schema import PlanContactRow, PlanNearRow, PlanSeverityRow
 from benchmark.severity.near_misses import ego_velocities, near_misses
 from benchmark.truth import SampleTruth
 
@@ -38,74 +39,6 @@ class Lanes(Protocol):
 
     def unsure(self, boxes: Floats) -> Bools:
         """Whether each of (Q, 5) boxes, global, is in several lanes or off the drivable area."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlanContact:
-    """The first contact of a plan.
-
-    Attributes:
-        time_s: When, seconds after the sample.
-        agent: Instance that is touched; of several at once the first by name, as in ``exact``.
-        adversary: Whether it was made to be an adversary.
-        kind: What hits what.
-        at_fault: Whether the ego is to blame.
-        impact_speed: m/s.
-        delta_v_ego: m/s.
-        delta_v_other: m/s.
-        p_fatal: Of those in the ego.
-    """
-
-    time_s: float
-    agent: str
-    adversary: bool
-    kind: ContactKind
-    at_fault: bool
-    impact_speed: float
-    delta_v_ego: float
-    delta_v_other: float
-    p_fatal: float
-
-
-@dataclass(frozen=True, slots=True)
-class PlanNear:
-    """How near a plan without contact comes to the adversaries; of several, each number is that of the worst.
-
-    Attributes:
-        gap: Smallest distance, metres.
-        ttc: Least time to contact, seconds; ``None`` if they never head for one another.
-        tet: How long the time to contact is below 1.5 s, seconds.
-        tit: By how much it is below, summed over time, s^2.
-        pet: Post-encroachment time, seconds; ``None`` if the paths do not meet within 3 s.
-        btn: Largest braking threat number.
-    """
-
-    gap: float
-    ttc: float | None
-    tet: float
-    tit: float
-    pet: float | None
-    btn: float
-
-
-@dataclass(frozen=True, slots=True)
-class PlanSeverity:
-    """What is said of one plan.
-
-    Attributes:
-        contact: The first contact with anybody, or ``None``.
-        near: How near it comes to the adversaries; ``None`` with a contact and where no adversary is there.
-    """
-
-    contact: PlanContact | None
-    near: PlanNear | None
-
-    def as_json(self) -> dict[str, Any]:
-        """JSON values, rounded."""
-        return {
-            name: None if part is None else {each.name: _rounded(getattr(part, each.name)) for each in fields(part)}
-            for name, part in (("contact", self.contact), ("near", self.near))
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +83,8 @@ class _World:
         """(Q, 31, 2) of (Q,) agents, m/s; zero for what is no agent."""
         categories = tuple(self.categories[row] for row in rows.tolist())
         tracks = Tracks(_TIMES, np.zeros((INSTANTS, 5)), self.boxes[rows], self.counts[rows], categories)
-        return tracks.velocities_at(_TIMES) * np.array([is_agent(name) for name in categories])[:, None, None]
+        moves = np.array([is_agent(name) for name in categories])[:, None, None]
+        return np.asarray(tracks.velocities_at(_TIMES) * moves)
 
 
 _PRESENT: Final = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
@@ -159,16 +93,16 @@ _PRESENT: Final = ego_footprints(np.array([0.0, 0.0, np.pi / 2]))
 
 def plan_severities(
     truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None = None
-) -> list[PlanSeverity]:
+) -> list[PlanSeverityRow]:
     """Measure plans.
 
     Args:
         truths: S samples.
         plans_lidar: (S, 6, 2) waypoints of the lidar origin, x right, y forward, metres.
-        lanes: The map; without it no lateral contact is at fault.
+        lanes: The map; without it nobody can say who is to blame for a lateral contact.
 
     Returns:
-        S severities.
+        S severities. Of agents that are touched at the same instant the first by name counts, as in ``exact``.
     """
     if not truths:
         return []
@@ -177,13 +111,13 @@ def plan_severities(
     contacts = _contacts(ego, world, truths, lanes)
     spared = np.array([contact is None for contact in contacts])
     near = _near(ego, world, spared)
-    return [PlanSeverity(contact, near.get(sample)) for sample, contact in enumerate(contacts)]
+    return [PlanSeverityRow(contact=contact, near=near.get(sample)) for sample, contact in enumerate(contacts)]
 
 
 def _contacts(
     ego: Floats, world: _World, truths: Sequence[SampleTruth], lanes: Lanes | None
-) -> list[PlanContact | None]:
-    found: list[PlanContact | None] = [None] * len(truths)
+) -> list[PlanContactRow | None]:
+    found: list[PlanContactRow | None] = [None] * len(truths)
     rows, instants = _first_hits(ego, world)
     if not len(rows):
         return found
@@ -202,16 +136,17 @@ def _contacts(
     changes = delta_v(impact, masses)
     unsure = _unsure(mine, kinds, [truths[sample].lidar_pose for sample in samples], lanes)
     for place, (sample, row) in enumerate(zip(samples.tolist(), rows.tolist())):
-        found[sample] = PlanContact(
-            time_s=float(_TIMES[instants[place]]),
+        blamed = at_fault(kinds[place], bool(unsure[place]))
+        found[sample] = PlanContactRow(
+            time_s=_rounded(_TIMES[instants[place]]),
+            kind=kinds[place].value,
+            at_fault=None if lanes is None and kinds[place] is ContactKind.LATERAL else blamed,
+            impact_speed_m_s=_rounded(impact[place]),
+            delta_v_ego_m_s=_rounded(changes[0][place]),
+            delta_v_other_m_s=_rounded(changes[1][place]),
+            fatal_probability=_rounded(fatal_probability(changes[0][place])),
             agent=world.names[row],
             adversary=bool(world.adversary[row]),
-            kind=kinds[place],
-            at_fault=at_fault(kinds[place], bool(unsure[place])),
-            impact_speed=float(impact[place]),
-            delta_v_ego=float(changes[0][place]),
-            delta_v_other=float(changes[1][place]),
-            p_fatal=float(fatal_probability(changes[0][place])),
         )
     return found
 
@@ -253,32 +188,30 @@ def _global(boxes: Floats, lidar_poses: Floats) -> Floats:
     return placed
 
 
-def _near(ego: Floats, world: _World, spared: Bools) -> dict[int, PlanNear]:
+def _near(ego: Floats, world: _World, spared: Bools) -> dict[int, PlanNearRow]:
     """Of samples without contact, by sample."""
     rows = np.flatnonzero(world.adversary & spared[world.sample] & world.counts.any(axis=1))
     if not len(rows):
         return {}
     samples = world.sample[rows]
     found = near_misses(ego[samples], world.boxes[rows], world.counts[rows], world.velocities(rows))
-    nearest: dict[int, PlanNear] = {}
+    nearest: dict[int, PlanNearRow] = {}
     for sample in dict.fromkeys(samples.tolist()):
         own = samples == sample
-        nearest[sample] = PlanNear(
-            gap=float(found.gap[own].min()),
-            ttc=_finite(found.ttc[own].min()),
-            tet=float(found.tet[own].max()),
-            tit=float(found.tit[own].max()),
-            pet=_finite(found.pet[own].min()),
-            btn=float(found.btn[own].max()),
+        nearest[sample] = PlanNearRow(
+            least_gap_m=_rounded(found.gap[own].min()),
+            least_ttc_s=_finite(found.ttc[own].min()),
+            tet_s=_rounded(found.tet[own].max()),
+            tit_s2=_rounded(found.tit[own].max()),
+            pet_s=_finite(found.pet[own].min()),
+            max_btn=_rounded(found.btn[own].max()),
         )
     return nearest
 
 
 def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return _rounded(value) if np.isfinite(value) else None
 
 
-def _rounded(value: Any) -> Any:
-    if isinstance(value, ContactKind):
-        return value.value
-    return round(value, DECIMALS) if isinstance(value, float) else value
+def _rounded(value: float | Floats) -> float:
+    return round(float(value), DECIMALS)
