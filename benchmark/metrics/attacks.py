@@ -16,8 +16,31 @@ from benchmark.records.run import RunRecord
 from benchmark.records.seed_splits import is_adversarial
 from benchmark.severity.attack import READINGS, Attack, Reading, any_known
 
-__all__ = ["READINGS", "AttackRates", "Reading", "attack_rates", "counted_rows", "has_adversaries", "says_severity"]
+__all__ = [
+    "READINGS",
+    "AttackRates",
+    "Reading",
+    "SceneAttack",
+    "attack_rates",
+    "counted_rows",
+    "has_adversaries",
+    "says_severity",
+    "scene_attacks",
+]
 # The leaderboard reads records: what it says of attacks, it has from here.
+
+
+@dataclass(frozen=True, slots=True)
+class SceneAttack:
+    """Attack success in one scene.
+
+    Attributes:
+        samples: Of each sample that counts.
+        verdicts: On the scene, by reading; ``None`` where nobody can tell.
+    """
+
+    samples: tuple[Attack, ...]
+    verdicts: dict[Reading, bool | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +84,29 @@ def careful_survives(record: RunRecord, scene: str) -> bool | None:
     return None if facts is None or facts.judgement is None else facts.judgement.survives["cc"]
 
 
+def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
+    """Attack success in every scene of a record.
+
+    Args:
+        record: The record; it must say how severe its plans are (`says_severity`).
+
+    Returns:
+        By scene, in the record's order.
+    """
+    by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
+    survivors = {scene: careful_survives(record, scene) for scene in by_scene}
+    for row in counted_rows(record):
+        by_scene[row.scene].append(_attack(row, survivors[row.scene]))
+    missing = {row.scene for row in record.rows if row.status == "failed" and row.complete}
+    return {
+        scene: SceneAttack(
+            tuple(found),
+            {reading: _of_scene(found, reading, scene in missing, survivors[scene]) for reading in READINGS},
+        )
+        for scene, found in by_scene.items()
+    }
+
+
 def attack_rates(record: RunRecord) -> AttackRates:
     """Attack success on the planner of a record.
 
@@ -70,24 +116,15 @@ def attack_rates(record: RunRecord) -> AttackRates:
     Returns:
         The rates, with intervals over recorded scenes.
     """
-    survivors = {scene: careful_survives(record, scene) for scene in record.run.scenes}
-    by_scene: dict[str, list[Attack]] = {scene: [] for scene in record.run.scenes}
-    rows = counted_rows(record)
-    for row in rows:
-        by_scene[row.scene].append(_attack(row, survivors[row.scene]))
-    attacks = [(scene, attack) for scene, found in by_scene.items() for attack in found]
-    missing = {row.scene for row in record.rows if row.status == "failed" and row.complete}
-    verdicts = [
-        (scene, [_of_scene(found, reading, scene in missing, survivors[scene]) for reading in READINGS])
-        for scene, found in by_scene.items()
-    ]
-    known = [survives for survives in survivors.values() if survives is not None]
+    found = scene_attacks(record)
+    samples = [(scene, each) for scene, attack in found.items() for each in attack.samples]
+    known = [survives for scene in found if (survives := careful_survives(record, scene)) is not None]
     return AttackRates(
-        samples=_rates(record, [(scene, [getattr(each, name) for name in READINGS]) for scene, each in attacks]),
-        scenes=_rates(record, verdicts),
+        samples=_rates(record, [(scene, [getattr(each, name) for name in READINGS]) for scene, each in samples]),
+        scenes=_rates(record, [(scene, list(attack.verdicts.values())) for scene, attack in found.items()]),
         judged=len(known),
         spared=sum(known),
-        unknown_blame=sum(attack.contact and attack.at_fault is None for _, attack in attacks),
+        unknown_blame=sum(attack.contact and attack.at_fault is None for _, attack in samples),
     )
 
 

@@ -9,7 +9,7 @@ from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, Origin, Shown, origin_of
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted
-from leaderboard.tables.rows import in_table_order, name_cell, run_notes
+from leaderboard.tables.rows import in_table_order, name_cell, notes_of_marks, run_notes
 
 SEVERITY: Final = "severity"
 """The definition behind these numbers (docs/severity.md), as groups and cells name it."""
@@ -84,7 +84,8 @@ def _success_table(data_name: str, runs: Sequence[RunRecord], notes: tuple[str, 
             (f"of scenes in %, {SEVERITY}", 6),
             (f"counted, {SEVERITY}", 4),
         ),
-        brief=Brief(title, shown, (READINGS_NOTE, *_unknown_notes(found)), 2),
+        # The rest of what has to be said of the runs stands below the rates already.
+        brief=Brief(title, shown, (READINGS_NOTE, *notes_of_marks(runs), *_unknown_notes(found)), 2),
     )
 
 
