@@ -16,6 +16,7 @@ from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import NO_SHEETS, Sheets
 from benchmark.report.table import Table, escape_markdown
+from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_map
 from leaderboard.figures.refinement import refinement_figures
@@ -43,6 +44,7 @@ _ON_THE_SITE: Final = (".tex", ".csv", ".json")
 _RATES: Final = "collision rates"
 _GROUPS: Final = {
     "planners and transfer": ("planners", "transfer", "agreement"),
+    "attacks and scenes": ("attack", "severity", "ladder", "validity", "realism"),
     "causes and protocols": ("diagnosis", "disagreement"),
     "driving scores": (PDM,),
 }
@@ -148,7 +150,7 @@ def _made(
         sections += [f"To sort, to filter, and every scene to play: [{page}]({page}), which any browser opens.", ""]
     sections += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
     for data_set in found:
-        sections += _add_data_set(made, data_set, sheets)
+        sections += _add_data_set(made, data_set, sheets, [record for each in found for record in each.records])
     sections += _add_quality(made, quality)
     sections += _add_paper(made, found, sheets, ablations)
     for name, tables in generation_tables(sheets, ablations).items():
@@ -163,8 +165,11 @@ def _made(
     return made
 
 
-def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[str]:
-    """Add tables, pages and pictures of one data set; its section of ``README.md``."""
+def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets, every_record: Sequence[RunRecord]) -> list[str]:
+    """Add tables, pages and pictures of one data set; its section of ``README.md``.
+
+    ``every_record`` is of all data sets: generator settings are compared with one another.
+    """
     name, folder = data_set.data_name, file_name(data_set.data_name)
     made.records += data_set.records
     for group in dict.fromkeys(map(_group, data_set.front)):
@@ -179,9 +184,13 @@ def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[
     for table_name, matrix in data_set.matrices.items():
         drawn = (heat_map(matrix, ".png"), heat_map(matrix, ".svg"), heat_map(matrix, ".svg", DARK))
         made.draw(name, NamedFigure(table_name, titles[table_name], *drawn))
-    figures = (*data_set_figures(name, data_set.records), *refinement_figures(name, sheets))
+    charts = (*data_set_figures(name, data_set.records), *attack_figures(name, every_record))
+    figures = (*charts, *refinement_figures(name, sheets))
     for figure in figures:
         made.draw(name, figure)
+    missing = nothing_drawn(name, data_set.records)
+    if missing is not None:
+        data_set = replace(data_set, notes=(*data_set.notes, missing))
     return _section(data_set, figures, folder)
 
 

@@ -21,6 +21,7 @@ from leaderboard.tables.contents import data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.standing import standing_tables
+from tests.benchmark.metrics.made_attacks import contact, judged, near, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets
 from tests.leaderboard.tables.test_quality import made
@@ -41,13 +42,23 @@ def explained(record: RunRecord) -> RunRecord:
             cause = CAUSES[turn % len(CAUSES)]
             diagnosis = DiagnosisRow(cause=cause, reason="plan hits forecast", hit="a", first_contact_s=1.0)
             row, turn = row.model_copy(update={"diagnosis": diagnosis}), turn + 1
+        if row.status == "ok":
+            touches = any(row.outcomes["exact"].collision)
+            severity = contact("fFrs"[len(rows) % 4]) if touches else near(row.index)
+            row = row.model_copy(update={"severity": severity})
         rows.append(row)
     facts = {
-        name: SceneFacts(source=name.partition("-")[0], manoeuvre="cut-in-left" if "0" in name else "tailgating")
+        name: SceneFacts(
+            source=name.partition("-")[0],
+            manoeuvre="cut-in-left" if "0" in name else "tailgating",
+            adversaries=1,
+            judgement=judged({"s0-1": True, "s0-2": False}.get(name)),
+        )
         for name in record.run.scenes
     }
     run = record.run.model_copy(update={"scene_facts": facts if record.run.split == "adv" else {}})
-    return replace(record, run=run, rows=tuple(rows))
+    whole = replace(record, run=run, rows=tuple(rows))
+    return with_realism(whole, 0.8) if record.run.split == "adv" else whole
 
 
 def with_seed(record: RunRecord, seed: int) -> RunRecord:
