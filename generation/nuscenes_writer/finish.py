@@ -19,7 +19,7 @@ from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
 STATE_FOLDERS: Final = (
-    "attempts", "claims", "fragments", "maps", "rounds", "surveys", "timing/attempts", "timing/rendering"
+    "attempts", "claims", "fragments", "judgements", "maps", "rounds", "surveys", "timing/attempts", "timing/rendering"
 )  # fmt: skip
 """Where unfinished files may lie below the writer's own folder."""
 _LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")
@@ -131,7 +131,7 @@ def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) ->
             if root not in used:
                 _remove_root(plan, root)
     maps = {fragment["map"] for members in roots.values() for fragment in members}
-    for folder, names in (("fragments", kept), ("maps", maps)):
+    for folder, names in (("fragments", kept), ("judgements", kept), ("maps", maps)):
         for path in sorted((plan.state / folder).glob("*.json")):
             if path.stem not in names:
                 with writing_to(path):
