@@ -87,7 +87,7 @@ def data_stats_command(
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
-    """Print the paper's data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
+    """Print the data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
     from benchmark.cli.beforehand.data_sets import require_root, require_source
     from benchmark.datasets.statistics import statistics
     from benchmark.machine.workspace import EMBEDDED_NAMES
