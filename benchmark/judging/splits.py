@@ -1,6 +1,6 @@
 """A split judged: the ladder in sum, how severe its encounters are, how real its adversaries move."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from benchmark.datasets.roots import DataSet
 from benchmark.judging.data_sets import judge_data
 from benchmark.judging.realism import split_realism
-from benchmark.machine.workers import Executor
+from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.records.judged_splits import LadderRow, SeverityRow, SplitJudgement
 from benchmark.records.judgement import DRIVER_NAMES, DriverRun, EncounterSeverity, SceneJudgement, unsolvable
 from benchmark.records.statistics import Quantiles
@@ -40,14 +40,14 @@ def adversarial_names(data: DataSet, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def judge_split(
-    data: DataSet, names: Sequence[str], executor: Executor, recordings: DataSet | None = None
+    data: DataSet, names: Sequence[str], executor: Executor | None = None, recordings: DataSet | None = None
 ) -> SplitJudgement:
     """Judge scenes of a data set together.
 
     Args:
         data: The data set.
         names: Scenes of it.
-        executor: Where those are judged that nobody judged yet.
+        executor: Where those are judged that nobody judged yet; this process by default.
         recordings: What its scenes were made from, if at hand.
 
     Returns:
@@ -56,31 +56,18 @@ def judge_split(
     Raises:
         InputError: If a scene is broken, or workers are lost.
     """
+    executor = executor or LocalProcesses()
     judged = judge_data(data, names, executor, recordings)
-    return summed_up(judged, data, recordings)
-
-
-def summed_up(
-    judged: Mapping[str, tuple[SceneJudgement, ...]], data: DataSet, recordings: DataSet | None
-) -> SplitJudgement:
-    """Sum judgements up.
-
-    Args:
-        judged: By scene name.
-        data: The data set.
-        recordings: What its scenes were made from, if at hand.
-
-    Returns:
-        The split.
-
-    Raises:
-        InputError: If a scene is broken.
-    """
+    ordinary: dict[str, tuple[SceneJudgement, ...]] = {}
+    if recordings is not None:
+        sources = {facts.source for facts in data.scene_facts(names).values()}
+        ordinary = judge_data(recordings, sorted(sources & set(recordings.scene_names(None))), executor)
     met = [each.encounter for said in judged.values() for each in said if each.encounter is not None]
     free = [each for each in met if each.contact is None]
     return SplitJudgement(
         scenes=dict(judged),
         ladder=ladder([said for said in judged.values() if said]),
+        ladder_of_recordings=ladder([said for said in ordinary.values() if said]) if ordinary else (),
         unsolvable=tuple(name for name, said in judged.items() if unsolvable(said)),
         severity=(
             *(_severity(label, name, met) for name, label in _ALWAYS.items()),

@@ -89,18 +89,21 @@ def _run_cell(run: DriverRun) -> str:
 
 
 def _ladder_table(judged: SplitJudgement) -> Table:
+    ordinary = {row.driver: row for row in judged.ladder_of_recordings}
     rows = [
         (
             row.driver,
             f"{row.survives} of {row.of}",
             _NOTHING if row.share is None else f"{100 * row.share:.0f} %",
+            *([f"{ordinary[row.driver].survives} of {ordinary[row.driver].of}"] if ordinary else []),
             str(row.hit_adversary),
             str(row.hit_from_behind),
             str(row.beyond_end),
         )
         for row in judged.ladder
     ]
-    columns = ("driver", "survives", "share", "hits an adversary", "is run into", "leaves the path")
+    recordings = ["of the recordings"] if ordinary else []
+    columns = ("driver", "survives", "share", *recordings, "hits an adversary", "is run into", "leaves the path")
     notes = [
         f"Nobody could have avoided {len(judged.unsolvable)}: {', '.join(judged.unsolvable)}."
         if judged.unsolvable

@@ -56,6 +56,8 @@ class SplitJudgement(Stored):
     Attributes:
         scenes: Judgements of each scene, by name.
         ladder: Rungs in order.
+        ladder_of_recordings: The same of the recordings that the scenes were made from; empty where they are not at
+            hand. Agents replay their tracks there, too: what a driver does not survive there no adversary did.
         unsolvable: Scenes that nobody could have avoided.
         severity: Of the recorded ego's encounters with adversaries; times to contact only of those without contact.
         contacts: Encounters in which the recorded ego touches an adversary.
@@ -64,6 +66,7 @@ class SplitJudgement(Stored):
 
     scenes: dict[str, tuple[SceneJudgement, ...]]
     ladder: tuple[LadderRow, ...]
+    ladder_of_recordings: tuple[LadderRow, ...] = ()
     unsolvable: tuple[Text, ...]
     severity: tuple[SeverityRow, ...]
     contacts: Count

@@ -250,7 +250,8 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
     claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
     sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
     # The tables go last: a killed command finds by them that there is something to take away.
-    for path in (*(root / plan.version / PROVENANCE for root in roots), *sensor_files, *left):
+    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, JUDGEMENTS_FILE))
+    for path in (*marks, *sensor_files, *left):
         with writing_to(path):
             path.unlink(missing_ok=True)
 

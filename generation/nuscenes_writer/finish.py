@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.judged import JUDGEMENTS_FILE
 from benchmark.datasets.reviewed import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
@@ -143,6 +144,7 @@ def _remove_root(plan: DataSetPlan, root: Path) -> None:
     with writing_to(root):
         for table in (*NUSCENES_TABLES, "splits"):
             (root / plan.version / f"{table}.json").unlink(missing_ok=True)
+        (root / plan.version / JUDGEMENTS_FILE).unlink(missing_ok=True)
         shutil.rmtree(root / "maps", ignore_errors=True)
         shutil.rmtree(plan.drawn_path(root), ignore_errors=True)
         folders = [root / plan.version, *(root / kind for kind in ("samples", "sweeps", "can_bus")), root]

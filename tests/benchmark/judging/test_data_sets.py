@@ -164,14 +164,18 @@ def test_rates_count_those_who_could_be_asked() -> None:
 def test_a_split_is_compared_with_its_recordings_feature_by_feature(adversarial: DataSet, recordings: DataSet) -> None:
     judged = judge_split(adversarial, SCENES, HERE, recordings)
     assert judged.unsolvable == () or set(judged.unsolvable) <= set(SCENES)
+    ordinary = {row.driver: row for row in judged.ladder_of_recordings}
+    assert (ordinary["constant"].survives, ordinary["constant"].of) == (2, 2) and judged.ladder[1].survives == 1
     realism = judged.realism
     assert realism.adversaries == 2 and realism.reference == f"the recordings {recordings.name}"
     assert [row.name for row in realism.features][-1] == "road_edge" and len(realism.features) == 9
     assert realism.headline is not None and realism.headline.realism == min(row.realism for row in realism.features)
     assert realism.ctg is not None and (realism.ctg.version, realism.ctg.mask) == ("ctg", "current_speed")
     text = judgement_text(judged)
-    assert all(name in text for name in (*SCENES, "Realism, worst feature", "ctg-realism@code, version ctg", "halves"))
-    # The recordings against themselves are as near as can be, but for the agents that are left out.
+    assert all(
+        name in text
+        for name in (*SCENES, "Realism, worst feature", "of the recordings", "ctg-realism@code, version ctg", "halves")
+    )
     itself = split_realism(adversarial, judged.scenes, None)
     assert itself.reference == "the unchanged agents of the same scenes" and itself.ctg is None
     severity = {row.name: row for row in judged.severity}
