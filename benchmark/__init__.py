@@ -45,6 +45,7 @@ _DEFINED_IN: Final = {
     "adapters.result_files.planner": ["result_file_factory"],
     "adapters.result_files.writing.formats": ["write_results"],
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
+    "benchmark.judging.splits": ["judge_split"],
     "benchmark.protocols": ["PROTOCOLS"],
     "benchmark.records.run": ["RunRecord", "load_record", "find_records"],
     "benchmark.records.review": ["Verdict"],
@@ -165,6 +166,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.statistics import statistics as _data_statistics
     from benchmark.errors import InputError as InputError
     from benchmark.evaluation import EvalSettings as EvalSettings, evaluate as evaluate
+    from benchmark.judging.splits import judge_split as judge_split
     from benchmark.machine.environment import checks as _doctor
     from benchmark.machine.workspace import Workspace as Workspace
     from benchmark.metrics.frames import samples_frame as samples_frame

@@ -88,6 +88,13 @@ def generate_command(
     rounds: Annotated[int | None, typer.Option(min=0, help="Refinement rounds per planning step.")] = None,
     parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
     preset: PresetOption = Preset.DEFAULT,
+    keep_unsolvable: Annotated[
+        bool,
+        typer.Option(
+            "--keep-unsolvable",
+            help="Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).",
+        ),
+    ] = False,
     changes: SetOption = None,
     denoiser: DenoiserOption = None,
     calls: CallsOption = None,
@@ -132,6 +139,7 @@ def generate_command(
     wanted = splits_to_build(split, seed, seeds, from_file, freeze, context)
     frozen = wanted[0].frozen
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
+    shortcuts["solvable"] = False if keep_unsolvable else None
     hyper = hyper_parameters(preset.value, shortcuts, changes or ())
     if surrogate is None and surrogate_checkpoint is not None:
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")

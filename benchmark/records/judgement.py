@@ -162,11 +162,12 @@ class TrackFaults(Stored):
 
 
 class SceneJudgement(Stored):
-    """What is said of one adversary of one scene.
+    """What is said of one adversary of one scene, or of a scene in which nobody is known to be one.
 
     Attributes:
         definition: `DEFINITION` by which it was judged.
-        adversary: Its instance identifier.
+        adversary: Its instance identifier, that of the recording in what this program makes; null where none is known,
+            and then everything that needs one is null as well.
         category: Its category.
         tracks: ``generated`` where its 12 Hz track was at hand, ``annotated`` where what a reader interpolates between
             keyframes was.
@@ -183,8 +184,8 @@ class SceneJudgement(Stored):
     """
 
     definition: Annotated[int, Field(ge=1)] = DEFINITION
-    adversary: Text
-    category: Text
+    adversary: Text | None
+    category: Text | None
     tracks: Literal["generated", "annotated"]
     has_map: bool
     drivers: dict[DriverName, DriverRun]
@@ -192,9 +193,9 @@ class SceneJudgement(Stored):
     chance: Chance
     last_chance_s: float | None
     margin_s: float | None
-    unsolvable: bool
-    encounter: EncounterSeverity
-    faults: TrackFaults
+    unsolvable: bool | None
+    encounter: EncounterSeverity | None
+    faults: TrackFaults | None
 
     @model_validator(mode="after")
     def _agree(self) -> Self:
@@ -204,6 +205,9 @@ class SceneJudgement(Stored):
             raise ValueError("a last chance is there if something avoids the contact until then")
         if self.margin_s is not None and (self.last_chance_s is None or self.first_visible_s is None):
             raise ValueError("a margin is between a first sight and a last chance")
+        known = [value is not None for value in (self.category, self.unsolvable, self.encounter, self.faults)]
+        if set(known) != {self.adversary is not None}:
+            raise ValueError("category, solvability, encounter and faults are of an adversary")
         return self
 
 
@@ -215,7 +219,8 @@ class JudgementSummary(Stored):
         tracks: As in `SceneJudgement`.
         has_map: As in `SceneJudgement`.
         survives: By reference driver.
-        unsolvable: Whether nobody could have avoided it (`unsolvable`).
+        unsolvable: Whether nobody could have avoided it (`unsolvable`); null where no adversary is known, as are the
+            numbers after it.
         margin_s: Least time from 0.75 s after an adversary is first visible to the last chance.
         least_gap_m: As in `EncounterSeverity`, as the next ones.
         least_ttc_s: Least time to contact.
@@ -232,12 +237,12 @@ class JudgementSummary(Stored):
     tracks: Literal["generated", "annotated"]
     has_map: bool
     survives: dict[DriverName, bool]
-    unsolvable: bool
+    unsolvable: bool | None
     margin_s: float | None
     least_gap_m: NotNegative | None
     least_ttc_s: NotNegative | None
-    tet_s: NotNegative
-    tit_s2: NotNegative
+    tet_s: NotNegative | None
+    tit_s2: NotNegative | None
     pet_s: NotNegative | None
     max_btn: NotNegative | None
     contact: Impact | None = None
@@ -254,21 +259,23 @@ class JudgementSummary(Stored):
         Returns:
             The summary.
         """
-        first, met = judgements[0], [each.encounter for each in judgements]
+        first = judgements[0]
+        met = [each.encounter for each in judgements if each.encounter is not None]
+        tracks = [each.faults for each in judgements if each.faults is not None]
         contacts = [each.contact for each in met if each.contact is not None]
-        found = {name for each in judgements for name in each.faults.found}
-        unknown = {name for each in judgements for name in each.faults.unknown} - found
+        found = {name for each in tracks for name in each.found}
+        unknown = {name for each in tracks for name in each.unknown} - found
         return cls(
             definition=first.definition,
             tracks=first.tracks,
             has_map=first.has_map,
             survives={name: first.drivers[name].survives for name in DRIVER_NAMES},
-            unsolvable=unsolvable(judgements),
+            unsolvable=unsolvable(judgements) if met else None,
             margin_s=_least([each.margin_s for each in judgements]),
             least_gap_m=_least([each.least_gap_m for each in met]),
             least_ttc_s=_least([each.least_ttc_s for each in met]),
-            tet_s=max(each.tet_s for each in met),
-            tit_s2=max(each.tit_s2 for each in met),
+            tet_s=max((each.tet_s for each in met), default=None),
+            tit_s2=max((each.tit_s2 for each in met), default=None),
             pet_s=_least([each.pet_s for each in met]),
             max_btn=max((each.max_btn for each in met if each.max_btn is not None), default=None),
             contact=min(contacts, key=lambda contact: contact.time_s, default=None),
@@ -291,7 +298,7 @@ def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
     hit = [contact is not None and contact.party == "adversary" for contact in hits]
     decisive = [each for each, decides in zip(judgements, hit, strict=True) if decides]
     asked = decisive or judgements
-    return bool(asked) and all(each.unsolvable for each in asked)
+    return bool(asked) and all(each.unsolvable is True for each in asked)
 
 
 class FeatureRow(Stored):

@@ -123,6 +123,7 @@ def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]
                 chain.adversarial,
                 chain.report(),
                 last_attempt=(chain.links[-1].key, chain.last_place),
+                judgements=chain.judgements,
             )
         )
     return jobs

@@ -21,7 +21,14 @@ from generation.build.profile import runtime_table
 from generation.build.report import BuildReport
 from generation.build.selection import select
 from generation.build.settings import BuildSettings
-from generation.build.writing import WritingJob, publish_reports, publish_rounds, withdraw, write_scenes
+from generation.build.writing import (
+    WritingJob,
+    publish_judgements,
+    publish_reports,
+    publish_rounds,
+    withdraw,
+    write_scenes,
+)
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.search.attempts import kept_attempt
@@ -254,6 +261,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
     publish_rounds(plan, jobs, keys)
+    publish_judgements(plan, jobs, keys)
     finish_data_set(plan, keys)
     return [timing / f"{key}.timing.json" for key in keys]
 

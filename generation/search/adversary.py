@@ -14,8 +14,10 @@ import shapely
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap
+from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
+from benchmark.records.judgement import unsolvable
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
@@ -72,6 +74,7 @@ def attempts_together(
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
     keep_rounds: bool = False,
+    earlier: Sequence[Mapping[str, int]] | None = None,
 ) -> list[Searched]:
     """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
 
@@ -85,6 +88,7 @@ def attempts_together(
         diversify: Spread of the initial batch; by default the package's own, or none (``hyper.varied``).
         model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
+        earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
 
     Returns:
         For each vehicle the kept scene, or the reason why there is none.
@@ -98,7 +102,8 @@ def attempts_together(
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or (_packaged_diversify() if hyper.varied else _as_drawn)
     searches = [
-        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds) for scene, agent in vehicles
+        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches)
+        for (scene, agent), launches in zip(vehicles, earlier or [{}] * len(vehicles), strict=True)
     ]
     found, spent = run_together(searches, prior)
     return [
@@ -122,6 +127,7 @@ def _tries(
     diversify: Diversify,
     model: MotionModel,
     keep_rounds: bool,
+    earlier: Mapping[str, int],
 ) -> SearchSteps[Searched]:
     """Searches for one vehicle until one is kept or there is no use in another."""
     start = launch_frame(scene, agent, hyper)
@@ -139,7 +145,7 @@ def _tries(
         driven = yield from planning.run()
         told = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
         tried = Searched(told, None, driven.poses, rounds=driven.rounds)
-        result = _judged(tried, planning) if driven.gave_up is None else tried.discarded(driven.gave_up)
+        result = _judged(tried, planning, earlier) if driven.gave_up is None else tried.discarded(driven.gave_up)
         # A vehicle that the area loses drives the other way; it would be lost again.
         if result.finding is None or result.finding.reason is Discard.LEAVES_AREA:
             break
@@ -165,7 +171,7 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Se
     return Searched(attempt, None, np.zeros((0, 3)))
 
 
-def _judged(tried: Searched, planning: Planning) -> Searched:
+def _judged(tried: Searched, planning: Planning, earlier: Mapping[str, int]) -> Searched:
     """The result with its verdict and its numbers."""
     agent, start = planning.agent, planning.start
     changed = planning.scene.with_adversary(agent, slice(start, start + len(tried.poses)), tried.poses)
@@ -178,6 +184,11 @@ def _judged(tried: Searched, planning: Planning) -> Searched:
         "closest_approach": Approach(gap_m=closest.gap_m, time_s=closest.time_s, side=closest.side),
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
+    if finding is None:
+        launches = {**earlier, tried.attempt.agent: start}
+        told["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
+        if planning.hyper.solvable and unsolvable(told["judgements"]):
+            finding = Finding(Discard.UNSOLVABLE)
     if finding is None:
         told |= {
             "challenge": challenge_score(changed, agent, start),

@@ -182,7 +182,14 @@ def attempts(
 def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
     """Compute and keep a few attempts; runs in a worker."""
     vehicles = [(scene, unit.agent) for scene, unit in work]
-    results = attempts_together(vehicles, search.seed, search.hyper, search.prior(), keep_rounds=keep_rounds)
+    results = attempts_together(
+        vehicles,
+        search.seed,
+        search.hyper,
+        search.prior(),
+        keep_rounds=keep_rounds,
+        earlier=[{link.agent_id: link.start for link in unit.earlier} for _, unit in work],
+    )
     kept = []
     for (scene, unit), result in zip(work, results, strict=True):
         stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))

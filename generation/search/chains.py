@@ -15,6 +15,7 @@ from benchmark.machine.progress import progress
 from benchmark.machine.storage import token
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
+from benchmark.records.judgement import SceneJudgement
 from benchmark.scene import Scene
 from generation.search.attempts import StoredAttempt, attempts, eligibility
 from generation.search.definition import Earlier, Search, Unit
@@ -114,6 +115,11 @@ class Chain:
         suffix = token("adversary", self.scene_name, *self.agent_ids)[:8]
         return f"{self.scene_name.replace('/', '-')}-{suffix}"
 
+    @property
+    def judgements(self) -> tuple[SceneJudgement, ...]:
+        """What is said of each adversary in the scene with all of them."""
+        return self.links[-1].attempt.judgements
+
     def adversarial(self, scene: Scene) -> Scene:
         """The generated scene.
 
@@ -131,8 +137,12 @@ class Chain:
         return scene
 
     def report(self) -> dict[str, Any]:
-        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several."""
-        reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude={"plans"}) for link in self.links]
+        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several.
+
+        Judgements are in a file of their own (`benchmark.datasets.judged`): better definitions make no other data set.
+        """
+        left_out = {"plans", "judgements"}
+        reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude=left_out) for link in self.links]
         if len(reports) == 1:
             return reports[0]
         return {"challenge": self.challenge, "adversaries": reports}

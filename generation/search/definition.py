@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.machine.storage import content_key
+from benchmark.records.judgement import DEFINITION
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.hyperparameters import HyperParameters
@@ -102,7 +103,8 @@ class Search:
         """Content key of one attempt."""
         parts = (self.fingerprint, unit.scene_name, unit.agent_id, self.seed, self.hyper.fingerprint)
         chain = [[link.key for link in unit.earlier]] if unit.earlier else []
-        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain)
+        verdict = {"judged": DEFINITION, "solvable": self.hyper.solvable}
+        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain, verdict)
 
     def path(self, unit: Unit) -> Path:
         """File of one finished attempt."""

@@ -33,6 +33,8 @@ _NOT_NEGATIVE = (
 )  # fmt: skip
 _ADDED = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
 """Settings that came when searches had been kept already: at their defaults they are no part of the fingerprint."""
+_OF_THE_VERDICT = ("solvable",)
+"""Settings that no track depends on, and so no random number either: never a part of the fingerprint."""
 
 
 class CollisionReading(StrEnum):
@@ -169,6 +171,8 @@ class HyperParameters:
         choice: Whose rules choose vehicles.
         launch: When an adversary takes over.
         discards: What a scene is dropped for.
+        solvable: Whether a scene that nobody could have avoided is dropped (``docs/severity.md``, "What solvable
+            means"). Neither the paper nor the code asks. No track depends on it.
     """
 
     candidates: int = 256
@@ -222,6 +226,7 @@ class HyperParameters:
     choice: ChoiceOf = ChoiceOf.OURS
     launch: Launch = Launch.NEAR
     discards: Discards = Discards.OURS
+    solvable: bool = True
 
     @classmethod
     def paper(cls) -> Self:
@@ -245,6 +250,7 @@ class HyperParameters:
             motion=Motion.UNLIMITED,
             launch=Launch.START,
             discards=Discards.PAPER,
+            solvable=False,
         )
 
     @classmethod
@@ -266,6 +272,7 @@ class HyperParameters:
             choice=ChoiceOf.REFERENCE,
             launch=Launch.REFERENCE,
             discards=Discards.REFERENCE,
+            solvable=False,
         )
 
     def changed(self, assignments: Sequence[str]) -> Self:
@@ -314,9 +321,12 @@ class HyperParameters:
 
     @property
     def fingerprint(self) -> str:
-        """Content key of all values but those of younger settings at their defaults, so that kept work stays found."""
+        """Content key of all values but those of younger settings at their defaults, so that kept work stays found.
+
+        Settings that no track depends on are left out: random numbers are seeded by it.
+        """
         defaults = {each.name: each.default for each in fields(self)}
-        said = asdict(self)
+        said = {name: value for name, value in asdict(self).items() if name not in _OF_THE_VERDICT}
         return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != defaults[name]})
 
     @property

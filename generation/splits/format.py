@@ -91,12 +91,27 @@ class Recordings(_Frozen):
 
 
 class SearchFacts(_Frozen):
-    """Who searched: version of the algorithm, hashes of its settings and of its trajectory model, and the seed."""
+    """Who searched.
+
+    Attributes:
+        algorithm: Version of the algorithm.
+        hyper: Hash of its settings.
+        prior: Hash of its trajectory model.
+        seed: The seed.
+        solvable: Whether scenes that nobody could have avoided were dropped; older files do not say, and none were.
+    """
 
     algorithm: str
     hyper: str
     prior: str
     seed: int
+    solvable: bool | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_older_files(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """What older files do not say keeps their content hash as it was."""
+        said: dict[str, Any] = plain(self)
+        return {name: value for name, value in said.items() if value is not None}
 
 
 class FrozenRejection(_Frozen):

@@ -21,7 +21,7 @@ def search_hash(search: SearchFacts, chosen: Choice, adversaries: int) -> str:
     Returns:
         64 hexadecimal digits.
     """
-    searched = [search.algorithm, search.hyper, search.prior]
+    searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
     return content_key("search", searched, chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries)
 
 

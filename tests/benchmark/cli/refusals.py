@@ -125,6 +125,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("data info {new}", "there is no folder"),
     ("data stats mini --split vla", "val"),
     ("data stats {empty}", "no version folder"),
+    ("data stats mini --recordings {new}", "there is no folder"),
     ("data show mini --to {new}/pictures --scenes scene-1", "scene-1"),
     ("data show demo --to {new}/pictures --out {new}/out", "challenger-bench demo"),
     ("data show mini --to {file}", "is a file"),

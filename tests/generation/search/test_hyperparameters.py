@@ -70,7 +70,7 @@ def test_the_reference_scores_every_pose_and_counts_frames_as_seconds() -> None:
 
 def test_younger_settings_at_their_defaults_leave_kept_work_where_it_was() -> None:
     """The key of the settings that were kept before there were any of them."""
-    said = {name: value for name, value in asdict(HyperParameters()).items() if name not in YOUNGER}
+    said = {name: value for name, value in asdict(HyperParameters()).items() if name not in (*YOUNGER, "solvable")}
     assert HyperParameters().fingerprint == content_key(said)
     keys = {each.fingerprint for each in (HyperParameters(), HyperParameters.paper(), HyperParameters.reference())}
     assert len(keys) == 3
@@ -80,6 +80,12 @@ def test_younger_settings_at_their_defaults_leave_kept_work_where_it_was() -> No
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
+
+
+def test_what_is_kept_as_solvable_moves_no_track_and_the_presets_do_not_ask() -> None:
+    kept = HyperParameters().changed(["solvable=false"])
+    assert HyperParameters().solvable and kept.fingerprint == HyperParameters().fingerprint
+    assert not HyperParameters.paper().solvable and not HyperParameters.reference().solvable
 
 
 def test_the_longest_look_ahead_is_as_long_as_a_candidate() -> None:
