@@ -1,16 +1,16 @@
 """How the ego follows a plan in the `default` engine: a tracker and a kinematic bicycle of the recording car's own.
 
 The tracker is a linear-quadratic one over the plan's 3 s: from where the car is, as fast and as accelerated as it is,
-the motion that comes closest to the six waypoints while jerk costs something. Because its start is the car's own, what a
-plan corrects is corrected in the first half second, and a recording that is given as plans is reproduced. The bicycle
-has limits of tyres and brakes and never drives backwards.
+the motion that comes closest to the six waypoints while jerk costs something. Because its start is the car's own, what
+a plan corrects is corrected in the first half second, and a recording that is given as plans is reproduced. The
+bicycle has limits of tyres and brakes and never drives backwards.
 
 Arrays have the scenes last, and no sum runs over scenes or leaves its order to a library: the company in which a scene
 is stepped changes no byte of it.
 """
 
 import functools
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
@@ -64,6 +64,11 @@ class Ego:
     steering: float = 0.0
 
     @property
+    def row(self) -> tuple[float, ...]:
+        """Its six values, in the order above."""
+        return self.x, self.y, self.yaw, self.speed, self.acceleration, self.steering
+
+    @property
     def pose(self) -> Floats:
         """(3,) x, y, yaw."""
         return np.array([self.x, self.y, self.yaw])
@@ -77,11 +82,6 @@ class Ego:
     def of_row(cls, row: Floats) -> Self:
         """From (6,) values in the order above."""
         return cls(*row.tolist())
-
-
-def rows_of(egos: list[Ego]) -> Floats:
-    """(6, S) values of S egos."""
-    return np.array([astuple(ego) for ego in egos]).T
 
 
 def followed(egos: Floats, targets: Floats, substeps: int = SUBSTEPS) -> Floats:
@@ -120,8 +120,8 @@ def _wanted(egos: Floats, targets: Floats) -> tuple[Floats, Floats]:
     for number in range(PLAN_STEPS):
         x = x + per_target[:, number, None] * targets[number, 0]
         y = y + per_target[:, number, None] * targets[number, 1]
-    size = np.sqrt(x * x + y * y)
     forward = x > 0.0
+    size = np.sqrt(x * x + y * y)
     heading = np.where(forward, np.arctan2(y, np.where(forward, x, 1.0)), 0.0)
     return np.asarray(np.where(forward, size, 0.0)), np.asarray(heading)
 
@@ -148,7 +148,7 @@ def _smooth_motion() -> tuple[Floats, Floats, Floats]:
     jerk_per_miss = np.linalg.solve(reach.T @ reach + _JERK_WEIGHT * dt * np.eye(steps), reach.T)
     velocity = np.array([forced[index][1] for index in range(SUBSTEPS + 1)]) @ jerk_per_miss
     start = np.array([free[index][1] for index in range(SUBSTEPS + 1)]) - velocity @ drift
-    return start[:, 1].copy(), start[:, 2].copy(), velocity
+    return np.array(start[:, 1]), np.array(start[:, 2]), np.asarray(velocity)
 
 
 def _commands(now: Floats, speed: Floats, heading: Floats) -> tuple[Floats, Floats]:

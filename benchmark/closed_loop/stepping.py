@@ -11,7 +11,6 @@ Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple
 from typing import Any, Final
 
 import numpy as np
@@ -49,7 +48,7 @@ def begin(course: Course) -> World:
         It; who overlaps the ego here is ignored from then on.
     """
     memory, moved = course.policy.init(course.start_us, content_seed(course.seed, course.scene, "agents"))
-    own = ego_boxes(np.array(astuple(course.start)))
+    own = ego_boxes(np.array(course.start.row))
     boxes, present = moved.boxes[-1], moved.present[-1]
     ignored = np.asarray(present & boxes_overlap(own[None], boxes)) if len(boxes) else np.zeros(0, np.bool_)
     others = Moment(course.start_us, own, course.start.speed, boxes, present, moved.velocity)
@@ -130,7 +129,7 @@ def _driven(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[
     changes = [course.latency_us // SUBSTEP_US % SUBSTEPS for course in courses]
     for change in sorted(set(changes)):
         group = [index for index, own in enumerate(changes) if own == change]
-        now = np.array([astuple(worlds[index].ego) for index in group]).T
+        now = np.array([worlds[index].ego.row for index in group]).T
         for start, stop in ((0, change), (change, SUBSTEPS)):
             if start == stop:
                 continue
@@ -155,7 +154,8 @@ def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], e
     boxes, present, velocities = [], [], []
     for number in range(SUBSTEPS):
         row = INSTANTS * number
-        key = content_seed(course.seed, course.scene, world.step, number) if _draws(course) else 0
+        # Making a key costs as much as replaying a sub-step.
+        key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
         memory, moved = course.policy.act(memory, others, key)
         boxes.append(moved.boxes)
         present.append(moved.present)
@@ -169,11 +169,6 @@ def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], e
         contact = _first_contact(course, world, trace, own[1:], velocities)
     assert others.time_us == world.time_us + STEP_US
     return World(world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace)
-
-
-def _draws(course: Course) -> bool:
-    """Whether a policy takes keys; making one costs as much as replaying a sub-step."""
-    return getattr(course.policy, "draws", False)
 
 
 def _first_contact(

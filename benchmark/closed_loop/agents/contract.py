@@ -56,10 +56,15 @@ class AgentPolicy(Protocol[Memory]):
 
     Attributes:
         name: Part of the name of what was measured.
+        draws: Whether `act` draws anything; if not, its key is 0.
     """
 
     @property
     def name(self) -> str:
+        """As above."""
+
+    @property
+    def draws(self) -> bool:
         """As above."""
 
     def init(self, time_us: int, key: int) -> tuple[Memory, Moved]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmark.closed_loop.agents.contract import Moment, Moved
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS
-from benchmark.encounters.tracks import Tracks
+from benchmark.encounters.tracks import Integers, Tracks
 from benchmark.geometry import Bools, Floats
 
 _END_S = 1e-9
@@ -23,6 +23,7 @@ class Replay:
         present: (R, N) who is there; nobody is after the end of the tracks.
         velocity: (R, N, 2) m/s, of the past alone.
         name: Of the policy.
+        draws: It draws nothing.
     """
 
     start_us: int
@@ -30,6 +31,7 @@ class Replay:
     present: Bools
     velocity: Floats
     name: str = "replay"
+    draws: bool = False
 
     @classmethod
     def of(cls, tracks: Tracks, first_us: int, start_us: int, end_us: int) -> Self:
@@ -56,6 +58,11 @@ class Replay:
             np.ascontiguousarray(present.T) & inside[:, None],
             np.ascontiguousarray(velocity.transpose(1, 0, 2)),
         )
+
+    @property
+    def first_rows(self) -> Integers:
+        """(N,) first row in which each agent is there; R for who never is."""
+        return np.where(self.present.any(axis=0), self.present.argmax(axis=0), len(self.present))
 
     def init(self, time_us: int, key: int) -> tuple[None, Moved]:
         """Everybody at a time of the drive."""
