@@ -1,6 +1,5 @@
 """One kept scene judged for `bench.threat`: who survives it, what ``constant-velocity`` hits, and its faults."""
 
-import functools
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -115,7 +114,6 @@ def judged_plans(source: DataSet, scene: Scene, name: str, tracks: Tracks, agent
     return blamed, int((outcomes.collision.any(axis=1) & outcomes.counted).sum()), int(outcomes.counted.sum())
 
 
-@functools.lru_cache(maxsize=64)
 def _plans(source: DataSet, name: str) -> Floats:
     """(K, 6, 2) waypoints of the lidar."""
     planner, ahead_m = ConstantVelocity(), float(source.scene(name).lidar.translation[0])
@@ -153,12 +151,7 @@ def _unsure(road_map: RoadMap, box: Floats) -> bool:
     return int(on.any(axis=1).sum()) > 1 and not bool(on.all(axis=1).any())
 
 
-@functools.lru_cache(maxsize=64)
-def _recorded(source: DataSet, name: str) -> tuple[Run, ...]:
-    scene = source.scene(name)
-    return tuple(recorded_runs(Tracks.of_scene(scene), scene.keyframes, CATEGORY))
-
-
-def recorded_features(source: DataSet, name: str) -> tuple[Run, ...]:
+def recorded_features(source: DataSet, name: str) -> list[Run]:
     """Motion features of all recorded cars of a scene."""
-    return _recorded(source, name)
+    scene = source.scene(name)
+    return recorded_runs(Tracks.of_scene(scene), scene.keyframes, CATEGORY)

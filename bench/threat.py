@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bench.attacked import Attacked, attacked, recorded_features
 from benchmark import api
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
 from benchmark.machine.storage import read_kept_json, write_json
 from benchmark.machine.workers import LocalProcesses, single_threaded
 from benchmark.realism.features import Run
@@ -31,6 +32,7 @@ from generation.search.chains import SearchResult, search_chains
 from generation.search.definition import Search
 from generation.search.presets import Preset, hyper_parameters, trajectory_model
 
+PRESETS: Final = ("default", "paper", "reference")
 SQUEEZING: Final = (Manoeuvre.SQUEEZING_LEFT.value, Manoeuvre.SQUEEZING_RIGHT.value)
 IN_FRONT: Final = tuple(
     kind.value
@@ -66,6 +68,8 @@ class Setting:
         label, _, rest = text.partition("=")
         changes = [each for each in rest.split(",") if each]
         preset = next((each[7:] for each in changes if each.startswith("preset=")), "default")
+        if preset not in PRESETS:
+            raise InputError(f"there is no preset {preset!r}; --setting {text} may start from {', '.join(PRESETS)}")
         return cls(label, cast(Preset, preset), tuple(each for each in changes if not each.startswith("preset=")))
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.spatial import cKDTree
 
 from benchmark.constants import FRAME_HZ, PLAN_STEP_S, PLAN_STEPS
@@ -18,6 +19,7 @@ ON_M: Final = 90.0
 """Part of the path around the ego that positions are looked up on: paths cross themselves."""
 STEADY_S: Final = PLAN_STEPS * PLAN_STEP_S
 """How long an ego that does not react keeps its speed: the length of a plan."""
+AROUND_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,8 @@ class EgoWay:
         stations: (V,) metres along it.
         station: (T,) of the ego's centre.
         speed: (T,) of the ego along the path, m/s.
-        overrun: (T,) metres by which an ego that had kept one of its speeds of the last 3 s would be ahead of it.
+        overrun: (T,) metres by which an ego that had kept one of its speeds of the last 3 s would be ahead of it, at
+            most, within a second.
         length_m: Of the ego.
         width_m: Of the ego.
     """
@@ -55,7 +58,8 @@ class EgoWay:
         segment = np.clip(np.searchsorted(path.stations, stations, side="right") - 1, 0, len(edge) - 1)
         headings = np.arctan2(edge[segment, 1], edge[segment, 0])
         speed = np.gradient(path.ego_stations, scene.seconds) if len(ego) > 1 else np.zeros(len(ego))
-        over = overrun(path.ego_stations, speed)
+        # Who is to be there when it matters has to come a little earlier.
+        over = maximum_filter1d(overrun(path.ego_stations, speed), 2 * round(AROUND_S * FRAME_HZ) + 1, mode="nearest")
         return cls(points, headings, stations, path.ego_stations, speed, over, float(ego[0, 2]), float(ego[0, 3]))
 
     def places(self, poses: Floats, first: int, last: int) -> tuple[Floats, Floats, Floats]:

@@ -146,9 +146,27 @@ def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | N
     frames = np.array([frame for frame in frames.tolist() if drives_forward(scene, agent, frame)], np.int64)
     if not len(frames):
         return None
-    seconds = reach_s(scene, EgoWay.of(scene), _start(scene, agent, frames), hyper.half_extent_m)
+    way = EgoWay.of(scene)
+    seconds = reach_s(scene, way, _start(scene, agent, frames), hyper.half_extent_m)
+    seconds = np.where(frames + FRAME_HZ * seconds <= last_opportunity(way, hyper), seconds, np.inf)
     best = int(np.argmax(seconds <= SOON_S)) if (seconds <= SOON_S).any() else int(np.argmin(seconds))
     return int(frames[best]) if np.isfinite(seconds[best]) else None
+
+
+def last_opportunity(way: EgoWay, hyper: HyperParameters) -> int:
+    """The last frame at which an ego that does not react would run into what keeps its air ahead; -1 for none.
+
+    Args:
+        way: The ego's way.
+        hyper: The air, and by how much more it must overrun (``least_overrun_m``).
+
+    Returns:
+        The frame; the last one of the scene where nothing is asked.
+    """
+    if not hyper.least_overrun_m:
+        return len(way.speed) - 1
+    air = hyper.clearance_m + hyper.headway_s * way.speed
+    return int(np.flatnonzero(way.overrun >= air + hyper.least_overrun_m).max(initial=-1))
 
 
 def reach_at(scene: Scene, agent: int, frame: int, hyper: HyperParameters) -> float:

@@ -67,7 +67,7 @@ class Terms:
     def safety(self, start: Floats, hyper: HyperParameters) -> Floats:
         """(B,) all of a score but the challenge, from (B,) random initial scores on."""
         score = start + hyper.dac_weight * self.dac + hyper.cr_weight * self.cr
-        return score if self.further is None else score + self.further
+        return np.asarray(score if self.further is None else score + self.further)
 
     @classmethod
     def challenges(cls, batches: "Sequence[Self]") -> Floats:

@@ -22,6 +22,8 @@ from generation.search.scoring import Surroundings, collisions
 
 FAR_M: Final = 20.0
 """Distance from the place that is aimed at which counts as 1."""
+OVERRUN_SHARE: Final = 0.6
+"""Of what an ego that does not react would overrun, to be hit for certain and not only touched."""
 OVERLAP_M: Final = 0.6
 """By how much a body reaches into the ego's strip that is in its way for certain."""
 REACTION_S: Final = 1.1
@@ -71,13 +73,11 @@ class Ahead:
         """(S,) of the ego, m/s."""
         return self.way.speed[list(self.frames)]
 
-    @cached_property
-    def aim_m(self) -> Callable[[float, float], Floats]:
-        """(S,) room ahead of the ego that is aimed at, by time gap and least room."""
+    def aim_m(self, gap_s: float, least_m: float) -> Floats:
+        """(S,) room ahead of the ego that is aimed at: a time gap, or well within what the ego would overrun."""
         over = self.way.overrun[list(self.frames)]
-        return lambda gap_s, least_m: np.maximum(
-            least_m, np.where(over >= least_m, np.minimum(gap_s * self.speed, 0.6 * over), gap_s * self.speed)
-        )
+        gap = gap_s * self.speed
+        return np.maximum(least_m, np.where(over >= least_m, np.minimum(gap, OVERRUN_SHARE * over), gap))
 
 
 @dataclass(frozen=True)
@@ -144,31 +144,31 @@ class Placed:
 def threat(placed: Placed, aim_m: Floats) -> Floats:
     """(B,) distance to the place ahead of the ego where one that does not react would hit; its root, 1 at 20 m."""
     away = np.hypot(placed.room - aim_m, np.maximum(placed.side + OVERLAP_M, 0.0))
-    return np.sqrt(away / FAR_M).mean(axis=1)
+    return np.asarray(np.sqrt(away / FAR_M).mean(axis=1))
 
 
 def closing(placed: Placed) -> Floats:
     """(B,) minus the share of a brisk closing speed, where the ego closes in time for a careful human; at least -1."""
     timely = placed.in_way & (placed.room >= placed.careful_m) & (placed.room <= 3.0 * placed.careful_m)
-    return -(timely * np.clip(placed.closing / BRISK_M_S, 0.0, 1.0)).mean(axis=1)
+    return np.asarray(-(timely * np.clip(placed.closing / BRISK_M_S, 0.0, 1.0)).mean(axis=1))
 
 
 def careful(placed: Placed) -> Floats:
     """(B,) share of a careful human's braking distance that is missing in the ego's way."""
     missing = np.maximum(placed.careful_m - placed.room, 0.0) / np.maximum(placed.careful_m, 1.0)
-    return (placed.in_way * missing).mean(axis=1)
+    return np.asarray((placed.in_way * missing).mean(axis=1))
 
 
 def side(placed: Placed, least_m: float, per_speed_s: float) -> Floats:
     """(B,) share of the side clearance that is missing beside a driving ego."""
     wanted = least_m + per_speed_s * placed.ego_speed
     abreast = (placed.room <= 0.0) & (placed.lag <= 0.0) & placed.moving
-    return (abreast * np.clip(1.0 - placed.side / wanted, 0.0, 1.0)).mean(axis=1)
+    return np.asarray((abreast * np.clip(1.0 - placed.side / wanted, 0.0, 1.0)).mean(axis=1))
 
 
 def behind(placed: Placed) -> Floats:
     """(B,) share of frames at which it is behind a driving ego."""
-    return ((placed.lag > 0.0) & placed.moving).mean(axis=1)
+    return np.asarray(((placed.lag > 0.0) & placed.moving).mean(axis=1))
 
 
 def unlikely(speed: Floats, acceleration: Floats, steering: Floats, length_m: float) -> Floats:
@@ -248,4 +248,5 @@ def threat_rating(
 def hovering(center: Floats, size: Floats, around: Surroundings) -> Floats:
     """(B,) share of frames with anybody within half a metre."""
     grown = np.broadcast_to(np.asarray(size) + 2.0 * HOVER_M, (*center.shape[:2], 2))
-    return collisions(np.concatenate([center[..., :2], grown, center[..., 2:]], axis=-1), around).mean(axis=1)
+    boxes = np.concatenate([center[..., :2], grown, center[..., 2:]], axis=-1)
+    return np.asarray(collisions(boxes, around).mean(axis=1))

@@ -21,11 +21,13 @@ class ThreatSettings:
         hover_weight: Of bodies within half a metre, whoever's.
         likelihood_weight: Of accelerations that recorded drivers rarely ask for.
         area_weight: Of nearing the edge of the area around the ego.
+        least_overrun_m: With ``launch=reach`` a vehicle is tried only if it can be in the ego's way before an ego that
+            does not react would overrun the recorded one by so much more than the air that is kept. 0 does not ask.
     """
 
     threat_weight: float = 0.0
-    threat_gap_s: float = 0.8
-    threat_least_m: float = 2.5
+    threat_gap_s: float = 0.6
+    threat_least_m: float = 1.0
     closing_weight: float = 0.0
     careful_weight: float = 0.0
     side_weight: float = 0.0
@@ -36,6 +38,7 @@ class ThreatSettings:
     hover_weight: float = 0.0
     likelihood_weight: float = 0.0
     area_weight: float = 0.0
+    least_overrun_m: float = 0.0
 
     @property
     def threatens(self) -> bool:
