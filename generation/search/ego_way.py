@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.spatial import cKDTree
 
-from benchmark.constants import FRAME_HZ, PLAN_STEP_S, PLAN_STEPS
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.scene import Scene
 from generation.labels.path_frame import PathFrame
@@ -20,6 +20,7 @@ ON_M: Final = 90.0
 STEADY_S: Final = PLAN_STEPS * PLAN_STEP_S
 """How long an ego that does not react keeps its speed: the length of a plan."""
 AROUND_S: Final = 1.0
+SPEED_FRAMES: Final = FRAMES_PER_KEYFRAME // 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ class EgoWay:
         edge = np.diff(path.vertices, axis=0)
         segment = np.clip(np.searchsorted(path.stations, stations, side="right") - 1, 0, len(edge) - 1)
         headings = np.arctan2(edge[segment, 1], edge[segment, 0])
-        speed = np.gradient(path.ego_stations, scene.seconds) if len(ego) > 1 else np.zeros(len(ego))
+        speed = smooth_speed(path.ego_stations, scene.seconds)
         # Who is to be there when it matters has to come a little earlier.
         over = maximum_filter1d(overrun(path.ego_stations, speed), 2 * round(AROUND_S * FRAME_HZ) + 1, mode="nearest")
         return cls(points, headings, stations, path.ego_stations, speed, over, float(ego[0, 2]), float(ego[0, 3]))
@@ -82,6 +83,13 @@ class EgoWay:
         station = self.stations[window][nearest] + cos * away[..., 0] + sin * away[..., 1]
         offset = cos * away[..., 1] - sin * away[..., 0]
         return station, offset, wrap_angle(poses[..., 2] - headings[nearest])
+
+
+def smooth_speed(station: Floats, seconds: Floats) -> Floats:
+    """(T,) m/s over a quarter of a second to both sides of (T,) stations: one noisy frame would overrun by metres."""
+    frames = np.arange(len(station))
+    first, last = (np.clip(frames + reach, 0, frames[-1]) for reach in (-SPEED_FRAMES, SPEED_FRAMES))
+    return (station[last] - station[first]) / np.maximum(seconds[last] - seconds[first], 1e-9)
 
 
 def overrun(station: Floats, speed: Floats) -> Floats:

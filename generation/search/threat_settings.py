@@ -23,6 +23,7 @@ class ThreatSettings:
         area_weight: Of nearing the edge of the area around the ego.
         least_overrun_m: With ``launch=reach`` a vehicle is tried only if it can be in the ego's way before an ego that
             does not react would overrun the recorded one by so much more than the air that is kept. 0 does not ask.
+        careful_survives: Whether a scene is dropped in which a careful and competent human touches anybody.
     """
 
     threat_weight: float = 0.0
@@ -39,6 +40,7 @@ class ThreatSettings:
     likelihood_weight: float = 0.0
     area_weight: float = 0.0
     least_overrun_m: float = 0.0
+    careful_survives: bool = False
 
     @property
     def threatens(self) -> bool:

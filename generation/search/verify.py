@@ -18,6 +18,7 @@ from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local
 from benchmark.protocols import NATIVE_PROTOCOLS
 from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
+from generation.search.careful_human import careful_human_contact
 from generation.search.ground_truth_checks import recorded_contacts
 from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.recorded_ego import log_replay_contacts
@@ -43,6 +44,7 @@ class Discard(StrEnum):
     TOUCHES_VAD = "touches-under-vad"
     TOUCHES_SPARSEDRIVE = "touches-under-sparsedrive"
     TOUCHES_DIFFUSIONDRIVE = "touches-under-diffusiondrive"
+    CAREFUL_COLLIDES = "a-careful-human-collides"
     SCORES_TOO_HIGH = "best-score-above-the-limit"
 
     @classmethod
@@ -110,6 +112,7 @@ def verify(scene: Scene, agent: int, start: int, hyper: HyperParameters, limits:
         or (_off_road(scene, start, boxes, hyper) if ours else None)
         or _never_close(scene, agent, start, hyper)
         or _masked(scene, agent, start)
+        or (_careful_collides(scene, agent) if hyper.careful_survives else None)
     )
 
 
@@ -159,6 +162,15 @@ def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
                     Discard.touches(protocol), first, EGO, f"steps masked under {protocol}", float(own.sum()), 0.0
                 )
     return None
+
+
+def _careful_collides(scene: Scene, agent: int) -> Finding | None:
+    """Contact of the careful and competent human: nobody can be blamed for what that driver does not avoid."""
+    contact = careful_human_contact(scene, agent)
+    if contact is None:
+        return None
+    frame = int(np.searchsorted(scene.seconds, contact.time))
+    return Finding(Discard.CAREFUL_COLLIDES, frame, scene.agents.ids[contact.agent])
 
 
 def _as_read(scene: Scene) -> Scene:

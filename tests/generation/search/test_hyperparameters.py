@@ -1,4 +1,5 @@
-from dataclasses import asdict, fields
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,12 @@ from generation.search.hyperparameters import CANDIDATE_FRAMES, CollisionReading
 from generation.search.threat_settings import ThreatSettings
 
 YOUNGER = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
-THREAT = {each.name: each.default for each in fields(ThreatSettings)}
+THREAT: dict[str, Any] = asdict(ThreatSettings())
+
+
+def other(value: float | bool) -> str:
+    """Another value of a setting, as text."""
+    return str(not value).lower() if isinstance(value, bool) else str(value + 0.5)
 
 
 def test_settings_change_by_text() -> None:
@@ -83,7 +89,7 @@ def test_younger_settings_that_change_nothing_leave_kept_work_where_it_was() -> 
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
-    keys |= {HyperParameters().changed([f"{name}={value + 0.5}"]).fingerprint for name, value in THREAT.items()}
+    keys |= {HyperParameters().changed([f"{name}={other(value)}"]).fingerprint for name, value in THREAT.items()}
     assert len(keys) == 3 + len(YOUNGER) + len(THREAT)
 
 

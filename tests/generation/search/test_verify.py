@@ -183,3 +183,17 @@ def test_ranking_keeps_the_best_of_each_scene_whatever_the_order() -> None:
 
 def test_short_tracks_pass_the_motion_check() -> None:
     assert broken_limit(np.zeros((2, 5)), DriverLimits()) is None
+
+
+def test_a_scene_that_a_careful_human_does_not_survive_is_dropped_where_that_is_asked() -> None:
+    """The careful human brakes for a slow car ahead, and whoever tailgates runs into it; the recorded ego drives on."""
+    slow_ahead = Car(87.0, 198.25, 4.0)
+    scene = with_track(x=50.0 - 0.5 * (4.084 + 4.6) - 0.8, y=198.25, others=(slow_ahead,))
+    asking = replace(HYPER, careful_survives=True)
+    assert verdict(scene) is None
+    finding = verify(scene, 0, START, asking, DriverLimits())
+    assert finding is not None and finding.reason is Discard.CAREFUL_COLLIDES
+    assert finding.other == scene.agents.ids[0]
+    assert finding.frame is not None and scene.seconds[finding.frame] > 7.0
+    beside = with_track(x=52.0, y=194.75, others=(slow_ahead,))
+    assert verify(beside, 0, START, asking, DriverLimits()) is None
