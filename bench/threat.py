@@ -30,9 +30,8 @@ from benchmark.realism.judging import realism_of
 from generation.labels.manoeuvres import Manoeuvre
 from generation.search.chains import SearchResult, search_chains
 from generation.search.definition import Search
-from generation.search.presets import Preset, hyper_parameters, trajectory_model
+from generation.search.presets import PRESETS, Preset, hyper_parameters, trajectory_model
 
-PRESETS: Final = ("default", "paper", "reference")
 SQUEEZING: Final = (Manoeuvre.SQUEEZING_LEFT.value, Manoeuvre.SQUEEZING_RIGHT.value)
 IN_FRONT: Final = tuple(
     kind.value
@@ -90,7 +89,7 @@ def main() -> None:
             for seed in options.seed or [0]:
                 path = options.folder / f"{setting.label}-{Path(data).name}-{options.limit or 'all'}-{seed}.json"
                 row = read_kept_json(path)
-                if not isinstance(row, dict) or row["changes"] != list(setting.changes):
+                if not isinstance(row, dict) or row["search"] != [setting.preset, *setting.changes]:
                     row = measured(source, data, setting, seed, options)
                     write_json(path, row)
                 found.append(row)
@@ -123,7 +122,7 @@ def measured(source: DataSet, data: str, setting: Setting, seed: int, options: a
     return {
         "data": Path(data).name,
         "setting": setting.label,
-        "changes": list(setting.changes),
+        "search": [setting.preset, *setting.changes],
         "seed": seed,
         **said(found),
         **sums([each for some in of_scene.values() for each in some]),

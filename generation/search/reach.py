@@ -19,7 +19,7 @@ from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_motion import drives_forward, in_canvas, initial_state
 
 SOONEST_S: Final = 1.0
-LATEST_S: Final = 8.0
+LATEST_S: Final = 6.0
 SOON_S: Final = 3.0
 """Who is there as soon as this takes over at once."""
 ROOMS_M: Final = (3.0, 10.0, 20.0)
