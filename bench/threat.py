@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Setting:
         preset = next((each[7:] for each in changes if each.startswith("preset=")), "default")
         if preset not in PRESETS:
             raise InputError(f"there is no preset {preset!r}; --setting {text} may start from {', '.join(PRESETS)}")
-        return cls(label, cast(Preset, preset), tuple(each for each in changes if not each.startswith("preset=")))
+        return cls(label, preset, tuple(each for each in changes if not each.startswith("preset=")))
 
 
 def main() -> None:

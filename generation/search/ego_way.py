@@ -89,7 +89,7 @@ def smooth_speed(station: Floats, seconds: Floats) -> Floats:
     """(T,) m/s over a quarter of a second to both sides of (T,) stations: one noisy frame would overrun by metres."""
     frames = np.arange(len(station))
     first, last = (np.clip(frames + reach, 0, frames[-1]) for reach in (-SPEED_FRAMES, SPEED_FRAMES))
-    return (station[last] - station[first]) / np.maximum(seconds[last] - seconds[first], 1e-9)
+    return np.asarray((station[last] - station[first]) / np.maximum(seconds[last] - seconds[first], 1e-9))
 
 
 def overrun(station: Floats, speed: Floats) -> Floats:
