@@ -17,7 +17,6 @@ from benchmark.geometry import Floats, boxes_overlap
 from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
-from benchmark.records.judgement import unsolvable
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
@@ -28,7 +27,7 @@ from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
 from generation.search.ranking import challenge_score
 from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, Finding, verify
+from generation.search.verify import Discard, Finding, unfair, verify
 
 ALGORITHM_VERSION = "4"
 """Part of every content key; changes when the same inputs would give other tracks."""
@@ -187,8 +186,7 @@ def _judged(tried: Searched, planning: Planning, earlier: Mapping[str, int]) -> 
     if finding is None:
         launches = {**earlier, tried.attempt.agent: start}
         told["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
-        if planning.hyper.solvable and unsolvable(told["judgements"]):
-            finding = Finding(Discard.UNSOLVABLE)
+        finding = unfair(changed, told["judgements"], planning.hyper)
     if finding is None:
         told |= {
             "challenge": challenge_score(changed, agent, start),

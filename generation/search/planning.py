@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,15 +13,16 @@ from benchmark.records.attempts import PlanningFrame
 from benchmark.records.scenes import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.search.candidates import in_canvas, initial_state
 from generation.search.hyperparameters import Discards, HyperParameters, Motion, ScoreOf
 from generation.search.proposals import Diversify, SearchSteps
+from generation.search.recorded_motion import in_canvas, initial_state
 from generation.search.reference_discards import fault_of_place, fault_of_step
 from generation.search.reference_rules import SPEED_FRAMES, STEP_FRAMES, reference_previous, reference_state
 from generation.search.reference_scoring import challenge_on, reference_surroundings, reference_terms
 from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine
 from generation.search.rounds import rounds_of
 from generation.search.scoring import Terms, score_terms, surroundings
+from generation.search.threat import threat_rating
 from generation.search.verify import EGO, Discard, Finding, contacts
 
 
@@ -171,9 +172,15 @@ class Planning:
             on = challenge_on(self._distances(frame, track), self.start, frame, self.rng)
             return lambda motion: reference_terms(motion.center[:, offsets], size, seen, challenged=on)
         around = surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
-        return lambda motion: score_terms(
-            motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3]
-        )
+
+        def appendix(motion: SimulatedMotion) -> Terms:
+            speed = motion.states[:, offsets, 3]
+            return score_terms(motion.center[:, offsets], size, around, self.hyper, speed=speed)
+
+        if not self.hyper.threatens:
+            return appendix
+        further = threat_rating(self.scene, self.agent, frame, offsets, around, self.hyper)
+        return lambda motion: replace(appendix(motion), further=further(motion))
 
     def _distances(self, frame: int, track: Floats) -> Floats:
         """Distances from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""

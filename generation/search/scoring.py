@@ -4,7 +4,7 @@ Paper section 3 "Trajectory Scorer" and appendix "Trajectory Scoring". Vectorise
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -51,6 +51,7 @@ class Terms:
         cr: (B,) collision score.
         challenge: (B,) ACScore' of the appendix, not yet normalised.
         finite: (B,) False for candidates that must never be chosen.
+        further: (B,) weighted sum of the terms of `generation.search.threat`; ``None`` where none has a weight.
     """
 
     center_off_road: Bools
@@ -61,6 +62,12 @@ class Terms:
     cr: Floats
     challenge: Floats
     finite: Bools
+    further: Floats | None = field(default=None, kw_only=True)
+
+    def safety(self, start: Floats, hyper: HyperParameters) -> Floats:
+        """(B,) all of a score but the challenge, from (B,) random initial scores on."""
+        score = start + hyper.dac_weight * self.dac + hyper.cr_weight * self.cr
+        return np.asarray(score if self.further is None else score + self.further)
 
     @classmethod
     def challenges(cls, batches: "Sequence[Self]") -> Floats:
@@ -283,5 +290,5 @@ def final_scores(terms: Terms, start: Floats, hyper: HyperParameters) -> Floats:
         (B,) scores, lower is better; infinity for candidates that must never be chosen.
     """
     (challenge,) = terms.challenges([terms])
-    score = start + hyper.dac_weight * terms.dac + hyper.cr_weight * terms.cr + hyper.ac_weight * challenge
+    score = terms.safety(start, hyper) + hyper.ac_weight * challenge
     return np.where(terms.finite, score, np.inf)

@@ -14,7 +14,7 @@ from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.hand_made import scene_on_straight_road
 
-SEARCH = ("--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3")
+SEARCH = ("--preset", "near", "--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3")
 IMAGES = ("--size", "64x40", "--frames", "keyframes", "--workers", "1")
 
 
