@@ -19,6 +19,7 @@ from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
+from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import launch_frame
 from generation.search.ground_truth_checks import masked_steps
 from generation.search.hyperparameters import Discards, HyperParameters
@@ -72,6 +73,7 @@ def attempts_together(
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
     keep_rounds: bool = False,
+    asked: Sequence[Manoeuvre | None] | None = None,
 ) -> list[Searched]:
     """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
 
@@ -85,6 +87,7 @@ def attempts_together(
         diversify: Spread of the initial batch; by default the package's own, or none (``hyper.varied``).
         model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
+        asked: What each vehicle is to do, ``None`` where anything is welcome; by default that is everywhere.
 
     Returns:
         For each vehicle the kept scene, or the reason why there is none.
@@ -98,7 +101,8 @@ def attempts_together(
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or (_packaged_diversify() if hyper.varied else _as_drawn)
     searches = [
-        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds) for scene, agent in vehicles
+        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, kind)
+        for (scene, agent), kind in zip(vehicles, asked or [None] * len(vehicles), strict=True)
     ]
     found, spent = run_together(searches, prior)
     return [
@@ -122,20 +126,22 @@ def _tries(
     diversify: Diversify,
     model: MotionModel,
     keep_rounds: bool,
+    asked: Manoeuvre | None,
 ) -> SearchSteps[Searched]:
     """Searches for one vehicle until one is kept or there is no use in another."""
     start = launch_frame(scene, agent, hyper)
-    blank = _untried(scene.name, scene.agents.ids[agent], seed, start)
+    blank = _untried(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
         return blank.discarded(Finding(Discard.NEVER_LAUNCHED))
     if hyper.discards is not Discards.REFERENCE and ego_already_collides(scene):
         return blank.discarded(Finding(Discard.ORIGINAL_COLLIDES))
     content = (scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
+    request = () if asked is None else (asked.value,)
     stages = {"physics": 0.0, "scoring": 0.0}
     result = blank
     for number in range(hyper.tries):
-        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number))
-        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds)
+        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number, *request))
+        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
         driven = yield from planning.run()
         told = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
         tried = Searched(told, None, driven.poses, rounds=driven.rounds)
@@ -146,7 +152,7 @@ def _tries(
     return replace(result, stage_seconds=stages)
 
 
-def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Searched:
+def _untried(scene_name: str, agent_id: str, seed: int, start: int | None, asked: Manoeuvre | None) -> Searched:
     attempt = Attempt(
         scene=scene_name,
         agent=agent_id,
@@ -162,6 +168,9 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Se
         labels=None,
         plans=(),
     )
+    if asked is not None:
+        # Where nothing is asked for, the report is as it was before one could ask.
+        attempt = attempt.model_copy(update={"asked": asked.value})
     return Searched(attempt, None, np.zeros((0, 3)))
 
 
@@ -179,11 +188,14 @@ def _judged(tried: Searched, planning: Planning) -> Searched:
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
     if finding is None:
+        labels = describe(changed, agent, start)
         told |= {
             "challenge": challenge_score(changed, agent, start),
-            "labels": describe(changed, agent, start),
+            "labels": labels,
             "masked_steps": masked_steps(changed),
         }
+        if planning.asked is not None and labels.manoeuvre != planning.asked.value:
+            finding = Finding(Discard.ANOTHER_MANOEUVRE, quantity=labels.manoeuvre)
     result = replace(tried, attempt=tried.attempt.model_copy(update=told), scene=changed)
     return result if finding is None else result.discarded(finding)
 

@@ -44,6 +44,7 @@ class Discard(StrEnum):
     TOUCHES_SPARSEDRIVE = "touches-under-sparsedrive"
     TOUCHES_DIFFUSIONDRIVE = "touches-under-diffusiondrive"
     SCORES_TOO_HIGH = "best-score-above-the-limit"
+    ANOTHER_MANOEUVRE = "another-manoeuvre-than-asked"
 
     @classmethod
     def touches(cls, protocol: str) -> "Discard":
