@@ -142,6 +142,8 @@ def generate_command(
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
     hyper = hyper_parameters(preset.value, shortcuts, changes or ())
     asked = _asked(manoeuvres or [], split, from_file)
+    if variants is not None and per_scene is not None:
+        raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give one of them")
     if surrogate is None and surrogate_checkpoint is not None:
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
     _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
@@ -250,7 +252,10 @@ def _asked(names: list[str], split: str, from_file: str | None) -> "tuple[Manoeu
 
     if split != "adv" or from_file is not None:
         raise InputError("--manoeuvre steers the search for split adv, and nothing is searched here; leave it out")
-    return tuple(map(askable, names))
+    kinds = tuple(map(askable, names))
+    if len(set(kinds)) < len(kinds):
+        raise InputError("--manoeuvre names one kind twice; name each once")
+    return kinds
 
 
 def _require_generated(split: str) -> None:

@@ -76,12 +76,6 @@ class BuildSettings:
         for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
             if number is not None and number < 1:
                 raise InputError(f"--{option} must be at least 1, got {number}")
-        if self.variants is not None and self.per_scene is not None:
-            raise InputError(
-                "--variants keeps scenes that differ and --per-scene the most challenging ones; give one of them"
-            )
-        if len(set(self.asked)) < len(self.asked):
-            raise InputError("--manoeuvre names one kind twice; name each once")
 
     @property
     def where_rendered(self) -> Executor:

@@ -1,4 +1,4 @@
-"""Manoeuvres on request: what is missing to a kind, against the labels and against a slow placement; the search for it."""
+"""Manoeuvres on request: what is missing to a kind, against labels and a slow placement; the search for it."""
 
 from dataclasses import replace
 
@@ -48,7 +48,8 @@ def test_nothing_is_missing_where_the_label_holds(case: Case, curvature: float) 
 
 @pytest.mark.parametrize("kind", ASKABLE)
 def test_more_is_missing_where_it_does_not_occur(kind: Manoeuvre) -> None:
-    does, does_not = [], []
+    does: list[float] = []
+    does_not: list[float] = []
     for case in CASES.values():
         occurred = {found.kind for found in describe(scene_of(case), 0, 0).occurred}
         least = float(missing(kind, as_driven(case)[0]).min())
