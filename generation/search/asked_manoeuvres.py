@@ -13,10 +13,10 @@ from typing import Final, Self
 import numpy as np
 
 from benchmark.errors import InputError, did_you_mean
-from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.geometry import Bools, Floats
 from benchmark.scene import Scene
 from generation.labels.encounters import MOVING_M_S, encounter
-from generation.labels.labelling import agent_boxes, ego_speed
+from generation.labels.labelling import agent_boxes
 from generation.labels.manoeuvres import (
     ALONG_RAD,
     BESIDE_M,
@@ -31,8 +31,8 @@ from generation.labels.manoeuvres import (
     Manoeuvre,
     occurrences,
 )
-from generation.labels.path_frame import REACH_M, PathFrame
-from generation.search.hyperparameters import HyperParameters
+from generation.search.ego_way import EgoWay
+from generation.search.threat import Ahead
 
 LEFTOVER: Final = (Manoeuvre.PASSING_WIDE, Manoeuvre.DISTANT)
 """What is left where nothing else happens, and cannot be asked for."""
@@ -47,10 +47,10 @@ BEYOND_M: Final = 0.3
 """A candidate aims so far beyond the edge of a condition, because labels ask that it lasts."""
 BEYOND_M_S2: Final = 1.0
 """Likewise for braking, whose label looks at a whole second."""
-POINT_STEP_M: Final = 1.0
-"""Candidates are placed by the nearest of points of the path so far apart."""
 BESIDE_AIM_M: Final = 1.0
 """Free space to the ego's strip that a vehicle keeps while it gets into position."""
+READY_FRAMES: Final = 24
+"""Within so many frames a vehicle that cuts in was outside."""
 LOOK_AHEAD_FRAMES: Final = 48
 """Frames after the driven track that tell whether it has done what was asked."""
 PAST_M: Final = 1.0
@@ -61,13 +61,14 @@ _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 
 @dataclass(frozen=True, slots=True)
-class EgoPath:
-    """The ego at the S scored frames in the frame of its path.
+class EgoThen:
+    """The ego at the S frames that count.
 
     Attributes:
-        points: (M, 2) places on the path near the ego, `POINT_STEP_M` apart.
-        along: (M,) their stations.
-        station: (S,) of the ego's centre.
+        way: Its whole way.
+        frames: (S,) of the scene.
+        seconds: (S,) their times.
+        station: (S,) of its centre.
         speed: (S,) m/s.
         soon: (S,) station of its front 3 s later; beyond the scene's end it goes on as fast as at the end.
         recent: (S,) station of its rear 3 s before, not before the scene's first frame.
@@ -75,8 +76,9 @@ class EgoPath:
         half_width: Of the ego, and of the strip that it sweeps.
     """
 
-    points: Floats
-    along: Floats
+    way: EgoWay
+    frames: tuple[int, ...]
+    seconds: Floats
     station: Floats
     speed: Floats
     soon: Floats
@@ -85,56 +87,33 @@ class EgoPath:
     half_width: float
 
     @classmethod
-    def of(cls, scene: Scene, frames: tuple[int, ...]) -> Self:
+    def of(cls, scene: Scene, frames: tuple[int, ...], way: EgoWay | None = None) -> Self:
         """The ego of a scene.
 
         Args:
             scene: The scene.
             frames: S frame indices.
+            way: Of its ego, where it is known.
 
         Returns:
             Its motion.
         """
-        path, speed, seconds = PathFrame.of(scene.ego.boxes), ego_speed(scene), scene.seconds
-        at = np.asarray(frames)
-        half_length, half_width = 0.5 * float(scene.ego.boxes[0, 2]), 0.5 * float(scene.ego.boxes[0, 3])
-        stations = path.ego_stations
-        along = np.arange(stations[at].min() - REACH_M, stations[at].max() + REACH_M, POINT_STEP_M)
-        points = np.column_stack([np.interp(along, path.stations, path.vertices[:, axis]) for axis in (0, 1)])
+        way = way or EgoWay.of(scene)
+        seconds, at = scene.seconds, np.asarray(frames)
+        half_length = 0.5 * way.length_m
         later, before = seconds[at] + HORIZON_S, seconds[at] - HORIZON_S
-        after_end = np.maximum(later - seconds[-1], 0.0) * speed[-1]
+        after_end = np.maximum(later - seconds[-1], 0.0) * max(float(way.speed[-1]), 0.0)
         return cls(
-            points=points,
-            along=along,
-            station=stations[at],
-            speed=speed[at],
-            soon=np.interp(later, seconds, stations) + after_end + half_length,
-            recent=np.interp(before, seconds, stations) - half_length,
+            way=way,
+            frames=frames,
+            seconds=seconds[at],
+            station=way.station[at],
+            speed=way.speed[at],
+            soon=np.interp(later, seconds, way.station) + after_end + half_length,
+            recent=np.interp(before, seconds, way.station) - half_length,
             half_length=half_length,
-            half_width=half_width,
+            half_width=0.5 * way.width_m,
         )
-
-    def project(self, points: Floats) -> tuple[Floats, Floats, Floats]:
-        """Nearest places on the path, as `PathFrame.project` finds them on the path's own vertices.
-
-        Args:
-            points: (B, S, 2) metres, global.
-
-        Returns:
-            (B, S) stations, offsets (left of the path is positive) and headings of the path.
-        """
-        # Relative to the path's middle, so that squares keep their digits.
-        middle = self.points.mean(axis=0)
-        path, near = self.points - middle, points - middle
-        squared = (path**2).sum(axis=1) - 2.0 * (near @ path.T)
-        at = np.clip(squared.argmin(axis=-1), 1, len(path) - 2)
-        edge = path[at + 1] - path[at - 1]
-        length = np.hypot(edge[..., 0], edge[..., 1])
-        unit = edge / length[..., None]
-        rest = near - path[at]
-        forward = (rest * unit).sum(axis=-1)
-        offset = unit[..., 0] * rest[..., 1] - unit[..., 1] * rest[..., 0]
-        return self.along[at] + forward, offset, np.arctan2(unit[..., 1], unit[..., 0])
 
 
 @dataclass(frozen=True)
@@ -153,7 +132,7 @@ class Placed:
         half_width: Half the extent across it.
     """
 
-    ego: EgoPath
+    ego: EgoThen
     station: Floats
     offset: Floats
     turn: Floats
@@ -164,7 +143,7 @@ class Placed:
     half_width: Floats
 
     @classmethod
-    def of(cls, ego: EgoPath, center: Floats, speed: Floats, size: Floats, seconds: Floats) -> "Placed":
+    def of(cls, ego: EgoThen, center: Floats, speed: Floats, size: Floats) -> "Placed":
         """Place candidates.
 
         Args:
@@ -172,23 +151,21 @@ class Placed:
             center: (B, S, 3) poses of the box centres.
             speed: (B, S) m/s.
             size: (2,) length and width.
-            seconds: (S,) of the frames.
 
         Returns:
             The placement.
         """
-        stations, offsets, headings = ego.project(center[..., :2])
-        turn = wrap_angle(center[..., 2] - headings)
+        station, offset, turn = ego.way.places(center, ego.frames[0], ego.frames[-1])
         cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
         along = speed * np.cos(turn)
         return cls(
             ego=ego,
-            station=stations,
-            offset=offsets,
+            station=station,
+            offset=offset,
             turn=turn,
             speed=speed,
             along=along,
-            braking=_braking(along, seconds),
+            braking=_braking(along, ego.seconds),
             half_length=0.5 * (size[0] * cos + size[1] * sin),
             half_width=0.5 * (size[0] * sin + size[1] * cos),
         )
@@ -407,27 +384,27 @@ class Wish:
     agent: int
     start: int
 
-    def at(self, frames: tuple[int, ...], track: Floats, hyper: HyperParameters) -> Callable[[Floats, Floats], Floats]:
+    def at(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[Floats, Floats], Floats]:
         """How far candidates are from what was asked for, at a planning frame.
 
         Args:
-            frames: S scored frames.
+            frame: The planning frame.
+            offsets: S frames after it that are scored; every half second of them is looked at.
             track: (F, 3) executed poses of the box centre from the launch to the planning frame.
-            hyper: Its step weights of the challenge weigh the frames.
 
         Returns:
-            A function of (B, S, 3) poses and (B, S) speeds that gives the weighted mean of `missing`, (B,) metres.
+            A function of (B, S, 3) poses and (B, S) speeds that gives the mean of `missing`, (B,) metres.
         """
-        ego, seconds = EgoPath.of(self.scene, frames), self.scene.seconds[list(frames)]
+        ahead = Ahead.of(self.scene, frame, offsets)
+        ego, columns = EgoThen.of(self.scene, ahead.frames, ahead.way), list(ahead.columns)
         size = self.scene.agents.size[self.agent, :2]
-        weights = hyper.challenge_step_weights()[: len(frames)]
-        ready = self._ready(track)
+        ready = self._ready(track, ahead.way)
 
         def cost(center: Floats, speed: Floats) -> Floats:
+            center, speed = center[:, columns], speed[:, columns]
             finite = np.isfinite(center).all(axis=-1) & np.isfinite(speed)
-            known = np.where(finite[..., None], center, 0.0)
-            placed = Placed.of(ego, known, np.where(finite, speed, 0.0), size, seconds)
-            return np.asarray(missing(self.kind, placed, ready=ready) @ weights / weights.sum())
+            placed = Placed.of(ego, np.where(finite[..., None], center, 0.0), np.where(finite, speed, 0.0), size)
+            return np.asarray(missing(self.kind, placed, ready=ready).mean(axis=1))
 
         return cost
 
@@ -447,15 +424,13 @@ class Wish:
         met = encounter(self.scene.ego.boxes[seen], boxes, self.scene.seconds[seen], driven, self.start)
         return any(found.kind == self.kind.value for found in occurrences(met))
 
-    def _ready(self, track: Floats) -> bool:
+    def _ready(self, track: Floats, way: EgoWay) -> bool:
         """Whether, within the last two seconds, the vehicle was clear of the strip on the side that is asked for."""
         _, side = family_and_side(self.kind)
-        recent = track[-25:]
-        frames = tuple(range(self.start + len(track) - len(recent), self.start + len(track)))
-        ego = EgoPath.of(self.scene, frames)
-        speed = np.zeros((1, len(recent)))
-        size = self.scene.agents.size[self.agent, :2]
-        placed = Placed.of(ego, recent[None], speed, size, self.scene.seconds[list(frames)])
+        recent = track[-READY_FRAMES:]
+        last = self.start + len(track)
+        ego = EgoThen.of(self.scene, tuple(range(last - len(recent), last)), way)
+        placed = Placed.of(ego, recent[None], np.zeros((1, len(recent))), self.scene.agents.size[self.agent, :2])
         return bool((side * placed.offset - placed.half_width > ego.half_width).any())
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
+from generation.search.threat_settings import NEUTRAL, ThreatSettings
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
@@ -30,11 +31,8 @@ _NOT_NEGATIVE = (
     "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames", "staying_preference",
     "init_scale", "corner_weight", "dac_weight", "cr_weight", "ac_weight", "road_and_collision_last_weight",
     "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least", "manoeuvre_weight",
+    *(each.name for each in fields(ThreatSettings)),
 )  # fmt: skip
-_ADDED = (
-    "timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards", "manoeuvre_weight",
-)  # fmt: skip
-"""Settings that came when searches had been kept already: at their defaults they are no part of the fingerprint."""
 
 
 class CollisionReading(StrEnum):
@@ -84,11 +82,14 @@ class Launch(StrEnum):
 
     ``NEAR``: once it is near the ego, after a history, driving forwards on the road. ``START``: at the first frame at
     which it is there and in the area around the ego (Algorithm 1 begins at frame 0). ``REFERENCE``: the code's.
+    ``REACH``: when it can get in the ego's way and stay near it (`generation.search.reach`); who never can is not
+    tried.
     """
 
     NEAR = "near"
     START = "start"
     REFERENCE = "reference"
+    REACH = "reach"
 
 
 class Discards(StrEnum):
@@ -104,7 +105,7 @@ class Discards(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class HyperParameters:
+class HyperParameters(ThreatSettings):
     """Settings of the search for one adversary; defaults are the paper's wherever it names a value.
 
     `paper` gives the paper's text, `reference` the public code. Frames are 1/12 s. The first block is the paper's
@@ -319,10 +320,9 @@ class HyperParameters:
 
     @property
     def fingerprint(self) -> str:
-        """Content key of all values but those of younger settings at their defaults, so that kept work stays found."""
-        defaults = {each.name: each.default for each in fields(self)}
+        """Content key of all values but those of younger settings that change nothing: kept work stays found."""
         said = asdict(self)
-        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != defaults[name]})
+        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != _ADDED[name]})
 
     @property
     def executed_frames(self) -> int:
@@ -368,6 +368,14 @@ class HyperParameters:
         if not self.multi_round:
             return ()
         return tuple(int(level) for level in np.rint(np.linspace(self.first_noise_level, 1, self.rounds)))
+
+
+_ADDED: Final[dict[str, Any]] = {
+    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreOf.APPENDIX, "motion": Motion.DRIVER,
+    "choice": ChoiceOf.OURS, "launch": Launch.NEAR, "discards": Discards.OURS, "manoeuvre_weight": 2.0,
+    **asdict(NEUTRAL),
+}  # fmt: skip
+"""Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""
 
 
 def _parsed(name: str, text: str, kind: type) -> Any:

@@ -53,6 +53,7 @@ class Terms:
         finite: (B,) False for candidates that must never be chosen.
         asked: (B,) metres that are missing to the manoeuvre that was asked for, if one was
             (`generation.search.asked_manoeuvres`), not yet normalised.
+        further: (B,) weighted sum of the terms of `generation.search.threat`; ``None`` where none has a weight.
     """
 
     center_off_road: Bools
@@ -64,6 +65,12 @@ class Terms:
     challenge: Floats
     finite: Bools
     asked: Floats | None = field(default=None, kw_only=True)
+    further: Floats | None = field(default=None, kw_only=True)
+
+    def safety(self, start: Floats, hyper: HyperParameters) -> Floats:
+        """(B,) all of a score but the challenge, from (B,) random initial scores on."""
+        score = start + hyper.dac_weight * self.dac + hyper.cr_weight * self.cr
+        return score if self.further is None else score + self.further
 
     @classmethod
     def challenges(cls, batches: "Sequence[Self]") -> Floats:
@@ -292,10 +299,9 @@ def final_scores(terms: Terms, start: Floats, hyper: HyperParameters) -> Floats:
         (B,) scores, lower is better; infinity for candidates that must never be chosen.
     """
     (challenge,) = terms.challenges([terms])
-    safety = start + hyper.dac_weight * terms.dac + hyper.cr_weight * terms.cr
     # What was asked for stands in the place of the challenge until it is done.
     wanted = hyper.ac_weight * challenge
     if terms.asked is not None:
         wanted = hyper.manoeuvre_weight * terms.requests([terms])[0]
-    score = safety + wanted
+    score = terms.safety(start, hyper) + wanted
     return np.where(terms.finite, score, np.inf)

@@ -18,10 +18,10 @@ from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local
 from benchmark.protocols import NATIVE_PROTOCOLS
 from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
-from generation.search.candidates import in_canvas
 from generation.search.ground_truth_checks import recorded_contacts
 from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.recorded_ego import log_replay_contacts
+from generation.search.recorded_motion import in_canvas
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
 

@@ -10,10 +10,10 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.machine.storage import canonical_json
 from generation.search.adversary import Searched, attempts_together, scene_identity
-from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
 from generation.search.recorded_ego import log_replay_contacts
+from generation.search.recorded_motion import in_canvas
 from generation.search.verify import Discard
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.generation.search.one_vehicle import attempt

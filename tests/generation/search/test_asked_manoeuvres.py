@@ -12,7 +12,7 @@ from generation.labels.encounters import encounter
 from generation.labels.labelling import agent_boxes, describe
 from generation.labels.manoeuvres import Manoeuvre
 from generation.labels.path_frame import REACH_M, PathFrame
-from generation.search.asked_manoeuvres import ASKABLE, EgoPath, Placed, Wish, able, askable, missing
+from generation.search.asked_manoeuvres import ASKABLE, EgoThen, Placed, Wish, able, askable, missing
 from generation.search.hyperparameters import HyperParameters
 from tests.generation.labels.recorded_roads import HYPER, recorded
 from tests.generation.labels.test_manoeuvres import CASES, CURVATURES, Case, scene_of
@@ -31,7 +31,7 @@ def as_driven(case: Case, curvature: float = 0.0) -> tuple[Placed, Floats]:
     velocity = np.gradient(boxes[:, :2], scene.seconds, axis=0)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     poses = boxes[None][..., [0, 1, 4]]
-    return Placed.of(EgoPath.of(scene, frames), poses, speed[None], boxes[0, 2:4], scene.seconds), scene.seconds
+    return Placed.of(EgoThen.of(scene, frames), poses, speed[None], boxes[0, 2:4]), scene.seconds
 
 
 @pytest.mark.parametrize("curvature", CURVATURES.values(), ids=CURVATURES.keys())
@@ -67,8 +67,8 @@ def test_placement_agrees_with_the_projection_of_the_labels(curvature: float) ->
     path = PathFrame.of(scene.ego.boxes)
     station, offset, _ = path.project(boxes[:, None, :2], path.ego_stations, REACH_M)
     met = encounter(scene.ego.boxes, boxes, scene.seconds, np.ones(len(boxes), np.bool_), 0)
-    np.testing.assert_allclose(placed.station[0], station[:, 0], atol=0.3)
-    np.testing.assert_allclose(placed.offset[0], offset[:, 0], atol=0.05)
+    np.testing.assert_allclose(placed.station[0], station[:, 0], atol=0.5)
+    np.testing.assert_allclose(placed.offset[0], offset[:, 0], atol=0.1)
     np.testing.assert_allclose(placed.along[0], met.along, atol=0.4)
     inside = placed.inside()[0] < 0.3
     np.testing.assert_array_equal(inside[20:-20].mean().round(1), met.inside[20:-20].mean().round(1))
@@ -90,14 +90,14 @@ def test_a_wish_is_fulfilled_when_the_label_says_so_and_not_before(name: str) ->
 def test_a_vehicle_that_was_never_outside_cannot_cut_in() -> None:
     case = CASES["leads"]
     scene = scene_of(case)
-    frames = tuple(range(60, 72))
+    frame, offsets = 60, tuple(range(1, 13))
     poses = agent_boxes(scene, 0)[:, [0, 1, 4]]
-    cost = Wish(Manoeuvre.CUT_IN_LEFT, scene, 0, 0).at(frames, poses[:60], HyperParameters())
-    staying = poses[None, 60:72]
+    cost = Wish(Manoeuvre.CUT_IN_LEFT, scene, 0, 0).at(frame, offsets, poses[:61])
+    staying = poses[None, 61:73]
     leaving = staying + np.array([0.0, 3.0, 0.0])
     assert cost(leaving, np.full((1, 12), 8.0))[0] < cost(staying, np.full((1, 12), 8.0))[0]
-    beside = poses[:60] + np.array([0.0, 3.0, 0.0])
-    ready = Wish(Manoeuvre.CUT_IN_LEFT, scene, 0, 0).at(frames, beside, HyperParameters())
+    beside = poses[:61] + np.array([0.0, 3.0, 0.0])
+    ready = Wish(Manoeuvre.CUT_IN_LEFT, scene, 0, 0).at(frame, offsets, beside)
     assert ready(leaving, np.full((1, 12), 8.0))[0] > ready(staying, np.full((1, 12), 8.0))[0]
 
 
@@ -105,8 +105,8 @@ def test_candidates_that_are_not_finite_spoil_nothing() -> None:
     case = CASES["leads"]
     scene = scene_of(case)
     poses = agent_boxes(scene, 0)[:, [0, 1, 4]]
-    cost = Wish(Manoeuvre.BLOCKING, scene, 0, 0).at(tuple(range(60, 72)), poses[:60], HyperParameters())
-    good = poses[60:72]
+    cost = Wish(Manoeuvre.BLOCKING, scene, 0, 0).at(60, tuple(range(1, 13)), poses[:61])
+    good = poses[61:73]
     alone = cost(good[None], np.full((1, 12), 8.0))
     both = cost(np.stack([good, np.full_like(good, np.nan)]), np.full((2, 12), 8.0))
     assert both[0] == pytest.approx(alone[0], abs=1e-9) and np.isfinite(both).all()
