@@ -89,7 +89,7 @@ def test_younger_settings_that_change_nothing_leave_kept_work_where_it_was() -> 
     assert len(keys) == 3
     for assignment in (
         "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited",
-        "choice=reference", "launch=start", "discards=paper",
+        "choice=reference", "launch=start", "discards=paper", "manoeuvre_weight=1",
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
