@@ -150,6 +150,7 @@ class Attempt(_Stored):
         earlier: Adversaries that the scene had already.
         dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
         written: Name of the scene that it became.
+        asked: Kind of manoeuvre that was asked for (``generate --manoeuvre``), if one was.
     """
 
     scene: str
@@ -170,6 +171,7 @@ class Attempt(_Stored):
     earlier: tuple[str, ...] = ()
     dropped: str | None = None
     written: str | None = None
+    asked: str | None = None
 
 
 def read_attempts(path: Path) -> tuple[Attempt, ...]:

@@ -34,6 +34,9 @@ class BuildReport:
         masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
             because the recorded ego touches an ``adversary``, or only something else (``others``).
         adversaries: In each scene written.
+        requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
+            in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
+            and how many are ``written``.
         surrogate: What the surrogate made of the survivors, if there was one.
         estimate: How much work there is (dry run only).
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
@@ -52,6 +55,7 @@ class BuildReport:
     unsolvable: dict[str, int] | None = None
     masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     adversaries: int = 1
+    requests: dict[str, dict[str, int]] = field(default_factory=dict)
     surrogate: dict[str, Any] | None = None
     estimate: Estimate | None = None
     runtime: RuntimeTable | None = None
@@ -86,6 +90,7 @@ class BuildReport:
             # The last adversary of a chain was looked at with all the others in the scene.
             masked_steps=masked_together(chain.links[-1].attempt.masked_steps for chain in written),
             adversaries=adversaries,
+            requests=_requests(found, written),
             surrogate=surrogate,
         )
 
@@ -134,6 +139,11 @@ class BuildReport:
                 f"  scenes that nobody could have avoided: {self.unsolvable['dropped']} dropped for it, "
                 f"{self.unsolvable['written']} among those written"
             )
+        lines += [
+            f"  {kind}: asked of {counted(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
+            f"{row['written']} written"
+            for kind, row in self.requests.items()
+        ]
         if self.masked_steps:
             lines.append(f"  {masked_line(self.masked_steps)}")
         if self.surrogate is not None:
@@ -143,3 +153,13 @@ class BuildReport:
                 f"{counted(self.surrogate['samples'], 'sample')}"
             )
         return "\n".join(lines)
+
+
+def _requests(found: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
+    """How often each kind was asked for, tried, kept and written."""
+    kept = Counter(tried.unit.asked for tried in found.tried if tried.attempt.kept)
+    wrote = Counter(link.unit.asked for chain in written for link in chain.links)
+    return {
+        kind.value: {"asked": each.vehicles, "tried": each.tried, "kept": kept[kind], "written": wrote[kind]}
+        for kind, each in found.requests.items()
+    }

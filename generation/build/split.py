@@ -92,6 +92,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         prior=settings.prior,
         prior_fingerprint=settings.prior().fingerprint,
         state=settings.out / STATE_FOLDER,
+        asked=settings.asked,
     )
     if settings.dry_run:
         return replace(_counted(source, search, names, settings), split=split)
@@ -145,8 +146,8 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
     left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
     count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
     expected = round(KEPT_SHARE * len(units))
-    if settings.per_scene is not None:
-        expected = min(expected, settings.per_scene * len(names))
+    for most in (settings.per_scene, settings.variants):
+        expected = expected if most is None else min(expected, most * len(names))
     if settings.total is not None:
         expected = min(expected, settings.total)
     scene_s = _rendering_seconds(source, names, settings)
@@ -213,6 +214,8 @@ def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tup
         tried=report.tried,
         survived=report.survived,
         per_scene=settings.per_scene,
+        variants=settings.variants,
+        asked=tuple(kind.value for kind in settings.asked) or None,
         total=settings.total,
         surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
         rejected=_frozen_rejections(rejected),

@@ -20,6 +20,7 @@ from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
+from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import launch_frame
 from generation.search.ground_truth_checks import masked_steps
 from generation.search.hyperparameters import Discards, HyperParameters
@@ -74,6 +75,7 @@ def attempts_together(
     model: MotionModel | None = None,
     keep_rounds: bool = False,
     earlier: Sequence[Mapping[str, int]] | None = None,
+    asked: Sequence[Manoeuvre | None] | None = None,
 ) -> list[Searched]:
     """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
 
@@ -88,6 +90,7 @@ def attempts_together(
         model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
         earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
+        asked: What each vehicle is to do, ``None`` where anything is welcome; by default that is everywhere.
 
     Returns:
         For each vehicle the kept scene, or the reason why there is none.
@@ -101,8 +104,10 @@ def attempts_together(
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or (_packaged_diversify() if hyper.varied else _as_drawn)
     searches = [
-        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches)
-        for (scene, agent), launches in zip(vehicles, earlier or [{}] * len(vehicles), strict=True)
+        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches, kind)
+        for (scene, agent), launches, kind in zip(
+            vehicles, earlier or [{}] * len(vehicles), asked or [None] * len(vehicles), strict=True
+        )
     ]
     found, spent = run_together(searches, prior)
     return [
@@ -127,20 +132,22 @@ def _tries(
     model: MotionModel,
     keep_rounds: bool,
     earlier: Mapping[str, int],
+    asked: Manoeuvre | None,
 ) -> SearchSteps[Searched]:
     """Searches for one vehicle until one is kept or there is no use in another."""
     start = launch_frame(scene, agent, hyper)
-    blank = _untried(scene.name, scene.agents.ids[agent], seed, start)
+    blank = _untried(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
         return blank.discarded(Finding(Discard.NEVER_LAUNCHED))
     if hyper.discards is not Discards.REFERENCE and ego_already_collides(scene):
         return blank.discarded(Finding(Discard.ORIGINAL_COLLIDES))
     content = (scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
+    request = () if asked is None else (asked.value,)
     stages = {"physics": 0.0, "scoring": 0.0}
     result = blank
     for number in range(hyper.tries):
-        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number))
-        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds)
+        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number, *request))
+        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
         driven = yield from planning.run()
         told = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
         tried = Searched(told, None, driven.poses, rounds=driven.rounds)
@@ -151,7 +158,7 @@ def _tries(
     return replace(result, stage_seconds=stages)
 
 
-def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Searched:
+def _untried(scene_name: str, agent_id: str, seed: int, start: int | None, asked: Manoeuvre | None) -> Searched:
     attempt = Attempt(
         scene=scene_name,
         agent=agent_id,
@@ -167,6 +174,9 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Se
         labels=None,
         plans=(),
     )
+    if asked is not None:
+        # Where nothing is asked for, the report is as it was before one could ask.
+        attempt = attempt.model_copy(update={"asked": asked.value})
     return Searched(attempt, None, np.zeros((0, 3)))
 
 
@@ -184,15 +194,18 @@ def _judged(tried: Searched, planning: Planning, earlier: Mapping[str, int]) -> 
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
     if finding is None:
+        labels = describe(changed, agent, start)
+        told |= {
+            "challenge": challenge_score(changed, agent, start),
+            "labels": labels,
+            "masked_steps": masked_steps(changed),
+        }
+        if planning.asked is not None and labels.manoeuvre != planning.asked.value:
+            finding = Finding(Discard.ANOTHER_MANOEUVRE, quantity=labels.manoeuvre)
+    if finding is None:
         launches = {**earlier, tried.attempt.agent: start}
         told["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
         finding = unfair(changed, told["judgements"], planning.hyper)
-    if finding is None:
-        told |= {
-            "challenge": challenge_score(changed, agent, start),
-            "labels": describe(changed, agent, start),
-            "masked_steps": masked_steps(changed),
-        }
     result = replace(tried, attempt=tried.attempt.model_copy(update=told), scene=changed)
     return result if finding is None else result.discarded(finding)
 

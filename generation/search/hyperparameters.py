@@ -30,7 +30,7 @@ _POSITIVE = ("half_extent_m", "stopping_m_s2")
 _NOT_NEGATIVE = (
     "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames", "staying_preference",
     "init_scale", "corner_weight", "dac_weight", "cr_weight", "ac_weight", "road_and_collision_last_weight",
-    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least",
+    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least", "manoeuvre_weight",
     *(each.name for each in fields(ThreatSettings)),
 )  # fmt: skip
 _OF_THE_VERDICT = ("solvable",)
@@ -169,6 +169,8 @@ class HyperParameters(ThreatSettings):
         varied: Whether the speeds of the first batch are spread (the reference's ``aug_traj``, which the paper does not
             mention).
         init_least: Lower end of the random initial score.
+        manoeuvre_weight: Weight of what is missing to a manoeuvre that was asked for (``generate --manoeuvre``), until
+            the driven track has it; it counts only where one was asked for.
         score: Whose score.
         motion: How a planned vehicle moves.
         choice: Whose rules choose vehicles.
@@ -224,6 +226,7 @@ class HyperParameters(ThreatSettings):
     timestep_frames: int = 1
     varied: bool = True
     init_least: float = 0.0
+    manoeuvre_weight: float = 2.0
     score: ScoreOf = ScoreOf.APPENDIX
     motion: Motion = Motion.DRIVER
     choice: ChoiceOf = ChoiceOf.OURS
@@ -379,7 +382,8 @@ class HyperParameters(ThreatSettings):
 
 _ADDED: Final[dict[str, Any]] = {
     "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreOf.APPENDIX, "motion": Motion.DRIVER,
-    "choice": ChoiceOf.OURS, "launch": Launch.NEAR, "discards": Discards.OURS, **asdict(NEUTRAL),
+    "choice": ChoiceOf.OURS, "launch": Launch.NEAR, "discards": Discards.OURS, "manoeuvre_weight": 2.0,
+    **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""
 

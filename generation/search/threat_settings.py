@@ -1,6 +1,7 @@
 """Weights of the terms that ask a candidate to threaten the ego, and not merely to be near it; all 0 in the paper."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,12 @@ class ThreatSettings:
             self.threat_weight, self.closing_weight, self.careful_weight, self.side_weight, self.behind_weight,
             self.against_weight, self.hover_weight, self.likelihood_weight, self.area_weight,
         ))  # fmt: skip
+
+    def where_asked(self) -> Self:
+        """Without the terms that say where to be: a manoeuvre that was asked for says that."""
+        return replace(
+            self, threat_weight=0.0, closing_weight=0.0, side_weight=0.0, behind_weight=0.0, hover_weight=0.0
+        )
 
 
 NEUTRAL = ThreatSettings()

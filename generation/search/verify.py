@@ -48,6 +48,7 @@ class Discard(StrEnum):
     CAREFUL_COLLIDES = "a-careful-human-collides"
     SCORES_TOO_HIGH = "best-score-above-the-limit"
     UNSOLVABLE = "unsolvable"
+    ANOTHER_MANOEUVRE = "another-manoeuvre-than-asked"
 
     @classmethod
     def touches(cls, protocol: str) -> "Discard":

@@ -133,6 +133,8 @@ class Choice(_Frozen):
         total: Most kept at all, null for all.
         surrogate: Planner that fails every scene, if one was asked.
         rejected: Scenes that inspectors rejected, if they did; files without have no such field.
+        variants: Most kept of one recorded scene where they were to differ; likewise.
+        asked: Kinds of manoeuvre that were asked for, if any; likewise.
     """
 
     scenes: int
@@ -142,12 +144,15 @@ class Choice(_Frozen):
     total: int | None
     surrogate: str | None
     rejected: tuple[FrozenRejection, ...] | None = None
+    variants: Annotated[int, Field(ge=1)] | None = None
+    asked: tuple[_Name, ...] | None = None
 
     @model_serializer(mode="wrap")
     def _without_nothing(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Splits that nobody reviewed keep the bytes, and the content hash, that they had before there were reviews."""
+        """Splits without the younger fields keep the bytes, and the content hash, that they had before these came."""
         said: dict[str, Any] = plain(self)
-        return said if self.rejected else {name: value for name, value in said.items() if name != "rejected"}
+        younger = ("rejected", "variants", "asked")
+        return {name: value for name, value in said.items() if value or name not in younger}
 
 
 class ImageFacts(_Frozen):

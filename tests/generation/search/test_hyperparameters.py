@@ -10,7 +10,17 @@ from benchmark.machine.storage import content_key
 from generation.search.hyperparameters import CANDIDATE_FRAMES, CollisionReading, HyperParameters
 from generation.search.threat_settings import ThreatSettings
 
-YOUNGER = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
+YOUNGER = (
+    "timestep_frames",
+    "varied",
+    "init_least",
+    "score",
+    "motion",
+    "choice",
+    "launch",
+    "discards",
+    "manoeuvre_weight",
+)
 THREAT: dict[str, Any] = asdict(ThreatSettings())
 
 
@@ -85,7 +95,7 @@ def test_younger_settings_that_change_nothing_leave_kept_work_where_it_was() -> 
     assert len(keys) == 3
     for assignment in (
         "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited",
-        "choice=reference", "launch=start", "discards=paper",
+        "choice=reference", "launch=start", "discards=paper", "manoeuvre_weight=1",
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
