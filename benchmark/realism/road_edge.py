@@ -12,6 +12,8 @@ NEAREST_M: Final = -20.0
 FURTHEST_M: Final = 5.0
 _FURTHER: Final = max(-NEAREST_M, FURTHEST_M)
 """Edges further away than this decide nothing."""
+_TOGETHER: Final = 128
+"""Points whose nearest edges are looked for at once."""
 
 
 class RoadEdge:
@@ -44,13 +46,16 @@ class RoadEdge:
 
     def _distance(self, points: Floats) -> Floats:
         """(P,) distance to the nearest edge, exact where it is below 20 m and at least that elsewhere."""
+        # Neighbours in time are neighbours in space: few edges are near each group.
+        groups = np.array_split(points, -(-len(points) // _TOGETHER)) if len(points) else []
+        return np.concatenate([np.empty(0), *map(self._distance_of_neighbours, groups)])
+
+    def _distance_of_neighbours(self, points: Floats) -> Floats:
         low, high = points.min(axis=0) - _FURTHER, points.max(axis=0) + _FURTHER
         near = (np.maximum(self._start, self._end) >= low).all(axis=1)
         near &= (np.minimum(self._start, self._end) <= high).all(axis=1)
-        nearest = np.full(len(points), _FURTHER**2)
-        for (x, y), (to_x, to_y) in zip(self._start[near], self._end[near] - self._start[near], strict=True):
-            rel_x, rel_y = points[:, 0] - x, points[:, 1] - y
-            share = (rel_x * to_x + rel_y * to_y) / max(to_x**2 + to_y**2, 1e-18)
-            share = np.clip(share, 0.0, 1.0)
-            np.minimum(nearest, (rel_x - share * to_x) ** 2 + (rel_y - share * to_y) ** 2, out=nearest)
-        return np.sqrt(nearest)
+        (x, y), (to_x, to_y) = self._start[near].T, (self._end[near] - self._start[near]).T
+        rel_x, rel_y = points[:, :1] - x, points[:, 1:] - y
+        share = np.clip((rel_x * to_x + rel_y * to_y) / np.maximum(to_x**2 + to_y**2, 1e-18), 0.0, 1.0)
+        squared = (rel_x - share * to_x) ** 2 + (rel_y - share * to_y) ** 2
+        return np.asarray(np.sqrt(squared.min(axis=1, initial=_FURTHER**2)))
