@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.environment import facts as environment_facts
@@ -166,6 +167,7 @@ def evaluate(
         "scenes": list(scenes),
         "scenes_in_split": len(every_scene),
         "scene_facts": data.scene_facts(scenes),
+        "realism": stored_realism(data.root, data.version),
         "frozen_split": frozen_split_of(data.provenance()),
         "review": data.review(split).facts,
         "generated": generated_facts(data.provenance()),

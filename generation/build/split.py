@@ -24,6 +24,7 @@ from generation.build.settings import BuildSettings
 from generation.build.writing import (
     WritingJob,
     publish_judgements,
+    publish_realism,
     publish_reports,
     publish_rounds,
     withdraw,
@@ -266,6 +267,7 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     publish_rounds(plan, jobs, keys)
     publish_judgements(plan, jobs, keys)
     finish_data_set(plan, keys)
+    publish_realism(plan, source)
     return [timing / f"{key}.timing.json" for key in keys]
 
 

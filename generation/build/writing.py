@@ -10,9 +10,18 @@ from typing import Any
 from pydantic import ValidationError
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text
+from benchmark.datasets.judged import (
+    JUDGEMENTS_FILE,
+    judgements_text,
+    read_judgements,
+    read_judgements_file,
+    stored_judgements,
+    stored_realism,
+)
+from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
+from benchmark.judging.realism import split_realism
 from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, read_json, read_kept_json, write_bytes, write_json, writing_to
@@ -192,10 +201,39 @@ def publish_judgements(
             root = plan.data_root(job.variant if plan.layout == "per-variant" else 0)
             of_root.setdefault(root, {})[job.written_as] = judged
     for root, scenes in of_root.items():
-        path, content = root / plan.version / JUDGEMENTS_FILE, judgements_text(scenes).encode()
-        if not path.is_file() or path.read_bytes() != content:
-            write_bytes(path, content)
+        folder = root / plan.version
+        if _kept_file(folder) != scenes:
+            write_bytes(folder / JUDGEMENTS_FILE, judgements_text(scenes).encode())
     return of_jobs
+
+
+def publish_realism(plan: DataSetPlan, source: DataSet) -> None:
+    """Compare the adversaries of a finished data set with its recordings, once, and say so beside their judgements.
+
+    Args:
+        plan: The data set, finished.
+        source: The recordings.
+
+    Raises:
+        InputError: If it cannot be read or written.
+    """
+    data = open_data(plan.root, version=plan.version)
+    judged = stored_judgements(data.root, data.version)
+    if not judged or stored_realism(data.root, data.version) is not None:
+        return
+    realism = split_realism(data, judged, source)
+    for folder in (plan.root / name for name in variant_folders(plan.root) or [""]):
+        scenes = read_judgements(folder / plan.version)
+        write_bytes(folder / plan.version / JUDGEMENTS_FILE, judgements_text(scenes, realism).encode())
+
+
+def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
+    """What was published before; nothing if it is damaged, so that it is written again."""
+    try:
+        found = read_judgements_file(folder)
+    except InputError:
+        return None
+    return None if found is None else found.scenes
 
 
 def _judge(plan: DataSetPlan, key: str, scene: Scene, tracks: TracksAtHand) -> None:

@@ -16,7 +16,7 @@ from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import Estimate, rendering_estimate, workers_of
 from generation.build.settings import BuildSettings
-from generation.build.writing import WritingJob, publish_judgements, publish_reports, write_scenes
+from generation.build.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import read_state
@@ -166,6 +166,7 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         )
         judged = publish_judgements(plan, jobs, keys)
         finish_data_set(plan, keys)
+        publish_realism(plan, source)
         images, other_images = _other_images(plan, split.frozen.images, chosen, keys)
     other = tuple(frozen.name for (frozen, _), digest in zip(chosen, tables, strict=True) if digest != frozen.tables)
     return replace(

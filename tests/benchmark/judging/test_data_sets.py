@@ -7,7 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text, read_judgements, stored_judgements
+from benchmark.datasets.judged import (
+    JUDGEMENTS_FILE,
+    judgements_text,
+    read_judgements,
+    stored_judgements,
+    stored_realism,
+)
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.judging.data_sets import generated_agents, judge_data, launches_of
@@ -90,6 +96,10 @@ def test_stored_judgements_are_taken_and_change_no_fingerprint(adversarial: Data
     }
     found = judge_data(again, SCENES, HERE)
     assert found[SCENES[0]] == (stored,) and found[SCENES[1]] == judge_data(adversarial, SCENES[1:], HERE)[SCENES[1]]
+    assert stored_realism(again.root, again.version) is None
+    told = split_realism(adversarial, found)
+    path.write_text(judgements_text({SCENES[0]: (stored,)}, told))
+    assert stored_realism(again.root, again.version) == told
     facts = again.scene_facts(SCENES)
     assert facts[SCENES[1]].judgement is None
     judgement = facts[SCENES[0]].judgement

@@ -7,9 +7,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from benchmark.datasets.judged import JUDGEMENTS_FILE, stored_judgements
+from benchmark.datasets.judged import JUDGEMENTS_FILE, stored_judgements, stored_realism
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
+from benchmark.judging.realism import OWN_TOWN_REASON
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols.exact import Exact
@@ -282,6 +283,9 @@ def test_what_is_said_of_each_scene_lies_beside_the_tables_and_in_no_fingerprint
     rows = {row.written: row for row in read_attempts(built / "attempts.jsonl") if row.written is not None}
     assert {name: rows[name].judgements for name in names} == stored
     assert all(facts.judgement is not None for facts in data.scene_facts(names).values())
+    realism = stored_realism(data.root, data.version)
+    # The hand-made road says that it is our own town.
+    assert realism is not None and realism.not_compared == OWN_TOWN_REASON and realism.adversaries == len(names)
     made = json.loads((built / data.version / "challenger.json").read_text())
     assert all("judgements" not in entry["report"] for entry in made["scenes"].values())
     shutil.copytree(built, tmp_path / "copy")
