@@ -7,6 +7,7 @@ from benchmark.records.judgement import (
     CtgRow,
     FeatureRow,
     JudgementSummary,
+    KindName,
     SplitRealism,
     ValidityRow,
 )
@@ -16,7 +17,7 @@ from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED, hand_made
 from tests.benchmark.records.made_judgements import hits, made_judgement
 
-_CONTACTS = {
+_CONTACTS: dict[str, tuple[KindName, bool | None, float, bool]] = {
     # kind, at fault, impact speed, adversary
     "f": ("front", True, 10.0, True),
     "F": ("front", True, 20.0, False),
