@@ -100,9 +100,7 @@ def judged(survives: bool | None) -> JudgementSummary | None:
     drivers = {name: run.model_dump() for name, run in judgement.drivers.items()}
     drivers |= {} if survives else {name: hits() for name in ("constant", "idm", "r157", "cc", "fsm", "rss")}
     chance = {} if survives else {"chance": "until", "last_chance_s": 2.0, "margin_s": 1.25}
-    faults = {
-        name: name == "off_road" and not survives for name in type(judgement.faults).model_fields if name != "unknown"
-    }
+    faults = {name: name == "off_road" and not survives for name in FAULT_NAMES}
     return JudgementSummary.of([made_judgement(drivers=drivers, faults=faults, **chance)])
 
 
