@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from benchmark.records.judgement import (
+    FAULT_NAMES,
     CtgRow,
     FeatureRow,
     JudgementSummary,
