@@ -5,7 +5,8 @@ counted.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ __all__ = [
     "AttackRates",
     "Reading",
     "SceneAttack",
+    "attack_facts",
     "attack_rates",
     "counted_rows",
     "has_adversaries",
@@ -126,6 +128,25 @@ def attack_rates(record: RunRecord) -> AttackRates:
         spared=sum(known),
         unknown_blame=sum(attack.contact and attack.at_fault is None for _, attack in samples),
     )
+
+
+def attack_facts(record: RunRecord) -> dict[str, Any]:
+    """Attack success as JSON values, for machines that read what a command prints.
+
+    Args:
+        record: The record.
+
+    Returns:
+        ``attack_success``: rates by reading, of ``samples`` and of ``scenes``; nothing of a split without adversaries,
+        or where the record does not say how severe its plans are.
+    """
+    if not (has_adversaries(record) and says_severity(record)):
+        return {}
+    found = attack_rates(record)
+    parts = {"samples": found.samples, "scenes": found.scenes}
+    return {
+        "attack_success": {part: {name: asdict(rate) for name, rate in rates.items()} for part, rates in parts.items()}
+    }
 
 
 def _attack(row: SampleRow, survives: bool | None) -> Attack:

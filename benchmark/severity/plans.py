@@ -31,6 +31,8 @@ INSTANTS: Final = PLAN_STEPS * INSTANTS_PER_STEP + 1
 """The present, and every 0.1 s up to 3 s."""
 DECIMALS: Final = 6
 """Of stored numbers: below them, processors differ."""
+_SAMPLES_AT_ONCE: Final = 128
+"""Bounds the memory of a long scene: 128 samples of 60 objects need about 40 MB."""
 _TIMES: Final = STEP_S * np.arange(INSTANTS)
 
 
@@ -104,8 +106,13 @@ def plan_severities(
     Returns:
         S severities. Of agents that are touched at the same instant the first by name counts, as in ``exact``.
     """
-    if not truths:
-        return []
+    plans = np.asarray(plans_lidar, np.float64)
+    starts = range(0, len(truths), _SAMPLES_AT_ONCE)
+    batches = [slice(start, start + _SAMPLES_AT_ONCE) for start in starts]
+    return [found for batch in batches for found in _batch(truths[batch], plans[batch], lanes)]
+
+
+def _batch(truths: Sequence[SampleTruth], plans_lidar: Floats, lanes: Lanes | None) -> list[PlanSeverityRow]:
     ego = np.concatenate([np.broadcast_to(_PRESENT, (len(truths), 1, 5)), ego_boxes(plans_lidar)], axis=1)
     world = _World.of(truths)
     contacts = _contacts(ego, world, truths, lanes)

@@ -1,10 +1,11 @@
 """Tables about scenes, not planners: who survives them, how real their adversaries move, what is wrong with those."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
-from benchmark.metrics.judgements import SplitLadder, split_ladders
-from benchmark.records.judgement import DRIVER_NAMES, DriverName, FeatureRow, SplitRealism
+from benchmark.metrics.judgements import SplitLadder, judged_scenes, split_ladders
+from benchmark.records.judgement import DRIVER_NAMES, FAULT_NAMES, DriverName, FeatureRow, SplitRealism
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, Origin, Shown, origin_of
 from benchmark.report.table import Table, table_of
@@ -73,7 +74,9 @@ def judgement_tables(data_name: str, records: Sequence[RunRecord]) -> list[Table
     ordered = in_table_order(records)
     ladders, real = split_ladders(ordered), split_realism(ordered)
     tables = [] if not ladders else [_ladder_table(data_name, ladders)]
-    tables += [] if not real else [_validity_table(data_name, real)]
+    told = [_told(record, said) for record, said in real]
+    told += [_told_by_scenes(each) for split, each in ladders.items() if split not in {one.split for one in told}]
+    tables += [] if not told else [_validity_table(data_name, sorted(told, key=lambda each: split_place(each.split)))]
     compared = [(record, said) for record, said in real if said.headline is not None]
     tables += [] if not compared else [_headline_table(data_name, compared)]
     return [*tables, *(_realism_table(data_name, record, said) for record, said in compared)]
@@ -162,38 +165,58 @@ def _ladder_notes(found: Sequence[SplitLadder]) -> list[str]:
     return notes
 
 
-def _validity_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealism]]) -> Table:
-    rows: list[Row] = []
-    for record, said in found:
-        origin = origin_of(record, VALIDITY)
-        for row in said.validity:
-            share = row.count / row.of if row.of else None
-            rows.append(
-                (
-                    record.run.split,
-                    row.fault.replace("_", " "),
-                    origin.count(row.count, "adversaries", row.of).shown(),
-                    origin.count(row.of, "adversaries", said.adversaries).shown(),
-                    origin.cell(share, PERCENT, row.of, "adversaries", scale=100.0).shown(1),
-                )
-            )
-    unknown = dict.fromkeys(
-        f"{record.run.split}, {row.fault.replace('_', ' ')}: {why}"
-        for record, said in found
-        for row in said.validity
-        for why in row.unknown
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What is wrong with the adversaries of a split; each row is fault, how many have it, of how many it was told."""
+
+    record: RunRecord
+    of: str
+    count: int
+    rows: tuple[tuple[str, int, int], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def split(self) -> str:
+        return self.record.run.split
+
+
+def _told(record: RunRecord, said: SplitRealism) -> _Told:
+    apart = [f"not compared with recordings: {said.not_compared}"] if said.not_compared is not None else []
+    unknown = [f"{_words(row.fault)}: {why}" for row in said.validity for why in row.unknown]
+    notes = tuple(_sentence(f"{record.run.split}: {note}") for note in (*apart, *unknown))
+    rows = tuple((row.fault, row.count, row.of) for row in said.validity)
+    return _Told(record, "adversaries", said.adversaries, rows, notes)
+
+
+def _told_by_scenes(ladder: SplitLadder) -> _Told:
+    """Where nobody counted adversaries: scenes in which one of them has the fault."""
+    judged = [each for each in judged_scenes(ladder.record).values() if each.least_gap_m is not None or each.faults]
+    rows = tuple(
+        (name, sum(name in each.faults for each in judged), sum(name not in each.unknown_faults for each in judged))
+        for name in FAULT_NAMES
     )
-    apart = [
-        f"{record.run.split}: not compared with recordings: {said.not_compared}"
-        for record, said in found
-        if said.not_compared is not None
-    ]
+    return _Told(ladder.record, "scenes", len(judged), rows, (f"{ladder.record.run.split}: scenes are counted.",))
+
+
+def _validity_table(data_name: str, found: Sequence[_Told]) -> Table:
+    rows: list[Row] = []
+    for told in found:
+        origin = origin_of(told.record, VALIDITY)
+        rows += [
+            (
+                *(told.split, _words(fault)),
+                origin.count(count, told.of, of).shown(),
+                origin.count(of, told.of, told.count).shown(),
+                origin.cell(count / of if of else None, PERCENT, of, told.of, scale=100.0).shown(1),
+            )
+            for fault, count, of in told.rows
+        ]
     return table_of(
         "validity",
         f"{data_name}: what is wrong with adversaries",
-        ("split", "fault", "adversaries", "could be told", "%"),
+        ("split", "fault", "with it", "could be told", "%"),
         rows,
-        notes=(_VALIDITY_NOTE, *(_sentence(note) for note in (*apart, *unknown))),
+        notes=(_VALIDITY_NOTE, *dict.fromkeys(note for told in found for note in told.notes)),
         text_columns=2,
         groups=(("", 2), (f"adversaries, {VALIDITY}", 3)),
     )
@@ -208,7 +231,7 @@ def _headline_table(data_name: str, found: Sequence[tuple[RunRecord, SplitRealis
         inter = None if said.ctg is None else said.ctg.mean_real_dev_int
         rows.append(
             (
-                *(record.run.split, _feature(worst.name)),
+                *(record.run.split, _words(worst.name)),
                 *_feature_numbers(origin, worst, 0 if said.samples is None else said.samples[0])[:3],
                 origin.cell(worst.w1_in_halves, "x", adversaries, "adversaries").shown(1),
                 *(origin.cell(value, CTG, adversaries, "adversaries").shown(4) for value in (ctg, inter)),
@@ -251,7 +274,7 @@ def _realism_table(data_name: str, record: RunRecord, said: SplitRealism) -> Tab
 
 
 def _feature_row(origin: Origin, row: FeatureRow, samples: int, *, worst: bool) -> Row:
-    name = _feature(row.name)
+    name = _words(row.name)
     return (f"{name} {WORST_MARK}" if worst else name, *_feature_numbers(origin, row, samples))
 
 
@@ -272,7 +295,7 @@ def _feature_numbers(origin: Origin, row: FeatureRow, samples: int) -> tuple[Sho
     )
 
 
-def _feature(name: str) -> str:
+def _words(name: str) -> str:
     return name.replace("_", " ")
 
 

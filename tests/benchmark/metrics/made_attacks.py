@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from benchmark.records.judgement import (
+    FAULT_NAMES,
     CtgRow,
     FeatureRow,
     JudgementSummary,
+    KindName,
     SplitRealism,
     ValidityRow,
 )
@@ -16,7 +18,7 @@ from benchmark.records.run_schema import SceneFacts
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED, hand_made
 from tests.benchmark.records.made_judgements import hits, made_judgement
 
-_CONTACTS = {
+_CONTACTS: dict[str, tuple[KindName, bool | None, float, bool]] = {
     # kind, at fault, impact speed, adversary
     "f": ("front", True, 10.0, True),
     "F": ("front", True, 20.0, False),
@@ -99,9 +101,7 @@ def judged(survives: bool | None) -> JudgementSummary | None:
     drivers = {name: run.model_dump() for name, run in judgement.drivers.items()}
     drivers |= {} if survives else {name: hits() for name in ("constant", "idm", "r157", "cc", "fsm", "rss")}
     chance = {} if survives else {"chance": "until", "last_chance_s": 2.0, "margin_s": 1.25}
-    faults = {
-        name: name == "off_road" and not survives for name in type(judgement.faults).model_fields if name != "unknown"
-    }
+    faults = {name: name == "off_road" and not survives for name in FAULT_NAMES}
     return JudgementSummary.of([made_judgement(drivers=drivers, faults=faults, **chance)])
 
 

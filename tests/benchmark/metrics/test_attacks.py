@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.metrics.attacks import attack_rates, has_adversaries, says_severity, scene_attacks
+from benchmark.metrics.attacks import attack_facts, attack_rates, has_adversaries, says_severity, scene_attacks
 from benchmark.metrics.judgements import split_ladders
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.metrics.severities import contacts_of, near_passes_of, spread_of
@@ -110,3 +110,11 @@ def test_the_ladder_of_a_split_is_that_of_the_record_that_says_most() -> None:
     assert ladder.without_fault.value == pytest.approx(2 / 3) and ladder.unsolvable == 0
     assert ladder.gap.median == 2.0 and ladder.ttc.median == 3.0
     assert split_ladders([attacked("p", scenes, dict.fromkeys(scenes))]) == {}
+
+
+def test_machines_read_the_readings_of_splits_with_adversaries() -> None:
+    said = attack_facts(attacked("p", {"a": "f...", "b": "...."}, {"a": True, "b": None}))["attack_success"]
+    assert said["samples"]["contact"]["value"] == 0.125 and said["scenes"]["attributable"]["denominator"] == 1
+    assert (
+        attack_facts(hand_made("p", {"a": [CLEAN]}, split="val")) == {} == attack_facts(hand_made("p", {"a": [CLEAN]}))
+    )

@@ -206,8 +206,9 @@ def test_all_plans_at_once_are_what_each_is_alone_by_the_definition() -> None:
     assert nears > 20 and kinds >= {"front", "lateral", "stopped_track"}
 
 
-def test_a_plan_is_measured_alike_in_any_company() -> None:
+def test_a_plan_is_measured_alike_in_any_company(monkeypatch: pytest.MonkeyPatch) -> None:
     truths, plans = _random(np.random.default_rng(27), 12)
+    monkeypatch.setattr("benchmark.severity.plans._SAMPLES_AT_ONCE", 5)
     together = plan_severities(truths, plans)
     assert [one(sample, plan) for sample, plan in zip(truths, plans)] == together
     assert plan_severities([], np.zeros((0, 6, 2))) == []

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.records.planner_versions import labelled
-from benchmark.records.row_schema import CAUSES, DiagnosisRow
+from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.report.cells import UNDEFINED, Cell, number
@@ -36,7 +36,8 @@ SPLITS: dict[str, dict[str, list[str | None]]] = {
 
 def explained(record: RunRecord) -> RunRecord:
     """Its collisions are diagnosed, its scenes have sources and manoeuvres."""
-    rows, turn = [], 0
+    rows: list[SampleRow] = []
+    turn = 0
     for row in record.rows:
         if row.status == "ok" and any(row.outcomes["exact"].collision):
             cause = CAUSES[turn % len(CAUSES)]
