@@ -23,13 +23,14 @@ def threatening() -> HyperParameters:
     """The default: what was measured best (``docs/generation.md``, "What was measured")."""
     return HyperParameters(
         launch=Launch.REACH,
+        tries=1,
         ac_weight=0.0,
-        lookahead_weight=0.1,
-        threat_weight=8.0,
+        lookahead_weight=0.06,
+        threat_weight=10.0,
         closing_weight=2.0,
         careful_weight=3.0,
         side_weight=4.0,
-        behind_weight=2.0,
+        behind_weight=3.0,
         against_weight=2.0,
         hover_weight=2.0,
         area_weight=4.0,
