@@ -137,11 +137,8 @@ def recording_of(inputs: Arrays) -> Recording:
 
 
 def cast_of(recording: Recording) -> Cast:
-    """The renderer's actors: the recording's, in single precision."""
-    tracks = {
-        actor.uuid: replace(actor, poses=single(actor.poses), size=single(actor.size)) for actor in recording.actors
-    }
-    return Cast({actor.uuid: actor.kind for actor in recording.actors}, {u: t.size for u, t in tracks.items()}, tracks)
+    """Its own actors, as a renderer has them."""
+    return Cast.of(recording.actors)
 
 
 def single(values: Floats) -> Floats:

@@ -1,12 +1,9 @@
 """Whole runs: recordings as the engine reads them, then every state, check and contact with the recorded plans."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmark.closed_loop.neuroncap.actors import Actor
 from benchmark.closed_loop.neuroncap.loop import Engine
 from benchmark.closed_loop.neuroncap.recording import (
     CAN_COLUMNS,
@@ -69,7 +66,7 @@ def compare_loops(comparison: Comparison, folder: Path) -> None:
         stored = NcapArrays.read(folder / _inside(facts, "arrays"))
         given = facts.table("scenario") if facts.known("scenario") else None
         scenario = Scenario() if given is None else Scenario.of(given, facts.path.name)
-        cast, knows = _cast(recording), frozenset(facts.texts("renderer_knows"))
+        cast, knows = Cast.of(recording.actors), frozenset(facts.texts("renderer_knows"))
         for run in facts.objects("runs"):
             if run.known("error"):
                 failed += 1
@@ -140,20 +137,6 @@ def _annotations(stored: NcapArrays, frames: int) -> Annotations:
         tokens=tokens,
         categories=stored.texts("instance_category", len(tokens)),
     )
-
-
-def _cast(recording: Recording) -> Cast:
-    """The renderer's actors: the recording's, in single precision."""
-
-    def single(value: Any) -> Any:
-        return value.astype(np.float32).astype(np.float64)
-
-    actors = recording.actors
-    tracks: dict[str, Actor] = {
-        actor.uuid: replace(actor, size=single(actor.size), poses=single(actor.poses)) for actor in actors
-    }
-    sizes = {uuid: actor.size for uuid, actor in tracks.items()}
-    return Cast({actor.uuid: actor.kind for actor in actors}, sizes, tracks)
 
 
 def _optimized(scenario: Scenario) -> frozenset[str]:
