@@ -74,7 +74,7 @@ def compare_loops(comparison: Comparison, folder: Path) -> None:
             number = run.whole("run") if run.known("run") else 0
             where = f"{facts.path.name}, {run.text('key')}"
             stage = staged(scenario, number, recording.times, cast, CODE)
-            _compare_stage(comparison, stage, scenario, run, stored, where)
+            _compare_stage(comparison, stage, run, stored, where, turning_freely=_optimized(scenario))
             engine = Engine.of(
                 recording,
                 stage,
@@ -145,7 +145,13 @@ def _optimized(scenario: Scenario) -> frozenset[str]:
 
 
 def _compare_stage(
-    comparison: Comparison, stage: Staged, scenario: Scenario, run: NcapFacts, stored: NcapArrays, where: str
+    comparison: Comparison,
+    stage: Staged,
+    run: NcapFacts,
+    stored: NcapArrays,
+    where: str,
+    *,
+    turning_freely: frozenset[str],
 ) -> None:
     """Draws, start and end, and the actors as they were sent to the renderer."""
     wrong = [list(draw) for draw in stage.draws] != run.rows("draws")
@@ -161,7 +167,6 @@ def _compare_stage(
     if not same:
         return
     poses = stored.floats(f"{key}_scenario_actor_poses", count, times.shape[1], 4, 4)
-    optimized = _optimized(scenario)
     for number, (actor, facts) in enumerate(zip(stage.actors, run.objects("scenario_actors"))):
         other = actor.uuid != facts.text("uuid") or actor.is_target != facts.flag("is_target")
         comparison.verdicts("loops: who is there, in order", np.array([other]), where=where)
@@ -169,7 +174,7 @@ def _compare_stage(
         place = actor.poses[:, :3, 3]
         name = "loops: positions of the scenario's actors (m)"
         comparison.numbers(name, place, poses[number, :, :3, 3], TOLERANCE, where=where)
-        if actor.uuid not in optimized:
+        if actor.uuid not in turning_freely:
             turned = actor.poses[:, :3, :3]
             name = "loops: directions of the scenario's actors"
             comparison.numbers(name, turned, poses[number, :, :3, :3], TOLERANCE, where=where)
