@@ -83,7 +83,7 @@ def counted_rows(record: RunRecord) -> list[SampleRow]:
 def careful_survives(record: RunRecord, scene: str) -> bool | None:
     """Whether the careful and competent human survives a scene; ``None`` where nobody judged it."""
     facts = record.run.scene_facts.get(scene)
-    return None if facts is None or facts.judgement is None else facts.judgement.survives["cc"]
+    return None if facts is None or facts.judgement is None else facts.judgement.survives.get("cc")
 
 
 def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:

@@ -73,11 +73,11 @@ def split_ladders(records: Sequence[RunRecord]) -> dict[str, SplitLadder]:
 def _ladder(record: RunRecord) -> SplitLadder:
     judged = judged_scenes(record)
     said = list(judged.values())
-    survived = [[each.survives[name] for name in DRIVER_NAMES] for each in said]
+    survived = np.array([[each.survives.get(name, np.nan) for name in DRIVER_NAMES] for each in said], np.float64)
     # Without a known adversary nobody can be asked for faults, nor whether the scene is solvable.
     asked = [each.least_gap_m is not None or bool(each.faults) for each in said]
-    values = np.column_stack([survived, [not each.faults for each in said]]).astype(np.float64)
-    weights = np.column_stack([np.ones_like(survived), asked]).astype(np.float64)
+    values = np.column_stack([np.nan_to_num(survived), [not each.faults for each in said]]).astype(np.float64)
+    weights = np.column_stack([~np.isnan(survived), asked]).astype(np.float64)
     sources = source_of_scenes(record)
     rates = ratios_over_scenes(values * weights, weights, [sources[name] for name in judged], seed=record.run.seed)
     margins = [each.margin_s for each in said if each.margin_s is not None]

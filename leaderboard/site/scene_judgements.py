@@ -24,7 +24,7 @@ def judgement_entry(judgement: JudgementSummary | None) -> dict[str, Any] | None
     if judgement is None:
         return None
     return {
-        "survives": [name for name in DRIVER_NAMES if judgement.survives[name]],
+        "survives": [name for name in DRIVER_NAMES if judgement.survives.get(name)],
         "unsolvable": judgement.unsolvable is True,
         "margin": _short(judgement.margin_s),
         "gap": _short(judgement.least_gap_m),

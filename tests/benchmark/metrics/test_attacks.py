@@ -1,5 +1,7 @@
 """Attack success and severity of records: what counts, what is unknown, and that unknown is never a zero."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,6 +112,18 @@ def test_the_ladder_of_a_split_is_that_of_the_record_that_says_most() -> None:
     assert ladder.without_fault.value == pytest.approx(2 / 3) and ladder.unsolvable == 0
     assert ladder.gap.median == 2.0 and ladder.ttc.median == 3.0
     assert split_ladders([attacked("p", scenes, dict.fromkeys(scenes))]) == {}
+
+
+def test_a_driver_that_a_record_does_not_name_is_unknown() -> None:
+    record = attacked("p", {"a": "f...", "b": "f..."}, {"a": True, "b": True})
+    facts = record.run.scene_facts
+    assert facts["a"].judgement is not None
+    some = facts["a"].judgement.model_copy(update={"survives": {"recorded": True}})
+    changed = {**facts, "a": facts["a"].model_copy(update={"judgement": some})}
+    poor = replace(record, run=record.run.model_copy(update={"scene_facts": changed}))
+    assert scene_attacks(poor)["a"].verdicts["attributable"] is None and attack_rates(poor).judged == 1
+    ladder = split_ladders([poor])["adv"]
+    assert ladder.survives["cc"].denominator == 1 and ladder.survives["recorded"].denominator == 2
 
 
 def test_machines_read_the_readings_of_splits_with_adversaries() -> None:
