@@ -7,7 +7,6 @@ from typing import Final, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_WIDTH_M
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.planning import Command, EgoState, Plan
@@ -50,11 +49,6 @@ class Motion:
         """(F,) since the first instant."""
         return np.asarray((self.times_us - self.times_us[0]) * 1e-6)
 
-    @property
-    def ego_boxes(self) -> Floats:
-        """(F, 5) the ego's metric footprint."""
-        return footprint(self.ego)
-
     def boxes(self, size: Floats) -> Floats:
         """(N, F, 5) boxes of agents with (N, 3) sizes."""
         sizes = np.broadcast_to(size[:, None, :2], (*self.yaw.shape, 2))
@@ -82,14 +76,6 @@ class Motion:
             present=np.concatenate([self.present, later.present], axis=1),
             ticks=np.concatenate([self.ticks, later.ticks + len(self.times_us)]),
         )
-
-
-def footprint(ego: Floats) -> Floats:
-    """(..., 5) metric footprint at (..., 3 or more) x, y, yaw of the rear axle."""
-    yaw = ego[..., YAW]
-    centre = ego[..., :2] + EGO_CENTER_FROM_REAR_AXLE_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    size = np.broadcast_to([EGO_LENGTH_M, EGO_WIDTH_M], centre.shape)
-    return np.concatenate([centre, size, yaw[..., None]], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmark.closed_loop.drives.recorded import recorded_motion
 from benchmark.closed_loop.drives.riding import (
     TICK_US,
     Motion,
@@ -18,7 +19,7 @@ from benchmark.closed_loop.drives.riding import (
     UndrivablePlanError,
     require_room,
 )
-from benchmark.closed_loop.neuroncap.actors import Actor
+from benchmark.closed_loop.neuroncap.actors import Actor, Integers
 from benchmark.closed_loop.neuroncap.contact import box_of
 from benchmark.closed_loop.neuroncap.loop import (
     Engine,
@@ -88,8 +89,8 @@ class NeuroncapRides:
         # A run that could not be scored at its end is refused before anybody plans.
         reference_speed(recording, engine.start_frame, _target(engine), self.switches)
         world = begin(engine)
-        crowd = Crowd.of(scene, engine)
-        return NeuroncapRide(scene, engine, world, crowd, crowd.motion(_recorded(world.state, engine), tick=0))
+        frame = int(scene.keyframes[engine.start_frame])
+        return NeuroncapRide(scene, engine, world, Crowd.of(scene, engine), recorded_motion(scene, frame, frame))
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,9 +166,16 @@ class NeuroncapRide:
             raise UndrivablePlanError(str(error)) from error
         if world.state is self.world.state:
             return replace(self, world=world)
-        later = _recorded(world.state, self.engine) if world.last is None else _driven(self.world.state, world)
-        motion = self.motion.then(self.crowd.motion(later, tick=len(later[0]) - 1))
-        return replace(self, world=world, motion=motion)
+        if world.last is None:
+            last = int(self.scene.keyframes[self.engine.start_frame + world.step])
+            later = recorded_motion(self.scene, last - self._frames_before(last) + 1, last)
+        else:
+            later = self.crowd.motion(*_driven(self.world.state, world))
+        return replace(self, world=world, motion=self.motion.then(later))
+
+    def _frames_before(self, frame: int) -> int:
+        """Frames since the last instant of the motion."""
+        return frame - int(np.searchsorted(self.scene.timestamps_us, self.motion.times_us[-1]))
 
     def finished(self) -> "NeuroncapRide":
         """The same with its last state checked."""
@@ -178,10 +186,6 @@ class NeuroncapRide:
         found = score_of(self.engine, self.world)
         score = None if np.isnan(found.score) else found.score
         return NeuroncapScore(score, found.impact_speed, found.reference_speed)
-
-
-Instants = tuple[Floats, Floats]
-"""(F,) times in microseconds and (F, 7) the ego at them."""
 
 
 def recording_of(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
@@ -243,9 +247,16 @@ class Crowd:
         place = {name: number for number, name in enumerate(scene.agents.ids)}
         return cls(scene, Tracks.of_scene(scene), {place[each.uuid]: each for each in engine.actors})
 
-    def motion(self, instants: Instants, tick: int) -> Motion:
-        """A piece of motion, of whose instants one is a planning instant."""
-        times_us, ego = instants[0].astype(np.int64), instants[1]
+    def motion(self, times_us: Integers, ego: Floats) -> Motion:
+        """A piece of motion, whose last instant is a planning instant.
+
+        Args:
+            times_us: (F,) microseconds.
+            ego: (F, 7) the ego then.
+
+        Returns:
+            It, with everybody else.
+        """
         seconds = (times_us - self.scene.timestamps_us[0]) * 1e-6
         boxes, present = self.tracks.agents_at(seconds)
         position = np.concatenate([boxes[..., :2], self._heights(seconds)[..., None]], axis=-1)
@@ -256,7 +267,7 @@ class Crowd:
                 present[agent, row] = actor.is_there(time_us)
                 pose = actor.pose_at(time_us)
                 position[agent, row], yaw[agent, row] = pose[:3, 3], heading_of(pose)
-        return Motion(times_us, ego, position, yaw, present, np.array([tick]))
+        return Motion(times_us, ego, position, yaw, present, np.array([len(times_us) - 1]))
 
     def _heights(self, seconds: Floats) -> Floats:
         """(N, F) heights of box centres at times, those of the nearest frame."""
@@ -264,22 +275,13 @@ class Crowd:
         return np.asarray(self.scene.agents.position[:, frame, 2])
 
 
-def _recorded(state: State, engine: Engine) -> Instants:
-    """A primed state."""
-    row = state.canbus
-    frame = int(np.searchsorted(engine.recording.times, state.time_us))
-    wheel = float(engine.recording.steering_wheel[frame]) / 16.0
-    ego = [*state.pose[:2, 3], heading_of(state.pose), float(row[13]), float(row[7]), float(row[12]), wheel]
-    return np.array([float(state.time_us)]), np.array([ego])
-
-
-def _driven(before: State, world: World) -> Instants:
-    """The five sub-steps of a step."""
+def _driven(before: State, world: World) -> tuple[Integers, Floats]:
+    """The five sub-steps of a step: times and (5, 7) the ego."""
     assert world.last is not None
     states = world.last.states
     times = before.time_us + SUBSTEP_US * np.arange(1, len(states) + 1)
     assert int(times[-1]) == before.time_us + TICK_US
-    return times.astype(np.float64), states[:, _COLUMNS]
+    return times, states[:, _COLUMNS]
 
 
 def _target(engine: Engine) -> Actor | None:
