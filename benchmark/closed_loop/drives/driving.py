@@ -96,7 +96,7 @@ def drive(stage: Stage, planner: Planner) -> Drive:
     while failure is None and ride.goes_on:
         place = route.place(ride.motion.ego[-1], stations[-1] if stations else None)
         stations.append(place.station)
-        seconds = float((ride.motion.times_us[-1] - scene.timestamps_us[0]) * 1e-6)
+        seconds = route.seconds_of(int(ride.motion.times_us[-1]))
         own = ride.command
         commands.append(route.command(place.station, seconds) if own is None else own)
         plan = eyes.planned(planner, ride, commands[-1])

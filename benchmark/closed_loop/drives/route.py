@@ -38,7 +38,8 @@ class Route:
     """The recorded path with times.
 
     Attributes:
-        seconds: (T,) since the first frame.
+        first_us: Time of the first frame.
+        seconds: (T,) since then.
         poses: (T, 3) x, y, yaw of the recorded rear axle, global.
         heights: (T,) of the recorded rear axle, metres.
         station: (T,) metres along it; equal where it stands.
@@ -46,6 +47,7 @@ class Route:
         step_seconds: (K,) times of the keyframes.
     """
 
+    first_us: int
     seconds: Floats
     poses: Floats
     heights: Floats
@@ -58,13 +60,24 @@ class Route:
         """The route of a scene."""
         poses = scene.ego.pose
         driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-        ahead_m = float(scene.lidar.translation[0])
-        return cls(scene.seconds, poses, scene.ego.position[:, 2], driven, ahead_m, scene.seconds[scene.keyframes])
+        return cls(
+            first_us=int(scene.timestamps_us[0]),
+            seconds=scene.seconds,
+            poses=poses,
+            heights=scene.ego.position[:, 2],
+            station=driven,
+            lidar_ahead_m=float(scene.lidar.translation[0]),
+            step_seconds=scene.seconds[scene.keyframes],
+        )
 
     @property
     def end_m(self) -> float:
         """Station of the recording's end."""
         return float(self.station[-1])
+
+    def seconds_of(self, time_us: int) -> float:
+        """Seconds since the first frame of a time."""
+        return (time_us - self.first_us) * 1e-6
 
     def place(self, point: Floats, near_m: float | None = None) -> Place:
         """The nearest point of the path, 100 m of extension included.
