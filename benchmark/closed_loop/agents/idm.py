@@ -17,7 +17,7 @@ from benchmark.closed_loop.agents.replay import Replay
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS
 from benchmark.constants import FOUR_WHEELED_CATEGORIES
 from benchmark.drivers.keeping_distance import idm_acceleration
-from benchmark.dynamics.lane_path import Path, lane_path, straight_path
+from benchmark.dynamics.lane_path import SPACING_M, Path, lane_path, straight_path
 from benchmark.encounters.tracks import Integers
 from benchmark.geometry import Bools, Floats
 from benchmark.planning import Command
@@ -29,7 +29,7 @@ SIDE_MARGIN_M: Final = 0.3
 """Room beside a vehicle that counts as its way."""
 MOVING_M: Final = 2.0
 """Who comes no further than this in the recording is parked."""
-_SPACING_M: Final = 0.5
+_BEHIND_M: Final = 20.0
 _BEYOND_M: Final = 300.0
 """Of road beyond the end of a recorded path."""
 
@@ -60,6 +60,9 @@ class Idm:
         driving: (M,) agents that drive by themselves.
         paths: M lines along which they do.
         free_speed: (M,) m/s on an empty road.
+        road: (P, 3) x, y, heading of all paths, every half metre, one after the other.
+        first: (M,) row at which each one's begins.
+        length: (M,) of each one's, metres.
         name: Of the policy.
         draws: It draws nothing.
     """
@@ -68,6 +71,9 @@ class Idm:
     driving: Integers
     paths: tuple[Path, ...]
     free_speed: Floats
+    road: Floats
+    first: Integers
+    length: Floats
     name: str = "idm"
     draws: bool = False
 
@@ -93,7 +99,16 @@ class Idm:
             speed = np.hypot(*replay.velocity[rows, agent].T)
             fastest.append(max(float(speed.max()), FREE_SPEED_M_S))
             paths.append(_road(places, float(speed[-1]), road_map))
-        return cls(replay, np.array(driving, np.int64), tuple(paths), np.array(fastest))
+        roads = [np.column_stack([path.points, path.heading]) for path in paths]
+        return cls(
+            replay=replay,
+            driving=np.array(driving, np.int64),
+            paths=tuple(paths),
+            free_speed=np.array(fastest),
+            road=np.concatenate([np.zeros((0, 3)), *roads]),
+            first=np.cumsum([0, *(len(each) for each in roads)])[:-1],
+            length=np.array([path.arc_length[-1] for path in paths]),
+        )
 
     def init(self, time_us: int, key: int) -> tuple[IdmMemory, Moved]:
         """Everybody where the tracks begin."""
@@ -116,8 +131,7 @@ class Idm:
             station, speed = station + 0.5 * seconds * (speed + faster), faster
             self._place(boxes[instant], station, memory.here)
             present[instant, self.driving] = memory.here
-        length = np.array([path.arc_length[-1] for path in self.paths])
-        after = IdmMemory(station, speed, memory.here & (station < length), memory.come)
+        after = IdmMemory(station, speed, memory.here & (station < self.length), memory.come)
         after = self._arrivals(after, moved)
         present[-1, self.driving] |= after.here & ~memory.come
         boxes[-1, self.driving] = np.where(
@@ -138,17 +152,22 @@ class Idm:
             speed[index] = np.hypot(*moved.velocity[agent])
         return replace(memory, station=station, speed=speed, here=memory.here | new, come=memory.come | new)
 
+    def _at(self, station: Floats) -> Floats:
+        """(M, 3) x, y, heading of each one at its station."""
+        place = np.minimum(station, self.length) / SPACING_M
+        row = np.minimum(place.astype(np.int64), (self.length / SPACING_M).astype(np.int64) - 1)
+        share = (place - row)[:, None]
+        at = self.first + row
+        return np.asarray((1.0 - share) * self.road[at] + share * self.road[at + 1])
+
     def _place(self, boxes: Floats, station: Floats, here: Bools) -> None:
-        for index in np.flatnonzero(here):
-            path, along = self.paths[index], station[index]
-            boxes[self.driving[index], :2] = path.at(along)
-            boxes[self.driving[index], 4] = np.interp(along, path.arc_length, path.heading)
+        rows = self.driving[here]
+        boxes[rows[:, None], [0, 1, 4]] = self._at(station)[here]
 
     def _set_velocity(self, velocity: Floats, memory: IdmMemory) -> None:
-        for index in np.flatnonzero(memory.here):
-            path = self.paths[index]
-            heading = np.interp(memory.station[index], path.arc_length, path.heading)
-            velocity[self.driving[index]] = memory.speed[index] * np.array([np.cos(heading), np.sin(heading)])
+        heading = self._at(memory.station)[:, 2]
+        moving = memory.speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+        velocity[self.driving[memory.here]] = moving[memory.here]
 
     def _leaders(self, memory: IdmMemory, moment: Moment) -> tuple[Floats, Floats]:
         """(M,) metres to the nearest in each one's way, infinite without one, and (M,) its speed along the path."""
@@ -175,6 +194,7 @@ class Idm:
 
 def _in_the_way(path: Path, station: float, own: Floats, boxes: Floats, velocity: Floats) -> tuple[Floats, Floats]:
     """Gaps to those of some boxes that lie ahead on a path, and their speeds along it."""
+    path = _window(path, station)
     along, left = path.project(boxes[:, :2])
     heading = np.interp(along, path.arc_length, path.heading)
     cos, sin = np.cos(boxes[:, 4] - heading), np.sin(boxes[:, 4] - heading)
@@ -187,6 +207,13 @@ def _in_the_way(path: Path, station: float, own: Floats, boxes: Floats, velocity
     return np.asarray(np.maximum(gap, 0.0)[ahead]), np.asarray(speed[ahead])
 
 
+def _window(path: Path, station: float) -> Path:
+    """The part of a path that can matter from a station on."""
+    first = max(int((station - _BEHIND_M) / SPACING_M), 0)
+    rows = slice(first, int((station + 2 * SIGHT_M) / SPACING_M) + 1)
+    return Path(path.points[rows], path.heading[rows], path.arc_length[rows], path.curvature[rows])
+
+
 def _reach(places: Floats) -> float:
     """How far from its first place somebody comes, metres."""
     return float(np.hypot(*(places[:, :2] - places[0, :2]).T).max())
@@ -196,11 +223,11 @@ def _road(places: Floats, speed: float, road_map: RoadMap) -> Path:
     """The recorded path, and where the road goes on from its end."""
     kept = [0]
     for row in range(1, len(places)):
-        if np.hypot(*(places[row, :2] - places[kept[-1], :2])) >= _SPACING_M:
+        if np.hypot(*(places[row, :2] - places[kept[-1], :2])) >= SPACING_M:
             kept.append(row)
     end = places[-1, [0, 1, 4]]
     beyond = lane_path(road_map, end, Command.STRAIGHT, speed, _BEYOND_M) or straight_path(end, _BEYOND_M)
     recorded = places[kept, :2]
     # The last recorded place is where the road beyond begins; what is nearer than a step to it would fold the line.
-    far = np.hypot(*(recorded - end[:2]).T) >= _SPACING_M
+    far = np.hypot(*(recorded - end[:2]).T) >= SPACING_M
     return Path.through(np.concatenate([recorded[far], beyond.points]))
