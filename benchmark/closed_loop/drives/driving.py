@@ -62,6 +62,7 @@ class Stage:
         maker: The engine.
         sensor: What cameras see.
         timeout_s: How long a plan may take.
+        most_plans: Ends the drive after so many plans, to see how long it takes.
     """
 
     scene: Scene
@@ -70,6 +71,7 @@ class Stage:
     maker: RideMaker
     sensor: Sensor
     timeout_s: float
+    most_plans: int | None = None
 
 
 def drive(stage: Stage, planner: Planner) -> Drive:
@@ -93,7 +95,7 @@ def drive(stage: Stage, planner: Planner) -> Drive:
     plans: list[Plan] = []
     commands: list[Command] = []
     stations: list[float] = []
-    while failure is None and ride.goes_on:
+    while failure is None and ride.goes_on and len(plans) != stage.most_plans:
         place = route.place(ride.motion.ego[-1], stations[-1] if stations else None)
         stations.append(place.station)
         seconds = route.seconds_of(int(ride.motion.times_us[-1]))
