@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
     from benchmark.datasets.schema import FaultList
+    from benchmark.machine.workers import Executor
     from benchmark.machine.workspace import Workspace
     from benchmark.records.ablation import AblationReport
     from benchmark.records.quality import QualityRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
+    from benchmark.runs.driving import DriveSettings
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
     from benchmark.verification.checks import Check
     from generation.build.surrogate import PlannerUnderTest
@@ -296,6 +298,81 @@ def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Pa
     return chosen
 
 
+def looks_at_images(name: str) -> bool:
+    """Whether a planner may look at images: built-in ones say so, of others nobody knows."""
+    from adapters.models import MODELS
+
+    return name not in MODELS or not MODELS[name].blind
+
+
+def is_known_to_look(name: str) -> bool:
+    """Whether a planner is a built-in one that looks at images."""
+    from adapters.models import MODELS
+
+    return name in MODELS and not MODELS[name].blind
+
+
+def drive_settings(
+    split: str,
+    *,
+    engine: str = "default",
+    agents: str = "replay",
+    sensor: str = "none",
+    latency_ms: int = 0,
+    runs: int = 1,
+    scenes: "Sequence[str] | None" = None,
+    limit: int | None = None,
+    executor: "Executor | None" = None,
+    timeout_s: float = 120.0,
+    seed: int = 0,
+) -> "DriveSettings":
+    """How planners are driven, for `benchmark.drive_split` (docs/closed-loop.md).
+
+    Args:
+        split: The split; generated ones have pictures in a style of their own.
+        engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
+        agents: ``replay`` or ``idm``; NeuroNCAP's never react.
+        sensor: ``none`` or ``schematic``.
+        latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
+        runs: Runs of each scene; one where nothing is drawn.
+        scenes: Only these scenes.
+        limit: Only the first so many.
+        executor: Where drives are made; this process by default.
+        timeout_s: How long a plan may take.
+        seed: Of the intervals.
+
+    Returns:
+        The settings.
+
+    Raises:
+        InputError: If there is no such engine, policy or sensor, or they do not go together.
+    """
+    from benchmark.closed_loop.engines import rides_of
+    from benchmark.closed_loop.drives.sensors import NO_SENSOR, NoSensor
+    from benchmark.machine.workers import LocalProcesses
+    from benchmark.machine.workspace import is_generated
+    from benchmark.runs.driving import DriveSettings
+    from generation.render.sensor import SCHEMATIC, SchematicSensor
+
+    if sensor not in (NO_SENSOR, SCHEMATIC):
+        raise InputError(f"there is no sensor {sensor!r}; there are {NO_SENSOR} and {SCHEMATIC}")
+    # Generated splits are drawn in the second style, what they are made from in the first.
+    style = "second" if is_generated(split) else "first"
+    return DriveSettings(
+        engine=engine,
+        maker=rides_of(engine, agents, latency_ms),
+        agents=agents,
+        sensor=NoSensor() if sensor == NO_SENSOR else SchematicSensor(style),
+        runs=runs,
+        latency_ms=latency_ms,
+        scenes=None if scenes is None else tuple(scenes),
+        limit=limit,
+        executor=executor or LocalProcesses(),
+        timeout_s=timeout_s,
+        seed=seed,
+    )
+
+
 def planner_under_test(
     name: str, checkpoint: Path | None = None, *, data: str | Path = "mini", seed: int = 0, workers: int = 0
 ) -> "PlannerUnderTest":
@@ -314,11 +391,10 @@ def planner_under_test(
     Raises:
         InputError: If the planner is unknown or cannot be built.
     """
-    from adapters.models import MODELS
     from generation.build.surrogate import PlannerUnderTest
 
     factory = load_planner(name, checkpoint, data=data, seed=seed)
-    return PlannerUnderTest(factory, images=name not in MODELS or not MODELS[name].blind, workers=worker_count(workers))
+    return PlannerUnderTest(factory, images=looks_at_images(name), workers=worker_count(workers))
 
 
 def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
