@@ -5,13 +5,10 @@
 
 from functools import cached_property
 
-import numpy as np
-
 from benchmark.encounters.contacts import ContactKind, at_fault
 from benchmark.geometry import Floats
-from benchmark.pdm.definition import CENTER_AHEAD_M, HEADING, STATE_COLUMNS
 from benchmark.pdm.layers import road_of, route_of
-from benchmark.pdm.road import Road, whereabouts
+from benchmark.pdm.road import Road
 from benchmark.scene import Scene
 
 
@@ -38,16 +35,8 @@ class Blame:
         """
         if kind is not ContactKind.LATERAL:
             return at_fault(kind, unsure=False)
-        return at_fault(kind, self._unsure(ego)) if self.has_map else None
+        return at_fault(kind, bool(self._road.unsure(ego[None])[0])) if self.has_map else None
 
     @cached_property
     def _road(self) -> Road:
         return road_of(self._scene.road_map, route_of(self._scene.ego.pose))
-
-    def _unsure(self, ego: Floats) -> bool:
-        state = np.zeros((1, 1, STATE_COLUMNS))
-        heading = float(ego[4])
-        state[..., :2] = ego[:2] - CENTER_AHEAD_M * np.array([np.cos(heading), np.sin(heading)])
-        state[..., HEADING] = heading
-        where = whereabouts(self._road, state)
-        return bool((where.multiple_lanes | where.non_drivable).any())
