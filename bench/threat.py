@@ -182,7 +182,7 @@ def entropy_bits(counts: Mapping[str, int]) -> float:
     """Entropy of manoeuvres, by counts."""
     share = np.array([count for count in counts.values() if count], dtype=np.float64)
     share /= share.sum() or 1.0
-    return float(-(share * np.log2(share)).sum()) if len(share) else 0.0
+    return float((share * np.log2(1.0 / share)).sum()) if len(share) else 0.0
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
