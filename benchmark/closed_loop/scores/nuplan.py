@@ -78,7 +78,7 @@ class Progress:
     Attributes:
         metres: From the first driven instant to the last scored one.
         recorded_m: The recorded ego's in the same time.
-        whole_m: The recorded ego's to the end of the recording.
+        whole_m: The recorded ego's to the last keyframe of the recording.
     """
 
     metres: float

@@ -73,4 +73,5 @@ def progress_of(route: Route, part: DrivenPart) -> Progress:
     end = route.place(part.states[-1], near).station
     first, last = (route.seconds_of(int(part.times_us[at])) for at in (0, -1))
     recorded = route.recorded_station(last) - route.recorded_station(first)
-    return Progress(end - station, recorded, route.end_m - route.recorded_station(first))
+    whole = route.recorded_station(float(route.step_seconds[-1])) - route.recorded_station(first)
+    return Progress(end - station, recorded, whole)
