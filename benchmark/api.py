@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from leaderboard.films.filming import write_films as write_films
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
+    from leaderboard.tables.drives import drive_tables as drive_tables
     from leaderboard.tables.quality import quality_tables as quality_tables
     from leaderboard.tables.slices import slice_tables as slice_tables
     from leaderboard.tables.reproduction import reproduction_table as reproduction_table

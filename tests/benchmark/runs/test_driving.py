@@ -32,7 +32,8 @@ from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Remembering, Straight
 
 SETTINGS = DriveSettings("default", DefaultRides())
-NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapRides(Switches.named("neuroncap@paper")))
+PAPER = Switches.named("neuroncap@paper")
+NEURONCAP = DriveSettings("neuroncap@paper", NeuroncapRides(PAPER))
 
 
 def town() -> FakeData:
@@ -176,7 +177,7 @@ def test_a_scenario_that_draws_nothing_is_driven_once(tmp_path: Path) -> None:
         planner = Straight()
         record = driven(tmp_path, planner, replace(settings, runs=10))
         assert record.facts.runs == 1 and len(record.rows) == 2
-    drawing = replace(NEURONCAP, maker=NeuroncapRides(NEURONCAP.maker.switches, Scenario(start_jitter=1)), runs=3)
+    drawing = replace(NEURONCAP, maker=NeuroncapRides(PAPER, Scenario(start_jitter=1)), runs=3)
     record = driven(tmp_path / "drawing", Straight(), drawing)
     assert [(row.scene, row.run) for row in record.rows[:3]] == [("scene-9901", run) for run in range(3)]
     assert record.facts.runs == 3 and len({row.ticks.time_us[0] for row in record.rows[:3]}) > 1
