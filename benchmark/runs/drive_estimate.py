@@ -9,9 +9,9 @@ from benchmark.closed_loop.drives.driving import Stage, drive
 from benchmark.machine.progress import clock_time
 from benchmark.machine.workers import LocalProcesses
 from benchmark.report.words import counted
-from benchmark.runs.drive_work import can_of
 from benchmark.runs.driving import DriveSettings, job_of, kept_units
 from benchmark.runs.plan_rows import PlannerFactory
+from benchmark.runs.redriving import can_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

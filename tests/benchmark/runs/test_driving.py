@@ -22,10 +22,11 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
-from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord, load_drives, write_drives
 from benchmark.runs.drive_estimate import estimate
-from benchmark.runs.drive_work import driven_again
 from benchmark.runs.driving import DriveSettings, drive_split, drives_directory, job_of, kept_units
+from benchmark.runs.redriving import driven_again, rescore_drives
 from benchmark.scene import Scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.fake_data import FakeData, town_of_two
@@ -196,6 +197,26 @@ def test_a_drive_is_scored_anew_without_its_planner(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("benchmark.runs.drive_work.VERSION", VERSION + 1)
     again = driven(tmp_path, planner)
     assert planner.calls == calls and again.rows == driven(tmp_path, planner).rows
+
+
+def test_a_record_is_scored_anew_without_its_planner(tmp_path: Path) -> None:
+    for settings in (SETTINGS, replace(SETTINGS, agents="idm", maker=DefaultRides("idm")), NEURONCAP):
+        record = driven(tmp_path, Remembering(), settings)
+        before = bytes_below(record.directory)
+        worse = [row.model_copy(update={"scores": None if row.scores is None else spoilt(row)}) for row in record.rows]
+        names = set(type(record.facts).model_fields) - {"schema_version", "status", "seed", "files"}
+        described = {name: getattr(record.facts, name) for name in names}
+        write_drives(record.directory, described, worse, seed=0)
+        assert bytes_below(record.directory) != before
+        assert rescore_drives(record.directory, town()).rows == record.rows
+        assert bytes_below(record.directory) == before
+    with pytest.raises(InputError, match="another version"):
+        rescore_drives(record.directory, FakeData({"scene-9901": town().scenes["scene-9901"]}))
+
+
+def spoilt(row: DriveRow) -> Any:
+    assert row.scores is not None
+    return row.scores.model_copy(update={"progress_m": -1.0})
 
 
 def test_plans_that_lead_elsewhere_are_refused(tmp_path: Path) -> None:
