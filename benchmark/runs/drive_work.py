@@ -38,10 +38,11 @@ _LOOP: Final = "benchmark.closed_loop.drives.driving:drive"
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One scene and one run."""
+    """One scene, one of its scenarios if it has any, and one run."""
 
     scene: str
     run: int
+    family: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +74,12 @@ class Job:
         who = self.planner.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
         code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(Stage, made_by=_LOOP)]
         what = self.measured.model_dump(mode="json")
-        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.run, who, what, code)
+        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
 
     def path(self, unit: Unit) -> Path:
         """File of a unit; scene names may hold slashes."""
-        return self.directory / KEPT / f"{file_name(unit.scene)}-{unit.run}.json"
+        name = "-".join([file_name(unit.scene), *([unit.family] if unit.family else []), str(unit.run)])
+        return self.directory / KEPT / f"{name}.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,7 @@ def work_here(job: Job, data: "DataSet", planner: Planner, unit: Unit) -> UnitRe
         return UnitResult(unit, row, None)
     started = time.perf_counter()
     seed_everything(content_seed(key))
-    row = _driven(job, data, scene, unit.run, planner)
+    row = _driven(job, data, scene, unit, planner)
     if row.failure is None or row.failure.reason != Reason.TIMEOUT.value:
         # How long a plan takes is the machine's matter: the same command tries again.
         write_kept(path, key, row)
@@ -163,7 +165,7 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
     return {"key": key, "scoring": scoring, "content": content_key(row)}
 
 
-def _driven(job: Job, data: "DataSet", scene: Scene, run: int, planner: Planner) -> DriveRow:
-    stage = Stage(scene, can_of(data, scene.name), run, job.maker, job.sensor, job.timeout_s)
+def _driven(job: Job, data: "DataSet", scene: Scene, unit: Unit, planner: Planner) -> DriveRow:
+    stage = Stage(scene, can_of(data, scene.name), unit.run, job.maker, job.sensor, job.timeout_s, unit.family)
     found = drive(stage, planner)
-    return row_of(scene, run, found, None if found.failure is not None else score_drive(scene, found))
+    return row_of(stage, found, None if found.failure is not None else score_drive(scene, found))

@@ -47,7 +47,7 @@ def rescore_drives(directory: Path, data: "DataSet") -> DriveRecord:
                 f"{directory} was driven on another version of {facts.data.name} (its fingerprint differs from that of "
                 f"{data.root}); open the data set that it names"
             )
-        maker = rides_of(measured.engine, measured.agents, measured.latency_ms)
+        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
         rows = [driven_again(maker, data.scene(row.scene), data, row) for row in record.rows]
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
         return write_drives(directory, {**described, "scoring": VERSION}, rows, seed=facts.seed)
@@ -75,9 +75,9 @@ def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow)
     """
     if row.status == "failed":
         return row
-    again = Stage(scene, can_of(data, row.scene), row.run, maker, NoSensor(), _LONG_S)
+    again = Stage(scene, can_of(data, row.scene), row.run, maker, NoSensor(), _LONG_S, row.family)
     found = drive(again, StoredPlans(row))
-    made = row_of(scene, row.run, found, None if found.failure is not None else score_drive(scene, found))
+    made = row_of(again, found, None if found.failure is not None else score_drive(scene, found))
     if made.ticks != row.ticks or made.contact != row.contact:
         raise InputError(
             f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
