@@ -88,17 +88,22 @@ def data_stats_command(
     json_output: JsonOption = False,
 ) -> None:
     """Print the data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
-    from benchmark.cli.beforehand.data_sets import require_root, require_source
+    from benchmark.cli.beforehand.data_sets import require_data, require_root, require_source
     from benchmark.datasets.statistics import statistics
     from benchmark.machine.workspace import EMBEDDED_NAMES
 
     processes = api.worker_count(workers)
-    if split is not None:
+    known = root in EMBEDDED_NAMES
+    if split is not None and known:
+        require_data(root, tables, split, out)
+    elif split is not None:
         require_source(root, tables, split, out, scenes=None, limit=None)
     if recordings is not None:
         require_root(recordings, None, out)
-    known = root in EMBEDDED_NAMES
-    folder = api.open_data(root, tables=tables, workers=workers, out=out).root if known else Path(root)
+    folder = Path(root)
+    if known:
+        source = api.open_data(root, tables=tables, workers=workers, out=out)
+        folder = (source if split is None else api.open_split(source, split, out, workers=workers)).root
     found = statistics(folder, split=split, version=tables)
     judged = None
     if judge is not False:
