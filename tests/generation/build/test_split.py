@@ -296,7 +296,7 @@ def test_what_is_said_of_each_scene_lies_beside_the_tables_and_in_no_fingerprint
 def test_it_is_said_how_many_scenes_nobody_could_have_avoided(
     source: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("generation.search.adversary.unsolvable", lambda judgements: True)
+    monkeypatch.setattr("generation.search.verify.unsolvable", lambda judgements: True)
     with pytest.raises(NothingSurvivedError) as nothing:
         build(source, tmp_path / "dropped", scenes=("scene-9901",))
     report = nothing.value.report

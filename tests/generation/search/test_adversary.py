@@ -234,7 +234,7 @@ def test_what_nobody_could_have_avoided_is_dropped_unless_it_is_asked_for(
     dropped = run(seed=kept.attempt.seed)
     assert dropped.finding is not None and dropped.finding.reason is Discard.UNSOLVABLE and dropped.scene is None
     said = dropped.attempt
-    assert (said.kept, said.discard, said.challenge, said.labels) == (False, "unsolvable", 0.0, None)
+    assert (said.kept, said.discard, said.challenge) == (False, "unsolvable", 0.0) and said.labels is not None
     # There is another chance, and what was judged says why.
     assert said.tries == HYPER.tries and len(said.judgements) == 1
     asked = run(seed=kept.attempt.seed, hyper=replace(HYPER, solvable=False))
