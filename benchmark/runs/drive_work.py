@@ -133,7 +133,7 @@ def work_here(job: Job, data: "DataSet", planner: Planner, unit: Unit) -> UnitRe
 
 def can_of(data: "DataSet", name: str) -> RecordedCan:
     """What the recorded car measured in a scene."""
-    return RecordedCan.of(observation.ego for observation in data.observations(name))
+    return RecordedCan.of((observation.ego for observation in data.observations(name)), data.root)
 
 
 def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> DriveRow:

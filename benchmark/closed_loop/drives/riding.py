@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final, Protocol, Self
 
 import numpy as np
@@ -192,29 +193,27 @@ class RecordedCan:
 
     Attributes:
         motion: (K, 9) velocity, acceleration, rotation rate, x, y and z each.
-        motion_after: (K, 9) the same of the first message after each.
         steering_wheel_rad: (K,) radians; 0 where nobody measured it.
         measured: Whether there is a CAN bus.
+        root: Of the data set, where NeuroNCAP's engine finds the messages that it reads.
     """
 
     motion: Floats
-    motion_after: Floats
     steering_wheel_rad: Floats
     measured: bool
+    root: Path | None = None
 
     @classmethod
-    def of(cls, states: Iterable[EgoState]) -> Self:
-        """What a data set's observations of a scene say."""
+    def of(cls, states: Iterable[EgoState], root: Path | None = None) -> Self:
+        """What observations of a scene say, of a data set with a root."""
         found = list(states)
         motion = np.array([_row(each, each.can_motion) for each in found]).reshape(-1, 9)
-        after = np.array([_row(each, each.can_motion_after) for each in found]).reshape(-1, 9)
         wheel = np.array([each.steering_angle or 0.0 for each in found], np.float64)
-        return cls(motion, after, wheel, all(each.source == "can_bus" for each in found))
+        return cls(motion, wheel, all(each.source == "can_bus" for each in found), root)
 
     def at(self, keyframes: slice) -> Self:
         """The same of some keyframes alone."""
-        motion, after = self.motion[keyframes].copy(), self.motion_after[keyframes].copy()
-        return type(self)(motion, after, self.steering_wheel_rad[keyframes].copy(), self.measured)
+        return type(self)(self.motion[keyframes].copy(), self.steering_wheel_rad[keyframes].copy(), self.measured)
 
 
 def require_room(scene: Scene, ticks: int) -> None:

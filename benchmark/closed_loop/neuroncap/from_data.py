@@ -55,8 +55,13 @@ def recording_of(scene: Scene, root: Path, switches: Switches) -> Recording:
         poses=np.array(poses),
         canbus=at_frames(times, motion.times_us, motion.values),
         steering_wheel=steering_at_frames(times, wheel.times_us, wheel.values[:, 0]),
-        actors=actors_of(_annotations(scene), times, switches),
+        actors=actors_of(annotations_of(scene), times, switches),
     )
+
+
+def has_can_bus(scene: str, root: Path) -> bool:
+    """Whether a data set has what the engine reads of the CAN bus of a scene."""
+    return all((root / "can_bus" / f"{scene}_{message}.json").is_file() for message in ("pose", "zoe_veh_info"))
 
 
 def _messages(root: Path, scene: str, message: str, fields: dict[str, Kind]) -> CanMessages:
@@ -70,7 +75,7 @@ def _messages(root: Path, scene: str, message: str, fields: dict[str, Kind]) -> 
     return found
 
 
-def _annotations(scene: Scene) -> Annotations:
+def annotations_of(scene: Scene) -> Annotations:
     """Annotations keyframe by keyframe, each in the data set's order."""
     known = scene.annotations
     frame, agent = np.nonzero(known.valid.T)

@@ -21,6 +21,7 @@ from benchmark.closed_loop.drives.riding import (
 )
 from benchmark.closed_loop.neuroncap.actors import Actor, Integers
 from benchmark.closed_loop.neuroncap.contact import box_of
+from benchmark.closed_loop.neuroncap.from_data import annotations_of, has_can_bus, recording_of
 from benchmark.closed_loop.neuroncap.loop import (
     Engine,
     State,
@@ -33,7 +34,7 @@ from benchmark.closed_loop.neuroncap.loop import (
 )
 from benchmark.closed_loop.neuroncap.plan_path import SUBSTEP_US, UnusablePlanError
 from benchmark.closed_loop.neuroncap.poses import heading_of
-from benchmark.closed_loop.neuroncap.recording import Annotations, Recording, actors_of
+from benchmark.closed_loop.neuroncap.recording import Recording, actors_of
 from benchmark.closed_loop.neuroncap.scenarios import Scenario
 from benchmark.closed_loop.neuroncap.score import reference_speed, score_of
 from benchmark.closed_loop.neuroncap.staging import Cast, staged
@@ -77,7 +78,7 @@ class NeuroncapRides:
             InputError: If the scene is too short to be driven and scored.
         """
         require_room(scene, _FEWEST_TICKS)
-        recording = recording_of(scene, can, self.switches)
+        recording = recording_for(scene, can, self.switches)
         drawn = staged(self.scenario, run, recording.times, Cast({}, {}, {}), self.switches)
         engine = Engine.of(
             recording,
@@ -188,42 +189,42 @@ class NeuroncapRide:
         return NeuroncapScore(score, found.impact_speed, found.reference_speed)
 
 
-def recording_of(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
-    """What the engine reads of a scene.
+def recording_for(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
+    """What the engine reads of a scene; the scene's first adversary is its target.
 
     Args:
         scene: The scene.
-        can: What the car measured. The engine takes the first message at or after a frame; a data set's observations
-            have the first one after it.
+        can: What the car measured, and where the files of it are.
         switches: Which classes are kept.
 
     Returns:
-        The recording; the scene's first adversary is its target.
+        The recording: from the files of the CAN bus where there are any, else from what observations say.
+
+    Raises:
+        InputError: If the files are broken.
     """
-    frames, known = scene.keyframes, scene.annotations
+    if can.root is not None and has_can_bus(scene.name, can.root):
+        recording = recording_of(scene, can.root, switches)
+    else:
+        recording = _observed(scene, can, switches)
+    target = scene.adversaries[0] if scene.adversaries else None
+    return replace(
+        recording, actors=tuple(replace(actor, is_target=actor.uuid == target) for actor in recording.actors)
+    )
+
+
+def _observed(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
+    """A recording without files of a CAN bus: motion is that of observations, derived from poses if need be."""
+    frames, rows = scene.keyframes, can.motion
     times = scene.timestamps_us[frames]
     position, rotation = scene.ego.position[frames], scene.ego.rotation[frames]
-    rows = can.motion_after
     canbus = np.concatenate([position, rotation, rows[:, 3:6], rows[:, 6:9], rows[:, 0:3]], axis=1)
-    instance, frame = np.nonzero(known.valid)
-    order = np.lexsort((instance, frame))
-    instance, frame = instance[order], frame[order]
-    annotated = Annotations(
-        frame=frame,
-        instance=instance,
-        translation=known.position[instance, frame],
-        rotation=known.rotation[instance, frame],
-        size=known.size[instance, frame][:, [1, 0, 2]],
-        tokens=scene.agents.ids,
-        categories=scene.agents.categories,
-    )
-    target = scene.adversaries[0] if scene.adversaries else None
     return Recording(
         times=times,
         poses=np.array([transform_matrix(turn, place) for turn, place in zip(rotation, position, strict=True)]),
         canbus=canbus.astype(np.float32),
         steering_wheel=can.steering_wheel_rad.astype(np.float32),
-        actors=tuple(replace(actor, is_target=actor.uuid == target) for actor in actors_of(annotated, times, switches)),
+        actors=actors_of(annotations_of(scene), times, switches),
     )
 
 

@@ -53,10 +53,10 @@ def arrays_reachable(value: Any) -> Iterator[Floats]:
             waiting += [each for each in gc.get_referents(here) if each is not module]
 
 
-@pytest.mark.parametrize("maker", MAKERS)
-@pytest.mark.parametrize("with_images", [False, True])
+@pytest.mark.parametrize(("maker", "with_images"), [*((maker, False) for maker in MAKERS), (MAKERS[0], True)])
 def test_nothing_of_the_recordings_future_can_be_reached(maker: RideMaker, with_images: bool) -> None:
     scene = marked_future(scene_on_straight_road((Car(80.0, 201.75, 8.0),), seconds=5.0))
+    scene = replace(scene, cameras=tuple(camera.resized(56, 32) for camera in scene.cameras))
     stage = staged(scene, maker)
     planner = Watching()
     drive(replace(stage, sensor=SchematicSensor()) if with_images else stage, planner)
