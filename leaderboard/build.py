@@ -158,9 +158,8 @@ def _made(
         sections += [table.markdown() for table in tables]
     published = (*published_tables(), *standing_tables(made.records))
     made.place("", "published", published)
-    made.files["README.md"] = "\n".join(
-        [*sections, "## Published", "", *(table.markdown() for table in published)]
-    ).encode()
+    sections += ["## Published", "", *(table.markdown() for table in published)]
+    made.files["README.md"] = "\n".join(sections).encode()
     return made
 
 
@@ -345,13 +344,12 @@ def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
         own = [record for record in drives if record.facts.data.name == name]
         tables = [*drive_tables(own), *loop_tables(own, made.records)]
         made.place(name, CLOSED_LOOP, tables)
-        page, folder = f"{escape_markdown(name)}: {CLOSED_LOOP}", file_name(name)
-        made.files[page_path(folder, "closed-loop")] = page_text(page, tables).encode()
+        page, path = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(file_name(name), "closed-loop")
+        made.files[path] = page_text(page, tables).encode()
         scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
         lines += [f"## {page}", "", *(table.markdown() for table in tables if table not in scenes)]
         if scenes:
-            link = quote(page_path(folder, "closed-loop"))
-            lines += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({link}).", ""]
+            lines += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(path)}).", ""]
     return lines
 
 

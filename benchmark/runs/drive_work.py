@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmark.closed_loop.drives.asking import Reason
-from benchmark.closed_loop.drives.driving import Stage, drive
+from benchmark.closed_loop.drives.driving import Drive, Stage, drive
 from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
@@ -23,7 +23,7 @@ from benchmark.planning import Observation, Plan, PlanFrame, Planner, SceneInfo
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.drive_rows import row_of
+from benchmark.runs.drive_rows import DECIMALS, row_of
 from benchmark.runs.plan_rows import PlannerFactory, seed_everything
 from benchmark.scene import Scene
 
@@ -153,15 +153,45 @@ def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow)
     """
     if row.status == "failed":
         return row
-    again = Stage(scene, can_of(data, row.scene), row.run, maker, NoSensor(), _LONG_S)
-    found = drive(again, StoredPlans(row))
+    found = redriven(maker, NoSensor(), scene, data, row, StoredPlans(row))
     made = row_of(scene, row.run, found, None if found.failure is not None else score_drive(scene, found))
     if made.ticks != row.ticks or made.contact != row.contact:
-        raise InputError(
-            f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
-            "has changed since; run the same drive command again"
-        )
+        raise InputError(_elsewhere(row))
     return made
+
+
+def redriven(
+    maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
+) -> Drive:
+    """What happened in a stored drive, everybody in it, from its plans.
+
+    Args:
+        maker: The engine that drove it.
+        sensor: What looks again.
+        scene: Its scene, with its map.
+        data: The data set.
+        row: The drive.
+        plans: Of this row.
+
+    Returns:
+        The drive; one in which the planner failed ends where it did.
+
+    Raises:
+        InputError: If the plans lead elsewhere than they did.
+    """
+    found = drive(Stage(scene, can_of(data, row.scene), row.run, maker, sensor, _LONG_S), plans)
+    ticks = found.motion.ticks
+    states = np.round(found.motion.ego[ticks], DECIMALS).tolist()
+    if (found.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
+        raise InputError(_elsewhere(row))
+    return found
+
+
+def _elsewhere(row: DriveRow) -> str:
+    return (
+        f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
+        "has changed since; run the same drive command again"
+    )
 
 
 class StoredPlans:
