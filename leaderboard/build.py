@@ -372,7 +372,7 @@ def _all_files(
         return dict(made.files)
     shown = {figure.path for figure in made.figures}
     downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
-    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads | made.of_site)
+    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads | made.of_site, drives)
     return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 
