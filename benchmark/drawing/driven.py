@@ -64,6 +64,14 @@ class DrivenSheet:
         """(F,) time of each frame since the first."""
         return frame_seconds(self.stored.sheet)
 
+    @property
+    def last(self) -> int:
+        """Frame at which the drive is over: the first that does not come before the contact, or the last one."""
+        end = len(self.seconds) - 1
+        if self.contact is None:
+            return end
+        return min(int(np.searchsorted(self.seconds, self.contact.seconds - 1e-6)), end)
+
     def path(self) -> PathOverlay:
         """The recorded path."""
         return PathOverlay(self.recorded)

@@ -75,10 +75,16 @@ class DriveFilm:
         self._sheet, self._style = driven.stored.sheet, planner_style(0)
         self._above = SceneFromAbove(self._sheet)
         self._cameras = CameraPictures(driven.stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
-        frames = film_frames(self._sheet.scene, self._above, settings)
-        whole = settings.end_s is None or settings.end_s >= driven.seconds[-1]
+        last = driven.last
+        frames = tuple(frame for frame in film_frames(self._sheet.scene, self._above, settings) if frame <= last)
+        if not frames:
+            raise InputError(
+                f"the drive of {self._sheet.scene} ends after {driven.seconds[last]:.1f} s, a film from "
+                f"{settings.begin_s} s on has no frames; choose an earlier --from"
+            )
+        whole = settings.end_s is None or settings.end_s >= driven.seconds[last]
         held = round(HELD_S * settings.fps) if driven.row.end != "end" and whole else 0
-        self.frames: tuple[int, ...] = (*frames, *(frames[-1:] * held))
+        self.frames: tuple[int, ...] = (*frames, *((last,) * held))
 
     def __len__(self) -> int:
         """How many frames it has."""
@@ -199,7 +205,7 @@ class DriveFilm:
     def _outcome(self, frame: int) -> list[str]:
         """How it ended, once it has."""
         row = self.driven.row
-        over = frame >= len(self.driven.seconds) - 1
+        over = frame >= self.driven.last
         if row.contact is not None and self._state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
             blame = "at fault" if row.contact.at_fault else "not at fault"

@@ -1,6 +1,7 @@
 """Films of drives: the driven world, the recorded path, the contact; the command finds its drives."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,8 @@ def film_of(made: Made, **changes: object) -> DriveFilm:
 def test_a_contact_is_announced_marked_and_held(hit: Made) -> None:
     film, contact = film_of(hit), hit[1].contact
     assert contact is not None and film.layout is FilmLayout.BOTH
+    # NeuroNCAP's engine finds a contact after the states that follow it.
+    assert film.frames[-1] == hit[1].last and 0.0 <= hit[1].seconds[film.frames[-1]] - contact.seconds < 0.101
     held = round(HELD_S * DRIVE_FPS)
     assert film.frames[-held - 1 :] == film.frames[-1:] * (held + 1)
     frames = list(film)
@@ -57,6 +60,17 @@ def test_driven_ego_and_recorded_path_are_seen_apart(hit: Made) -> None:
     frames = list(film_of(hit, layout=FilmLayout.BIRDSEYE, end_s=2.0))
     above = frames[-1][TITLE_PX:, WIDTH_PX - 820 :]
     assert pixels_of(above, EGO) > 300 and pixels_of(above, PATH) > 50
+
+
+def test_what_came_after_the_contact_is_not_shown(hit: Made) -> None:
+    record, sheet = hit
+    assert sheet.contact is not None
+    earlier = replace(sheet, contact=replace(sheet.contact, seconds=sheet.contact.seconds - 0.5))
+    film = film_of((record, earlier))
+    assert film.frames[-1] == earlier.last < sheet.last
+    assert pixels_of(list(film)[-1][TITLE_PX:], CONTACT) > 100
+    with pytest.raises(InputError, match="ends after"):
+        film_of((record, earlier), begin_s=earlier.seconds[-1])
 
 
 def test_a_part_of_a_drive_holds_nothing(hit: Made) -> None:
