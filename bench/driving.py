@@ -16,7 +16,7 @@ from benchmark.closed_loop.drives.driving import Stage, drive
 from benchmark.closed_loop.scores.scoring import score_drive
 from benchmark.machine.workers import single_threaded
 from benchmark.planning import SceneInfo
-from benchmark.runs.drive_work import can_of
+from benchmark.runs.redriving import can_of
 from generation.render.schematic import SECOND, SchematicRenderer
 from generation.render.sensor import SchematicSensor
 

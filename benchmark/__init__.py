@@ -48,6 +48,7 @@ _DEFINED_IN: Final = {
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
     "benchmark.judging.splits": ["judge_split"],
     "benchmark.runs.driving": ["drive_split", "DriveSettings"],
+    "benchmark.runs.redriving": ["rescore_drives"],
     "benchmark.records.drives": ["DriveRecord", "load_drives", "find_drives"],
     "leaderboard.tables.drives": ["drive_tables"],
     "benchmark.protocols": ["PROTOCOLS"],
@@ -199,6 +200,7 @@ if TYPE_CHECKING:
     from benchmark.records.review import Verdict as Verdict
     from benchmark.records.run import RunRecord as RunRecord, find_records as find_records, load_record as load_record
     from benchmark.runs.driving import DriveSettings as DriveSettings, drive_split as drive_split
+    from benchmark.runs.redriving import rescore_drives as rescore_drives
     from benchmark.runs.reproducing import (
         expected_file as expected_file,
         published_numbers as published_numbers,

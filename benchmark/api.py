@@ -322,6 +322,7 @@ def drive_settings(
     agents: str = "replay",
     sensor: str = "none",
     latency_ms: int = 0,
+    scenarios: str = "recorded",
     runs: int = 1,
     scenes: "Sequence[str] | None" = None,
     limit: int | None = None,
@@ -337,6 +338,7 @@ def drive_settings(
         agents: ``replay`` or ``idm``; NeuroNCAP's never react.
         sensor: ``none`` or ``schematic``.
         latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
+        scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.
         runs: Runs of each scene; one where nothing is drawn.
         scenes: Only these scenes.
         limit: Only the first so many.
@@ -363,11 +365,12 @@ def drive_settings(
     style = "second" if is_generated(split) else "first"
     return DriveSettings(
         engine=engine,
-        maker=rides_of(engine, agents, latency_ms),
+        maker=rides_of(engine, agents, latency_ms, scenarios),
         agents=agents,
         sensor=NoSensor() if sensor == NO_SENSOR else SchematicSensor(style),
         runs=runs,
         latency_ms=latency_ms,
+        scenarios=scenarios,
         scenes=None if scenes is None else tuple(scenes),
         limit=limit,
         executor=executor or LocalProcesses(),

@@ -56,6 +56,14 @@ class AgentsName(StrEnum):
     IDM = "idm"
 
 
+class ScenariosName(StrEnum):
+    """What scenes are driven with, in NeuroNCAP's engine."""
+
+    RECORDED = "recorded"
+    OWN = "own"
+    OFFICIAL = "official"
+
+
 class SensorName(StrEnum):
     """What cameras see of a driven world."""
 
@@ -79,6 +87,9 @@ def drive_command(
         AgentsName, typer.Option(help="The others: their tracks, or keeping distance.")
     ] = AgentsName.REPLAY,
     sensor: Annotated[SensorName, typer.Option(help="What cameras see; blind planners have none.")] = SensorName.NONE,
+    scenarios: Annotated[
+        ScenariosName, typer.Option(help="neuroncap: scenes as they are, or scenarios put into them.")
+    ] = ScenariosName.RECORDED,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each scene; one where nothing is drawn.")] = 1,
     latency: Annotated[int, typer.Option(min=0, help="Milliseconds after which a plan takes effect.")] = 0,
     timeout: Annotated[float, typer.Option(min=0.001, help="Seconds that a plan may take.")] = 120.0,
@@ -107,7 +118,7 @@ def drive_command(
     from benchmark.closed_loop.drives.sensors import NoSensor
     from benchmark.runs.driving import drive_split
 
-    _require_engine(engine, agents, latency)
+    _require_engine(engine, agents, latency, scenarios)
     names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
@@ -138,6 +149,7 @@ def drive_command(
         agents=agents.value,
         sensor=sensor.value,
         latency_ms=latency,
+        scenarios=scenarios.value,
         runs=runs,
         scenes=name_list(scenes),
         limit=limit,
@@ -166,7 +178,7 @@ def drive_command(
         raise typer.Exit(1)
 
 
-def _require_engine(engine: EngineName, agents: AgentsName, latency: int) -> None:
+def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenarios: ScenariosName) -> None:
     """Refuse what NeuroNCAP's engine has not, and a latency that no engine has."""
     if engine is not EngineName.DEFAULT:
         if agents is not AgentsName.REPLAY:
@@ -175,6 +187,8 @@ def _require_engine(engine: EngineName, agents: AgentsName, latency: int) -> Non
             )
         if latency:
             raise InputError(f"{engine.value} has no latency; leave --latency out or take --engine default")
+    elif scenarios is not ScenariosName.RECORDED:
+        raise InputError(f"--scenarios {scenarios.value} are of NeuroNCAP's engine; add --engine neuroncap@code")
     if latency % STEP_MS or latency > LONGEST_LATENCY_MS:
         raise InputError(
             f"--latency {latency} is no multiple of {STEP_MS} ms up to {LONGEST_LATENCY_MS}: the engine's steps are "

@@ -72,7 +72,7 @@ def drive_films(
 
     for record, name, rows in chosen:
         measured = record.facts.measured
-        maker = rides_of(measured.engine, measured.agents, measured.latency_ms)
+        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
         for row in rows:
             with tempfile.TemporaryDirectory() as folder:
                 driven = driven_sheet(Path(folder), data, record, row, maker, _sensor(record))

@@ -37,6 +37,7 @@ class Measured(Stored):
         sensor: What cameras saw.
         sensor_facts: What else the pictures depend on.
         latency_ms: So much later than it was made did a plan take effect.
+        scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own.
     """
 
     engine: EngineName
@@ -44,12 +45,14 @@ class Measured(Stored):
     sensor: Name
     sensor_facts: dict[str, Any] = Field(default_factory=dict)
     latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
+    scenarios: Literal["recorded", "own", "official"] = "recorded"
 
     @property
     def world(self) -> str:
         """Engine, agents and latency, in words: what records of one table share, whatever their planners look at."""
         agents = f", agents {self.agents}" if self.engine == "default" else ""
-        return f"{self.engine}{agents}{f', latency {self.latency_ms} ms' if self.latency_ms else ''}"
+        scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
+        return f"{self.engine}{scenarios}{agents}{f', latency {self.latency_ms} ms' if self.latency_ms else ''}"
 
 
 class DriveFacts(Stored):
@@ -206,6 +209,7 @@ class DriveRow(Stored):
 
     Attributes:
         scene: Scene name.
+        family: Family of the scenario; empty where the scene was driven as it is.
         run: Index of the run, which is its seed.
         status: ``failed`` where the planner failed; such a drive has no scores and is never a zero.
         end: What ended it.
@@ -218,6 +222,7 @@ class DriveRow(Stored):
     """
 
     scene: Name
+    family: Literal["", "stationary", "frontal", "side"] = ""
     run: Annotated[int, Field(ge=0, lt=MOST_RUNS)]
     status: Literal["ok", "failed"]
     end: Literal["contact", "end", "failed"]

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.foreign.limits import RECORD
+from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary
@@ -81,7 +82,10 @@ def values_of(row: DriveRow) -> dict[str, float | None]:
     if scores.neuroncap is not None:
         found = scores.neuroncap
         speed = found.impact_speed if contact is not None else None
-        return {NNS: found.score, COLLISION_RATE: float(contact is not None), "impact_speed": speed, **common}
+        hit = float(contact is not None)
+        both = {NNS: found.score, COLLISION_RATE: hit}
+        families = {f"{name}_{row.family}": value for name, value in both.items()} if row.family else {}
+        return {**both, "impact_speed": speed, **common, **families}
     own: dict[str, float | None] = {
         "contact": float(contact is not None),
         "at_fault": float(contact is not None and contact.at_fault),
@@ -114,11 +118,12 @@ def summarise(rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *
     columns: dict[str, RateRow] = {}
     if driven:
         values = [values_of(row) for row in driven]
-        names = list(values[0])
-        table = np.array([[each[name] for name in names] for each in values], np.float64)
+        names = list(dict.fromkeys(name for each in values for name in each))
+        table = np.array([[each.get(name) for name in names] for each in values], np.float64)
         known = ~np.isnan(table)
+        weights: Floats = np.where(known, _weights(driven)[:, None], 0.0)
         scenes = [scene_facts[row.scene].source if row.scene in scene_facts else row.scene for row in driven]
-        found = ratios_over_scenes(np.where(known, table, 0.0), known.astype(np.float64), scenes, seed=seed)
+        found = ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
         columns = {name: RateRow(**asdict(rate)) for name, rate in zip(names, found, strict=True)}
     reasons = Counter(row.failure.reason for row in rows if row.failure is not None)
     return DriveSummary(
@@ -210,6 +215,12 @@ def find_drives(*roots: Path) -> list[DriveRecord]:
         places = (path.parent for path in sorted(root.rglob(DRIVE_FILE)))
         found += read_each(places, load_drives, instead=" to do without this record")
     return found
+
+
+def _weights(rows: Sequence[DriveRow]) -> Floats:
+    """(S,) weights with which families of scenarios count alike, however many drives each has; they sum to S."""
+    drives = Counter(row.family for row in rows)
+    return np.array([len(rows) / (len(drives) * drives[row.family]) for row in rows])
 
 
 def _checked(model: type[_Read], stored: Any, path: Path) -> _Read:

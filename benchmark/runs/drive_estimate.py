@@ -9,9 +9,9 @@ from benchmark.closed_loop.drives.driving import Stage, drive
 from benchmark.machine.progress import clock_time
 from benchmark.machine.workers import LocalProcesses
 from benchmark.report.words import counted
-from benchmark.runs.drive_work import can_of
 from benchmark.runs.driving import DriveSettings, job_of, kept_units
 from benchmark.runs.plan_rows import PlannerFactory
+from benchmark.runs.redriving import can_of
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -39,14 +39,16 @@ def estimate(data: "DataSet", split: str, planner: PlannerFactory, settings: Dri
         InputError: If the split or a scene is unknown, or a scene cannot be driven.
     """
     scenes = settings.chosen(data, split)
-    units = settings.units(scenes)
+    units = settings.units(data, scenes)
     job = job_of(data, split, planner.facts, out, settings)
     kept = kept_units(job, units)
     left = len(units) - kept
     seconds = 0.0
     if left:
-        scene = data.scene(scenes[0])
-        stage = Stage(scene, can_of(data, scene.name), 0, settings.maker, settings.sensor, settings.timeout_s)
+        scene = data.scene(units[0].scene)
+        stage = Stage(
+            scene, can_of(data, scene.name), 0, settings.maker, settings.sensor, settings.timeout_s, units[0].family
+        )
         ready, started = planner(), time.perf_counter()
         drive(replace(stage, most_plans=1), ready)
         begun = time.perf_counter()

@@ -6,21 +6,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmark.closed_loop.drives.driving import Drive
+from benchmark.closed_loop.drives.driving import Drive, Stage
 from benchmark.closed_loop.scores.scoring import DriveScores
 from benchmark.records.drive_schema import DriveRow
-from benchmark.scene import Scene
 
 DECIMALS: Final = 6
 """Of stored states and scores; plans are stored as they were given."""
 
 
-def row_of(scene: Scene, run: int, drive: Drive, scores: DriveScores | None) -> DriveRow:
+def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
     """The row of a drive.
 
     Args:
-        scene: Its scene.
-        run: Its run.
+        stage: What was driven.
         drive: The drive.
         scores: What is said of it; ``None`` of a failed one.
 
@@ -31,8 +29,9 @@ def row_of(scene: Scene, run: int, drive: Drive, scores: DriveScores | None) -> 
     contact = None if scores is None or scores.contact is None else _rounded(asdict(scores.contact))
     return DriveRow.model_validate(
         {
-            "scene": scene.name,
-            "run": run,
+            "scene": stage.scene.name,
+            "family": stage.family,
+            "run": stage.run,
             "status": "ok" if failure is None else "failed",
             "end": drive.end,
             "primed": drive.primed,

@@ -21,7 +21,7 @@ from benchmark.planning import CameraView, Observation, Plan
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetCamera, StoredSheet, picture_name
-from benchmark.runs.drive_work import StoredPlans, redriven
+from benchmark.runs.redriving import StoredPlans, seen_again
 from benchmark.scene import Scene
 from benchmark.sheets.making import sheet_to_draw
 from benchmark.sheets.pictures import adversary_edges, layout, mosaic
@@ -71,7 +71,7 @@ def driven_sheet(
             "challenger-bench drive again"
         )
     scene, plans = data.scene(row.scene), WatchedPlans(row)
-    found = redriven(maker, sensor or NoSensor(), scene, data, row, plans)
+    found = seen_again(maker, sensor or NoSensor(), scene, data, row, plans)
     driven = driven_scene(scene, Route.of(scene), found.motion)
     sheet = sheet_to_draw(driven).model_copy(update={"data": record.facts.data, "split": record.facts.split})
     first = len(driven.timestamps_us) - len(found.motion.times_us)

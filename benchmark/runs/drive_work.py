@@ -10,21 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from benchmark.closed_loop.drives.asking import Reason
-from benchmark.closed_loop.drives.driving import Drive, Stage, drive
-from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
-from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
+from benchmark.closed_loop.drives.driving import Stage, drive
+from benchmark.closed_loop.drives.riding import RideMaker
+from benchmark.closed_loop.drives.sensors import Sensor
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, content_seed, file_name, read_json, write_json
-from benchmark.planning import Observation, Plan, PlanFrame, Planner, SceneInfo
+from benchmark.planning import Planner
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.drive_rows import DECIMALS, row_of
+from benchmark.runs.drive_rows import row_of
 from benchmark.runs.plan_rows import PlannerFactory, seed_everything
+from benchmark.runs.redriving import can_of, driven_again
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
@@ -35,16 +34,15 @@ FORMAT: Final = 1
 KEPT: Final = "drives"
 """Folder of kept drives in a record's directory."""
 _LOOP: Final = "benchmark.closed_loop.drives.driving:drive"
-_LONG_S: Final = 3600.0
-"""Nothing that is stored is late."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One scene and one run."""
+    """One scene, one of its scenarios if it has any, and one run."""
 
     scene: str
     run: int
+    family: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +74,12 @@ class Job:
         who = self.planner.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
         code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(Stage, made_by=_LOOP)]
         what = self.measured.model_dump(mode="json")
-        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.run, who, what, code)
+        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
 
     def path(self, unit: Unit) -> Path:
         """File of a unit; scene names may hold slashes."""
-        return self.directory / KEPT / f"{file_name(unit.scene)}-{unit.run}.json"
+        name = "-".join([file_name(unit.scene), *([unit.family] if unit.family else []), str(unit.run)])
+        return self.directory / KEPT / f"{name}.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,95 +123,11 @@ def work_here(job: Job, data: "DataSet", planner: Planner, unit: Unit) -> UnitRe
         return UnitResult(unit, row, None)
     started = time.perf_counter()
     seed_everything(content_seed(key))
-    row = _driven(job, data, scene, unit.run, planner)
+    row = _driven(job, data, scene, unit, planner)
     if row.failure is None or row.failure.reason != Reason.TIMEOUT.value:
         # How long a plan takes is the machine's matter: the same command tries again.
         write_kept(path, key, row)
     return UnitResult(unit, row, time.perf_counter() - started)
-
-
-def can_of(data: "DataSet", name: str) -> RecordedCan:
-    """What the recorded car measured in a scene."""
-    return RecordedCan.of((observation.ego for observation in data.observations(name)), data.root)
-
-
-def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> DriveRow:
-    """Drive the stored plans of a drive and score it anew; its planner is not asked.
-
-    Args:
-        maker: The engine that drove it.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-
-    Returns:
-        The drive with new scores. A failed one stays as it is: it has none.
-
-    Raises:
-        InputError: If the plans lead elsewhere than they did.
-    """
-    if row.status == "failed":
-        return row
-    found = redriven(maker, NoSensor(), scene, data, row, StoredPlans(row))
-    made = row_of(scene, row.run, found, None if found.failure is not None else score_drive(scene, found))
-    if made.ticks != row.ticks or made.contact != row.contact:
-        raise InputError(_elsewhere(row))
-    return made
-
-
-def redriven(
-    maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
-) -> Drive:
-    """What happened in a stored drive, everybody in it, from its plans.
-
-    Args:
-        maker: The engine that drove it.
-        sensor: What looks again.
-        scene: Its scene, with its map.
-        data: The data set.
-        row: The drive.
-        plans: Of this row.
-
-    Returns:
-        The drive; one in which the planner failed ends where it did.
-
-    Raises:
-        InputError: If the plans lead elsewhere than they did.
-    """
-    found = drive(Stage(scene, can_of(data, row.scene), row.run, maker, sensor, _LONG_S), plans)
-    ticks = found.motion.ticks
-    states = np.round(found.motion.ego[ticks], DECIMALS).tolist()
-    if (found.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
-        raise InputError(_elsewhere(row))
-    return found
-
-
-def _elsewhere(row: DriveRow) -> str:
-    return (
-        f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
-        "has changed since; run the same drive command again"
-    )
-
-
-class StoredPlans:
-    """The planner of a drive that was driven already: its plans, in their order."""
-
-    name = "stored plans"
-
-    def __init__(self, row: DriveRow) -> None:
-        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in row.plans]
-        self._next = 0
-
-    def reset(self, scene: SceneInfo) -> None:
-        """Begin with the first."""
-        self._next = 0
-
-    def plan(self, observation: Observation) -> Plan:
-        """The next one; raises `LookupError` where there is none."""
-        if self._next >= len(self._plans):
-            raise LookupError("there are no more stored plans")
-        self._next += 1
-        return self._plans[self._next - 1]
 
 
 _in_this_process: dict[str, tuple["DataSet", Planner]] = {}
@@ -250,7 +165,7 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
     return {"key": key, "scoring": scoring, "content": content_key(row)}
 
 
-def _driven(job: Job, data: "DataSet", scene: Scene, run: int, planner: Planner) -> DriveRow:
-    stage = Stage(scene, can_of(data, scene.name), run, job.maker, job.sensor, job.timeout_s)
+def _driven(job: Job, data: "DataSet", scene: Scene, unit: Unit, planner: Planner) -> DriveRow:
+    stage = Stage(scene, can_of(data, scene.name), unit.run, job.maker, job.sensor, job.timeout_s, unit.family)
     found = drive(stage, planner)
-    return row_of(scene, run, found, None if found.failure is not None else score_drive(scene, found))
+    return row_of(stage, found, None if found.failure is not None else score_drive(scene, found))

@@ -29,6 +29,7 @@ from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.seed_splits import generated_facts
 from benchmark.runs.drive_work import KEPT, Job, Unit, UnitResult, kept_drive, work_here, work_in_worker
 from benchmark.runs.plan_rows import PlannerFactory, facts_of
+from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopen_root
 
@@ -47,6 +48,7 @@ class DriveSettings:
         sensor: What cameras see.
         runs: Runs of each scene; one where the engine draws nothing.
         latency_ms: So much later does a plan take effect.
+        scenarios: What scenes are driven with, in NeuroNCAP's engine.
         scenes: Only these scenes of the split.
         limit: Only the first so many.
         executor: Where units are driven; the result does not depend on it.
@@ -61,6 +63,7 @@ class DriveSettings:
     sensor: Sensor = field(default_factory=NoSensor)
     runs: int = 1
     latency_ms: int = 0
+    scenarios: str = "recorded"
     scenes: tuple[str, ...] | None = None
     limit: int | None = None
     executor: Executor = field(default_factory=LocalProcesses)
@@ -82,6 +85,7 @@ class DriveSettings:
                 "sensor": self.sensor.name,
                 "sensor_facts": dict(self.sensor.facts),
                 "latency_ms": self.latency_ms,
+                "scenarios": self.scenarios,
             }
         )
 
@@ -94,9 +98,22 @@ class DriveSettings:
         """The scenes that are driven; raises `InputError` as for an evaluation."""
         return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
 
-    def units(self, scenes: tuple[str, ...]) -> list[Unit]:
-        """All units, scene after scene."""
-        return [Unit(scene, run) for scene in scenes for run in range(self.runs_made)]
+    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+        """All units, scene after scene.
+
+        Raises:
+            InputError: If no scene has a scenario.
+        """
+        found = []
+        for scene in scenes:
+            families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
+            found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+        if not found:
+            raise InputError(
+                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios; "
+                "take other scenes or other scenarios (docs/closed-loop.md)"
+            )
+        return found
 
 
 def drive_split(
@@ -133,7 +150,7 @@ def drive_split(
         raise InputError(f"--runs must be at least 1, got {settings.runs}")
     facts = facts_of(ready) if factory is None else factory.facts
     job, scenes = job_of(data, split, facts, out, settings), settings.chosen(data, split)
-    units = settings.units(scenes)
+    units = settings.units(data, scenes)
     elsewhere = None
     if factory is not None:
         elsewhere = partial(
@@ -172,6 +189,7 @@ def drives_directory(
     """Directory of a record: ``<out>/<data>/<split>/<what was measured>/<planner>``."""
     own = run_directory(out, data_name, split, planner, part)
     parts = [measured.engine, *([measured.agents] if measured.engine == "default" else []), measured.sensor]
+    parts += [measured.scenarios] if measured.scenarios != "recorded" else []
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
     parts += [content_key(measured.sensor_facts)[:8]] if measured.sensor_facts else []
     return own.parent / file_name("-".join(parts)) / own.name

@@ -140,7 +140,8 @@ class DriveFilm:
         write_text(image, name, (x, y), size_px=18, colour=TITLE_INK, bold=True)
         x += text_width(name, size_px=18, bold=True) + 16
         measured, run = self.record.facts.measured, self.driven.row.run
-        numbered = f", run {run}" if self.record.facts.runs > 1 else ""
+        family = self.driven.row.family
+        numbered = f"{f', {family}' if family else ''}{f', run {run}' if self.record.facts.runs > 1 else ''}"
         what = f"{drawable(measured.world)}, sensor {drawable(measured.sensor)}{numbered}"
         where = f"closed loop: {what}; {drawable(self._sheet.data.name)} {drawable(self._sheet.split)}"
         where = fitted(where, image.shape[1] - round(x) - 90, size_px=14)

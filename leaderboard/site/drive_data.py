@@ -47,7 +47,7 @@ class _Shown:
     @property
     def key(self) -> str:
         """In addresses and file names."""
-        return content_key("drive", self.record.content_id, self.row.scene, self.row.run)[:16]
+        return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run)[:16]
 
     @property
     def scene(self) -> tuple[str, str, str]:
@@ -88,7 +88,8 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
 
     Returns:
         For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
-        ``miniature``, ``world``, ``sensor``, ``run``, ``runs``, ``end``, ``contact``, ``failure``, ``everybody``.
+        ``miniature``, ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``,
+        ``everybody``.
     """
     found = []
     for one in _shown(drives):
@@ -103,6 +104,7 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
                 "miniature": facts.planner.miniature,
                 "world": facts.measured.world,
                 "sensor": facts.measured.sensor,
+                "family": row.family,
                 "run": row.run,
                 "runs": facts.runs,
                 "end": row.end,

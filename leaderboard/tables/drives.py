@@ -41,6 +41,7 @@ _NEURONCAP: Final = (
     ("comfortable", "comfort %", _PERCENT, False),
 )
 """Column of a summary, head, unit, and whether its interval stands beside it."""
+_FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF_DEFAULT: Final = (
     "planner",
     "sensor",
@@ -64,7 +65,7 @@ _NOTES_DEFAULT: Final = (
 )
 _NOTES_NEURONCAP: Final = (
     "NNS: 5 without contact, else 4 max(0, 1 - impact / reference); CR: drives with a contact. Numbers of this engine "
-    "compare with published ones only on NeuroNCAP's own scenarios and renderer.",
+    "compare with published ones only on NeuroNCAP's own scenarios and renderer. Families of scenarios count alike.",
 )
 _FAILED_NOTE: Final = (
     "failed: drives in which the planner raised, answered no usable plan or was late; in no other column."
@@ -89,7 +90,7 @@ def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
 def _table(one: World) -> Table:
     records, first = one.records, one.records[0].facts
     own = first.measured.engine == "default"
-    columns = _DEFAULT if own else _NEURONCAP
+    columns = _DEFAULT if own else (*_NEURONCAP, *_of_families(records))
     heads = ["planner", "sensor"]
     for _, head, _, with_interval in columns:
         heads += [head, "95 %"] if with_interval else [head]
@@ -107,6 +108,14 @@ def _table(one: World) -> Table:
         text_columns=2,
         brief=Brief(title, places, notes, text_columns=2),
     )
+
+
+def _of_families(records: Sequence[DriveRecord]) -> list[tuple[str, str, str, bool]]:
+    """Columns of the families of scenarios that were driven."""
+    named = {row.family for record in records for row in record.rows if row.family}
+    families = [family for family in _FAMILIES if family in named]
+    scores = [(f"{NNS}_{family}", f"NNS {family}", "points", False) for family in families]
+    return [*scores, *((f"{COLLISION_RATE}_{family}", f"CR {family} %", _PERCENT, False) for family in families)]
 
 
 def _brief_places(heads: Sequence[str]) -> tuple[int, ...]:

@@ -40,7 +40,8 @@ def loop_tables(drives: Sequence[DriveRecord], runs: Sequence[RunRecord]) -> lis
         InputError: If two records of drives would share a row.
     """
     rates, scenes = [], []
-    for one in worlds(drives):
+    # Scenarios put actors into scenes that the recording, and so open loop, does not have.
+    for one in worlds([each for each in drives if each.facts.measured.scenarios == "recorded"]):
         found, missing = _loops_of(one, runs)
         if found:
             rates.append(_rates_table(one, found, missing))

@@ -101,6 +101,7 @@ def _named(found: Sequence[World]) -> list[World]:
         measured = facts.measured
         words = [facts.split, measured.engine.replace("@", "-")]
         words += [measured.agents] if measured.engine == "default" else []
+        words += [measured.scenarios] if measured.scenarios != "recorded" else []
         words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
         words += [one.sensor] if one.sensor != NO_SENSOR else []
         words += ["part"] if part else []

@@ -61,7 +61,11 @@ class DefaultRides:
         """Neither of its policies draws anything."""
         return False
 
-    def begin(self, scene: Scene, run: int, can: RecordedCan) -> "DefaultRide":
+    def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
+        """A scene is driven as it is."""
+        return ("",)
+
+    def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultRide":
         """The ride at its first planning instant.
 
         Raises:

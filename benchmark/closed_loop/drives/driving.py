@@ -62,6 +62,7 @@ class Stage:
         maker: The engine.
         sensor: What cameras see.
         timeout_s: How long a plan may take.
+        family: Which scenario of the scene, where it has any.
         most_plans: Ends the drive after so many plans, to see how long it takes.
     """
 
@@ -71,6 +72,7 @@ class Stage:
     maker: RideMaker
     sensor: Sensor
     timeout_s: float
+    family: str = ""
     most_plans: int | None = None
 
 
@@ -88,7 +90,7 @@ def drive(stage: Stage, planner: Planner) -> Drive:
         InputError: If the scene cannot be driven, whoever plans.
         BrokenImageError: If a picture cannot be had.
     """
-    scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can)
+    scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
     route, look = Route.of(scene), stage.sensor.look(scene)
     eyes = _Eyes(scene, route, look, Observer.of(scene, stage.can, ride.start, ride.primed), stage.timeout_s)
     failure = told(lambda: _introduce(planner, scene, look.cameras, route), stage.timeout_s)

@@ -1,6 +1,6 @@
 """What drives have in common whatever engine drives: the motion so far, a contact, and the ride as one Protocol."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, Self
@@ -174,13 +174,21 @@ class RideMaker(Protocol):
     def draws(self) -> bool:
         """Whether two runs of a scene can differ."""
 
-    def begin(self, scene: Scene, run: int, can: "RecordedCan") -> Ride:
+    def families(self, read: "Callable[[], tuple[Scene, RecordedCan]]") -> tuple[str, ...]:
+        """Scenarios that a scene is driven with, by family; one without a name where it is driven as it is.
+
+        Args:
+            read: Gives the scene and what its car measured; not called where that does not matter.
+        """
+
+    def begin(self, scene: Scene, run: int, can: "RecordedCan", family: str = "") -> Ride:
         """The ride at its first planning instant.
 
         Args:
             scene: The recorded or generated scene.
             run: Index of the run, from which alone anything is drawn.
             can: What the recorded car measured at the keyframes.
+            family: Which scenario.
 
         Raises:
             InputError: If the scene is too short to be driven.

@@ -1,9 +1,11 @@
 """NeuroNCAP's engine as a ride: any scene of any split, with its own adversary as the target actor.
 
-A scene without a scenario file is driven as the published code drives one: from its first frame, one primed step, its
-own actors. The planner's motion is what the engine reports; its command is the engine's.
+A scene as it is is driven as the published code drives one without a scenario file: from its first frame, one primed
+step, its own actors. With scenarios, of ours or NeuroNCAP's own, it is driven once for each family. The planner's
+motion is what the engine reports; its command is the engine's.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -32,10 +34,11 @@ from benchmark.closed_loop.neuroncap.loop import (
     goes_on,
     step,
 )
+from benchmark.closed_loop.neuroncap.own_scenarios import own_scenarios
 from benchmark.closed_loop.neuroncap.plan_path import SUBSTEP_US, UnusablePlanError
 from benchmark.closed_loop.neuroncap.poses import heading_of
 from benchmark.closed_loop.neuroncap.recording import Recording, actors_of
-from benchmark.closed_loop.neuroncap.scenarios import Scenario
+from benchmark.closed_loop.neuroncap.scenarios import Scenario, official_scenarios
 from benchmark.closed_loop.neuroncap.score import reference_speed, score_of
 from benchmark.closed_loop.neuroncap.staging import Cast, staged
 from benchmark.closed_loop.neuroncap.switches import Switches
@@ -48,6 +51,8 @@ from benchmark.scene import Scene
 _ACCELERATION, _RATE, _VELOCITY = slice(7, 10), slice(10, 13), slice(13, 16)
 """Of a CAN row of the engine."""
 _FEWEST_TICKS: Final = 4
+RECORDED, OWN, OFFICIAL = "recorded", "own", "official"
+SCENARIOS: Final = (RECORDED, OWN, OFFICIAL)
 WITHOUT_SCENARIO: Final = Scenario()
 """What the published code drives where there is no scenario file."""
 _COLUMNS: Final = [0, 1, 2, 3, 4, 6, 5]
@@ -60,18 +65,25 @@ class NeuroncapRides:
 
     Attributes:
         switches: Readings.
-        scenario: What every scene is driven with.
+        scenarios: ``recorded``: scenes as they are; ``own`` or ``official``: with scenarios, by family.
     """
 
     switches: Switches
-    scenario: Scenario = WITHOUT_SCENARIO
+    scenarios: str = RECORDED
 
     @property
     def draws(self) -> bool:
         """Whether two runs can differ."""
-        return self.scenario.draws
+        return self.scenarios != RECORDED
 
-    def begin(self, scene: Scene, run: int, can: RecordedCan) -> "NeuroncapRide":
+    def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
+        """Scenarios of a scene."""
+        if self.scenarios == RECORDED:
+            return ("",)
+        scene, can = read()
+        return tuple(scenarios_of(scene.name, recording_for(scene, can, self.switches), self.scenarios))
+
+    def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapRide":
         """The ride at its first planning instant.
 
         Raises:
@@ -79,19 +91,23 @@ class NeuroncapRides:
         """
         require_room(scene, _FEWEST_TICKS)
         recording = recording_for(scene, can, self.switches)
-        drawn = staged(self.scenario, run, recording.times, Cast({}, {}, {}), self.switches)
+        scenario = WITHOUT_SCENARIO
+        if family:
+            recording = replace(recording, actors=tuple(replace(each, is_target=False) for each in recording.actors))
+            scenario = scenarios_of(scene.name, recording, self.scenarios)[family]
+        drawn = staged(scenario, run, recording.times, Cast.of(recording.actors), self.switches)
         engine = Engine.of(
             recording,
             drawn,
-            priming_steps=self.scenario.priming_steps,
+            priming_steps=scenario.priming_steps,
             renderer_knows=frozenset(actor.uuid for actor in recording.actors),
             switches=self.switches,
         )
         # A run that could not be scored at its end is refused before anybody plans.
         reference_speed(recording, engine.start_frame, _target(engine), self.switches)
         world = begin(engine)
-        frame = int(scene.keyframes[engine.start_frame])
-        return NeuroncapRide(scene, engine, world, Crowd.of(scene, engine), recorded_motion(scene, frame, frame))
+        frame, crowd = int(scene.keyframes[engine.start_frame]), Crowd.of(scene, engine)
+        return NeuroncapRide(scene, engine, world, crowd, crowd.around(recorded_motion(scene, frame, frame)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +185,7 @@ class NeuroncapRide:
             return replace(self, world=world)
         if world.last is None:
             last = int(self.scene.keyframes[self.engine.start_frame + world.step])
-            later = recorded_motion(self.scene, last - self._frames_before(last) + 1, last)
+            later = self.crowd.around(recorded_motion(self.scene, last - self._frames_before(last) + 1, last))
         else:
             later = self.crowd.motion(*_driven(self.world.state, world))
         return replace(self, world=world, motion=self.motion.then(later))
@@ -187,6 +203,26 @@ class NeuroncapRide:
         found = score_of(self.engine, self.world)
         score = None if np.isnan(found.score) else found.score
         return NeuroncapScore(score, found.impact_speed, found.reference_speed)
+
+
+def scenarios_of(name: str, recording: Recording, which: str) -> dict[str, Scenario]:
+    """Scenarios of a scene by family.
+
+    Args:
+        name: Of the scene; the official ones are for scenes of nuScenes.
+        recording: The scene.
+        which: ``own`` or ``official``.
+
+    Returns:
+        None where it has none.
+    """
+    if which == OWN:
+        return own_scenarios(recording)
+    return {
+        each.family: each.scenario
+        for each in official_scenarios()
+        if each.evaluated and name == f"scene-{each.sequence}"
+    }
 
 
 def recording_for(scene: Scene, can: RecordedCan, switches: Switches) -> Recording:
@@ -236,17 +272,25 @@ class Crowd:
         scene: The scene.
         tracks: Everybody as recorded.
         actors: The engine's, by agent.
+        gone: Agents that the recording has and the run has not.
     """
 
     scene: Scene
     tracks: Tracks
     actors: dict[int, Actor]
+    gone: tuple[int, ...]
 
     @classmethod
     def of(cls, scene: Scene, engine: Engine) -> "Crowd":
         """The agents of a run."""
         place = {name: number for number, name in enumerate(scene.agents.ids)}
-        return cls(scene, Tracks.of_scene(scene), {place[each.uuid]: each for each in engine.actors})
+        there = {place[each.uuid]: each for each in engine.actors}
+        gone = (place[each.uuid] for each in engine.recording.actors)
+        return cls(scene, Tracks.of_scene(scene), there, tuple(agent for agent in gone if agent not in there))
+
+    def around(self, motion: Motion) -> Motion:
+        """A piece of the recorded ego's motion, with everybody else as they are in this run."""
+        return self.motion(motion.times_us, motion.ego)
 
     def motion(self, times_us: Integers, ego: Floats) -> Motion:
         """A piece of motion, whose last instant is a planning instant.
@@ -263,6 +307,7 @@ class Crowd:
         position = np.concatenate([boxes[..., :2], self._heights(seconds)[..., None]], axis=-1)
         yaw = boxes[..., 4].copy()
         present = present & (seconds <= self.tracks.seconds[-1])
+        present[list(self.gone)] = False
         for agent, actor in self.actors.items():
             for row, time_us in enumerate(times_us.tolist()):
                 present[agent, row] = actor.is_there(time_us)

@@ -14,7 +14,7 @@
 
   /** @param {*} drive @returns {string} What was measured. */
   const measured = (drive) =>
-    `${drive.world}, sensor ${drive.sensor}${drive.runs > 1 ? `, run ${drive.run}` : ""}`;
+    `${drive.world}${drive.family ? `, ${drive.family}` : ""}, sensor ${drive.sensor}${drive.runs > 1 ? `, run ${drive.run}` : ""}`;
 
   /** @param {*} scene @returns {HTMLElement|null} Its drives, if it has any. */
   function driveLinks(scene) {

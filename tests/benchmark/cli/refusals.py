@@ -55,6 +55,7 @@ WRONG: tuple[tuple[str, str], ...] = (
     (f"drive --model uniad {_OUT}", "add --sensor schematic"),
     (f"drive --engine neuroncap@code --agents idm {_OUT}", "never react"),
     (f"drive --engine neuroncap@paper --latency 100 {_OUT}", "no latency"),
+    (f"drive --scenarios own {_OUT}", "add --engine neuroncap@code"),
     (f"drive --latency 150 {_OUT}", "no multiple of 100"),
     (f"drive --latency 3100 {_OUT}", "up to 3000"),
     (f"drive --scenes scene-1 {_OUT}", "scene-1"),

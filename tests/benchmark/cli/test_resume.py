@@ -81,6 +81,20 @@ def test_killed_in_every_phase(source: Path, undisturbed: dict[str, bytes], tmp_
     assert bytes_below(tmp_path) == undisturbed
 
 
+def driving(source: Path, out: Path) -> list[str]:
+    split = ["--split", "val", "--workers", "1"]
+    return ["drive", "--data", str(source), "--out", str(out), *split, "--model", "stop", "--agents", "idm"]
+
+
+def test_drives_that_are_killed_go_on(source: Path, tmp_path: Path) -> None:
+    finish(driving(source, tmp_path / "whole"))
+    whole = bytes_below(tmp_path / "whole")
+    for files in (2, 7):
+        kill_at(driving(source, tmp_path / "cut"), tmp_path / "cut", files)
+    finish(driving(source, tmp_path / "cut"))
+    assert bytes_below(tmp_path / "cut") == whole and len(whole) == 5 * 4
+
+
 def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:
     """Each of them ends well or says in one sentence that the other one is at work; the result is right."""
     both = [started(generating(source, tmp_path)) for _ in range(2)]

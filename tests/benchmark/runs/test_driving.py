@@ -13,23 +13,26 @@ import pytest
 from adapters.baselines.stop import Stop
 from adapters.registry import planner_factory
 from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.drives.driving import drive
 from benchmark.closed_loop.engines import ENGINES, rides_of
-from benchmark.closed_loop.neuroncap.riding import NeuroncapRides
-from benchmark.closed_loop.neuroncap.scenarios import Scenario
+from benchmark.closed_loop.neuroncap.riding import OFFICIAL, OWN, NeuroncapRides
 from benchmark.closed_loop.neuroncap.switches import Switches
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
 from benchmark.machine.workers import LocalProcesses
 from benchmark.planning import Observation, Plan
-from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord, load_drives, write_drives
 from benchmark.runs.drive_estimate import estimate
-from benchmark.runs.drive_work import driven_again
 from benchmark.runs.driving import DriveSettings, drive_split, drives_directory, job_of, kept_units
+from benchmark.runs.redriving import driven_again, rescore_drives
 from benchmark.scene import Scene
 from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.closed_loop.drives.staged import Peeking, staged
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Factory, Failing, Remembering, Straight
+from tests.hand_made import scene_on_straight_road
 
 SETTINGS = DriveSettings("default", DefaultRides())
 PAPER = Switches.named("neuroncap@paper")
@@ -177,10 +180,42 @@ def test_a_scenario_that_draws_nothing_is_driven_once(tmp_path: Path) -> None:
         planner = Straight()
         record = driven(tmp_path, planner, replace(settings, runs=10))
         assert record.facts.runs == 1 and len(record.rows) == 2
-    drawing = replace(NEURONCAP, maker=NeuroncapRides(PAPER, Scenario(start_jitter=1)), runs=3)
-    record = driven(tmp_path / "drawing", Straight(), drawing)
-    assert [(row.scene, row.run) for row in record.rows[:3]] == [("scene-9901", run) for run in range(3)]
+
+
+def test_scenarios_are_driven_by_family_and_by_run(tmp_path: Path) -> None:
+    scene = scene_on_straight_road(seconds=13.0)
+    data = FakeData({scene.name: scene})
+    drawing = replace(NEURONCAP, maker=NeuroncapRides(PAPER, OWN), scenarios=OWN, runs=3)
+    record = driven(tmp_path, Straight(), drawing, data)
+    units = [(row.family, row.run) for row in record.rows]
+    assert units == [(family, run) for family in ("stationary", "frontal", "side") for run in range(3)]
     assert record.facts.runs == 3 and len({row.ticks.time_us[0] for row in record.rows[:3]}) > 1
+    columns = record.summary.columns
+    of_families = [columns[f"collision_{family}"].value or 0.0 for family in ("stationary", "frontal", "side")]
+    assert columns["collision"].value == pytest.approx(np.mean(of_families))
+    # Eight metres a second straight on is what the recorded ego does: everybody is met.
+    assert columns["collision_stationary"].value == 1.0
+    before = bytes_below(tmp_path)
+    driven(tmp_path, Straight(), drawing, data)
+    assert bytes_below(tmp_path) == before and rescore_drives(record.directory, data).rows == record.rows
+    assert record.facts.measured.world == "neuroncap@paper, own scenarios"
+
+
+def test_scenes_without_scenarios_are_a_sentence(tmp_path: Path) -> None:
+    for which in (OWN, OFFICIAL):
+        settings = replace(NEURONCAP, maker=NeuroncapRides(PAPER, which), scenarios=which)
+        with pytest.raises(InputError, match=f"has {which} scenarios"):
+            driven(tmp_path, Straight(), settings)
+
+
+def test_a_planner_sees_who_is_put_in_and_nobody_who_is_gone() -> None:
+    scene = scene_on_straight_road(seconds=13.0)
+    planner = Peeking(speed=8.0)
+    drive(replace(staged(scene, NeuroncapRides(PAPER, OWN)), family="frontal"), planner)
+    for revealed in planner.revealed:
+        here = revealed.agents.valid[:, -1]
+        assert here.sum() <= 1
+    assert any(revealed.agents.valid[:, -1].any() for revealed in planner.revealed)
 
 
 def test_a_drive_is_scored_anew_without_its_planner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,6 +231,26 @@ def test_a_drive_is_scored_anew_without_its_planner(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("benchmark.runs.drive_work.VERSION", VERSION + 1)
     again = driven(tmp_path, planner)
     assert planner.calls == calls and again.rows == driven(tmp_path, planner).rows
+
+
+def test_a_record_is_scored_anew_without_its_planner(tmp_path: Path) -> None:
+    for settings in (SETTINGS, replace(SETTINGS, agents="idm", maker=DefaultRides("idm")), NEURONCAP):
+        record = driven(tmp_path, Remembering(), settings)
+        before = bytes_below(record.directory)
+        worse = [row.model_copy(update={"scores": None if row.scores is None else spoilt(row)}) for row in record.rows]
+        names = set(type(record.facts).model_fields) - {"schema_version", "status", "seed", "files"}
+        described = {name: getattr(record.facts, name) for name in names}
+        write_drives(record.directory, described, worse, seed=0)
+        assert bytes_below(record.directory) != before
+        assert rescore_drives(record.directory, town()).rows == record.rows
+        assert bytes_below(record.directory) == before
+    with pytest.raises(InputError, match="another version"):
+        rescore_drives(record.directory, FakeData({"scene-9901": town().scenes["scene-9901"]}))
+
+
+def spoilt(row: DriveRow) -> Any:
+    assert row.scores is not None
+    return row.scores.model_copy(update={"progress_m": -1.0})
 
 
 def test_plans_that_lead_elsewhere_are_refused(tmp_path: Path) -> None:
@@ -265,7 +320,7 @@ def test_an_estimate_counts_what_is_kept_and_keeps_nothing(tmp_path: Path) -> No
     drive_split(data, "val", factory, tmp_path, SETTINGS)
     assert "2 of them kept already" in estimate(data, "val", factory, SETTINGS, tmp_path)
     job = job_of(data, "val", factory.facts, tmp_path, SETTINGS)
-    assert kept_units(job, SETTINGS.units(("scene-9901",))) == 1
+    assert kept_units(job, SETTINGS.units(data, ("scene-9901",))) == 1
 
 
 def test_records_of_different_worlds_have_different_folders() -> None:
