@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from benchmark.machine.workers import Executor
     from benchmark.machine.workspace import Workspace
     from benchmark.records.ablation import AblationReport
+    from benchmark.records.drives import DriveRecord
     from benchmark.records.quality import QualityRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
     from leaderboard.tables.drives import drive_tables as drive_tables
+    from leaderboard.tables.loops import loop_tables as loop_tables
     from leaderboard.tables.quality import quality_tables as quality_tables
     from leaderboard.tables.slices import slice_tables as slice_tables
     from leaderboard.tables.reproduction import reproduction_table as reproduction_table
@@ -433,9 +435,9 @@ def write_leaderboard(
     """Write tables, figures and site from everything that an output folder holds.
 
     Args:
-        out: The output folder: run records, scene sheets, video quality, ablation studies.
+        out: The output folder: run records, records of drives, scene sheets, video quality, ablation studies.
         to: Folder of the leaderboard; ``<out>/leaderboard`` by default.
-        records: Folders of run records, if not ``<out>/runs``.
+        records: Folders of run records and of records of drives, if not ``<out>/runs`` and ``<out>/drives``.
         site: Whether to write the site too.
 
     Returns:
@@ -446,8 +448,8 @@ def write_leaderboard(
     """
     from leaderboard.build import write_leaderboard as write
 
-    found, quality, sheets, ablations = _shown(out, records)
-    return write(found, to or out / "leaderboard", quality, sheets, ablations, site=site)
+    found, quality, sheets, ablations, drives = _shown(out, records)
+    return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, site=site)
 
 
 def stale_leaderboard(
@@ -456,15 +458,16 @@ def stale_leaderboard(
     """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
     from leaderboard.build import stale_files
 
-    found, quality, sheets, ablations = _shown(out, records)
-    return stale_files(found, to or out / "leaderboard", quality, sheets, ablations, site=site)
+    found, quality, sheets, ablations, drives = _shown(out, records)
+    return stale_files(found, to or out / "leaderboard", quality, sheets, ablations, drives, site=site)
 
 
 def _shown(
     out: Path, folders: "Sequence[Path] | None"
-) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport]]":
+) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport], list[DriveRecord]]":
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
+    from benchmark.records.drives import find_drives
     from benchmark.records.quality import find_quality
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
@@ -473,10 +476,13 @@ def _shown(
     space = workspace(out)
     quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
-    no_runs = bool(quality or sheets.splits or ablations) and folders is None and not space.run_root().exists()
+    own = [space.drive_root()] if space.drive_root().is_dir() else []
+    drives = find_drives(*(folders or own))
+    others = bool(quality or sheets.splits or ablations or drives)
+    no_runs = others and folders is None and not space.run_root().exists()
     roots = folders or [space.run_root()]
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
-    return records, quality, sheets, ablations
+    return records, quality, sheets, ablations, drives
 
 
 _VERIFIED: Final = {

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.closed_loop.drives.driving import Stage, drive
+from benchmark.closed_loop.drives.driving import Drive, Stage, drive
 from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
-from benchmark.closed_loop.drives.sensors import NoSensor
+from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
 from benchmark.closed_loop.engines import rides_of
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
@@ -15,7 +15,7 @@ from benchmark.machine.storage import only_writer
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
-from benchmark.runs.drive_rows import row_of
+from benchmark.runs.drive_rows import DECIMALS, row_of
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
@@ -75,15 +75,55 @@ def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow)
     """
     if row.status == "failed":
         return row
-    again = Stage(scene, can_of(data, row.scene), row.run, maker, NoSensor(), _LONG_S, row.family)
-    found = drive(again, StoredPlans(row))
-    made = row_of(again, found, None if found.failure is not None else score_drive(scene, found))
+    stage = _stage(maker, NoSensor(), scene, data, row)
+    found = redriven(stage, row, StoredPlans(row))
+    made = row_of(stage, found, None if found.failure is not None else score_drive(scene, found))
     if made.ticks != row.ticks or made.contact != row.contact:
-        raise InputError(
-            f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
-            "has changed since; run the same drive command again"
-        )
+        raise InputError(_elsewhere(row))
     return made
+
+
+def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow) -> Stage:
+    return Stage(scene, can_of(data, row.scene), row.run, maker, sensor, _LONG_S, row.family)
+
+
+def seen_again(
+    maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
+) -> Drive:
+    """What happened in a stored drive, everybody in it, from its plans.
+
+    Args:
+        maker: The engine that drove it.
+        sensor: What looks again.
+        scene: Its scene, with its map.
+        data: The data set.
+        row: The drive.
+        plans: Of this row.
+
+    Returns:
+        The drive; one in which the planner failed ends where it did.
+
+    Raises:
+        InputError: If the plans lead elsewhere than they did.
+    """
+    return redriven(_stage(maker, sensor, scene, data, row), row, plans)
+
+
+def redriven(stage: Stage, row: DriveRow, plans: "StoredPlans") -> Drive:
+    """Drive stored plans on a stage; arguments and errors as of `seen_again`."""
+    found = drive(stage, plans)
+    ticks = found.motion.ticks
+    states = np.round(found.motion.ego[ticks], DECIMALS).tolist()
+    if (found.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
+        raise InputError(_elsewhere(row))
+    return found
+
+
+def _elsewhere(row: DriveRow) -> str:
+    return (
+        f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
+        "has changed since; run the same drive command again"
+    )
 
 
 class StoredPlans:

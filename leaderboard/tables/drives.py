@@ -1,14 +1,17 @@
-"""Closed loop: what came of drives, a table for each engine and what else decides a drive; nothing else compares."""
+"""Closed loop: what came of drives, a table for each thing that was measured; nothing else compares."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
+from benchmark.metrics.loops import is_stale
 from benchmark.records.drives import COLLISION_RATE, NNS, DriveRecord
 from benchmark.records.run_schema import RateRow
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, mark_notes, name_cell
+from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, STALE_MARK, mark_notes, name_cell
+from leaderboard.tables.worlds import World, worlds
 
 _PERCENT: Final = "%"
 _DEFAULT: Final = (
@@ -70,47 +73,34 @@ _FAILED_NOTE: Final = (
 
 
 def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
-    """One table for each data set, split, engine, policy of agents and latency.
+    """One table for each thing that was measured: data set, split, scenes, engine, policy of agents, latency, sensor.
 
     Args:
         records: Of any planners.
 
     Returns:
         The tables, NeuroNCAP's engines last.
+
+    Raises:
+        InputError: If two records would share a row.
     """
-    kinds: dict[tuple[str, ...], list[DriveRecord]] = {}
-    for record in records:
-        facts = record.facts
-        key = (facts.data.name, facts.data.fingerprint, facts.split, facts.measured.world, ",".join(facts.scenes))
-        kinds.setdefault(key, []).append(record)
-    ordered = sorted(kinds.values(), key=lambda found: (found[0].facts.measured.engine != "default", _kind(found[0])))
-    return [_table(found, number) for number, found in enumerate(ordered)]
+    return [_table(one) for one in worlds(records)]
 
 
-def _kind(record: DriveRecord) -> tuple[str, ...]:
-    return record.facts.data.name, record.facts.split, record.facts.measured.world
-
-
-def _table(records: Sequence[DriveRecord], number: int) -> Table:
-    first = records[0].facts
+def _table(one: World) -> Table:
+    records, first = one.records, one.records[0].facts
     own = first.measured.engine == "default"
     columns = _DEFAULT if own else (*_NEURONCAP, *_of_families(records))
     heads = ["planner", "sensor"]
     for _, head, _, with_interval in columns:
         heads += [head, "95 %"] if with_interval else [head]
     heads += ["failed", "drives"]
-    rows = [_row(record, columns) for record in _in_order(records)]
-    title = f"{first.data.name} {first.split}: closed loop, engine {first.measured.world}"
-    names = [record.facts.planner for record in records]
-    marks = mark_notes(
-        privileged=any(each.privileged for each in names), miniature=any(each.miniature for each in names)
-    )
-    sources = {facts.source for record in records for facts in record.facts.scene_facts.values()}
-    few = [FEW_NOTE] if len(sources) < FEW_SCENES else []
-    notes = (*(_NOTES_DEFAULT if own else _NOTES_NEURONCAP), _FAILED_NOTE, *few, *marks)
+    rows = [_row(record, name, columns) for record, name in zip(records, one.planners, strict=True)]
+    title = one.title
+    notes = (*(_NOTES_DEFAULT if own else _NOTES_NEURONCAP), _FAILED_NOTE, *notes_of(one))
     places = _brief_places(heads) if own else tuple(range(len(heads)))
     return table_of(
-        f"drives-{number}" if number else "drives",
+        f"drives-{one.name}",
         title,
         heads,
         rows,
@@ -136,20 +126,50 @@ def _brief_places(heads: Sequence[str]) -> tuple[int, ...]:
     )
 
 
-def _in_order(records: Sequence[DriveRecord]) -> list[DriveRecord]:
-    """Planners before those that are privileged, by name."""
-    return sorted(records, key=lambda each: (each.facts.planner.privileged, each.planner, each.facts.measured.sensor))
-
-
-def _row(record: DriveRecord, columns: Sequence[tuple[str, str, str, bool]]) -> tuple[str | Shown, ...]:
-    planner, summary = record.facts.planner, record.summary
-    origin = Origin(record.facts.measured.world, named_record(record.content_id, record.planner, record.facts.split))
-    cells: list[str | Shown] = [
-        name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature),
-        record.facts.measured.sensor,
+def notes_of(one: World) -> list[str]:
+    """What has to be said of the records of one world: sensor, few scenes, marks, old scores."""
+    planners = [record.facts.planner for record in one.records]
+    marks = mark_notes(
+        privileged=any(each.privileged for each in planners), miniature=any(each.miniature for each in planners)
+    )
+    first = one.records[0].facts
+    # A scene of which nobody says where it comes from is its own recording.
+    known = first.scene_facts
+    few = len({known[name].source if name in known else name for name in first.scenes}) < FEW_SCENES
+    stale = [
+        f"{STALE_MARK} {name}: scored by version {record.facts.scoring} of closed loop's scores, not the present one; "
+        "run the same challenger-bench drive again."
+        for record, name in zip(one.records, one.planners, strict=True)
+        if is_stale(record)
     ]
-    for name, _, unit, with_interval in columns:
-        rate = summary.columns.get(name)
+    return [*_said_of_sensor(one), *([FEW_NOTE] if few else []), *marks, *stale]
+
+
+def _said_of_sensor(one: World) -> list[str]:
+    """What pictures depended on besides the sensor's name."""
+    found = [record.facts.measured for record in one.records if record.facts.measured.sensor == one.sensor]
+    facts = found[0].sensor_facts if found else {}
+    said = ", ".join(f"{name} {value}" for name, value in sorted(facts.items()))
+    return [f"Sensor {one.sensor}: {said}."] if said else []
+
+
+def planner_cell(record: DriveRecord, name: str) -> Shown:
+    """The planner's name with its marks, among them that of earlier scores."""
+    planner = record.facts.planner
+    cell = name_cell(name, privileged=planner.privileged, miniature=planner.miniature)
+    return replace(cell, text=f"{cell.text} {STALE_MARK}") if is_stale(record) else cell
+
+
+def origin_of_drives(record: DriveRecord, name: str) -> Origin:
+    """Where numbers of a record of drives come from."""
+    return Origin(record.facts.measured.world, named_record(record.content_id, name, record.facts.split))
+
+
+def _row(record: DriveRecord, name: str, columns: Sequence[tuple[str, str, str, bool]]) -> tuple[str | Shown, ...]:
+    summary, origin = record.summary, origin_of_drives(record, name)
+    cells: list[str | Shown] = [planner_cell(record, name), record.facts.measured.sensor]
+    for column, _, unit, with_interval in columns:
+        rate = summary.columns.get(column)
         cells += _cells(origin, rate, unit, with_interval=with_interval)
     failed = origin.count(summary.failed, "drives", summary.drives)
     return (*cells, failed.shown(), origin.count(summary.drives, "drives").shown())

@@ -325,7 +325,7 @@
         missingSheet(scene), player.node,
         comparison,
         element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene)), site.severityTable(scene),
-        rounds(scene),
+        site.driveLinks(scene), rounds(scene),
       ].filter((node) => node !== null),
       ready: player.ready, destroy: player.destroy,
     };

@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import pytest
+
+from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
 from leaderboard.tables.drives import drive_tables, said_of_failures
 from tests.benchmark.records.test_drives import contact, failed, row, scores, written
@@ -30,9 +33,13 @@ def test_no_two_worlds_share_a_table(tmp_path: Path) -> None:
     assert [table.title for table in found] == [
         "fake adv: closed loop, engine default, agents idm",
         "fake adv: closed loop, engine default, agents replay",
-        "fake adv: closed loop, engine neuroncap@code",
+        "fake adv: closed loop, engine neuroncap@code, sensor schematic",
     ]
-    assert len({table.name for table in found}) == 3
+    assert [table.name for table in found] == [
+        "drives-adv-default-idm",
+        "drives-adv-default-replay",
+        "drives-adv-neuroncap-code-schematic",
+    ]
     assert "NNS" in found[2].columns and "NNS" not in found[0].columns and "nuPlan terms" not in found[2].columns
 
 
@@ -65,7 +72,67 @@ def test_where_every_drive_failed_there_are_dashes(tmp_path: Path) -> None:
 def test_other_scenes_are_another_table(tmp_path: Path) -> None:
     one = written(tmp_path / "a", row("scene-1"), row("scene-2"))
     other = written(tmp_path / "b", row("scene-1"), scenes=["scene-1"])
-    assert len(drive_tables([one, other])) == 2
+    again = written(tmp_path / "c", row("scene-2"), scenes=["scene-2"])
+    found = drive_tables([again, one, other])
+    assert [table.name for table in found] == [
+        "drives-adv-default-replay",
+        "drives-adv-default-replay-part",
+        "drives-adv-default-replay-part-2",
+    ]
+    assert "1 of 2 scenes of the split" in found[1].title and drive_tables([one, again, other]) == found
+
+
+def test_other_data_and_latency_are_other_tables(tmp_path: Path) -> None:
+    late = {"engine": "default", "agents": "replay", "sensor": "none", "latency_ms": 200}
+    changed = {"name": "fake", "version": "v1", "fingerprint": "e" * 64}
+    found = drive_tables(
+        [written(tmp_path / "a"), written(tmp_path / "b", measured=late), written(tmp_path / "c", data=changed)]
+    )
+    assert sorted(table.name for table in found) == [
+        "drives-adv-default-replay",
+        "drives-adv-default-replay-2",
+        "drives-adv-default-replay-200ms",
+    ]
+
+
+def test_planners_that_look_at_nothing_stand_beside_every_sensor(tmp_path: Path) -> None:
+    def seeing(name: str, sensor: str, **facts: int) -> DriveRecord:
+        measured = {"engine": "default", "agents": "replay", "sensor": sensor, "sensor_facts": facts}
+        return written(
+            tmp_path / f"{name}-{sensor}-{facts}", measured=measured, planner={"name": name, "privileged": False}
+        )
+
+    found = drive_tables(
+        [
+            seeing("blind", "none"),
+            seeing("both", "none"),
+            seeing("both", "schematic", width=448),
+            seeing("fine", "schematic", width=1600),
+        ]
+    )
+    assert sorted([row[:2] for row in table.rows] for table in found) == [
+        [("blind", "none"), ("both", "none"), ("fine", "schematic")],
+        [("blind", "none"), ("both", "schematic")],
+    ]
+    assert sorted(note for table in found for note in table.notes if note.startswith("Sensor")) == [
+        "Sensor schematic: width 1600.",
+        "Sensor schematic: width 448.",
+    ]
+
+
+def test_versions_of_a_planner_are_told_apart_and_the_same_twice_is_refused(tmp_path: Path) -> None:
+    def seeded(folder: str, seed: int) -> DriveRecord:
+        return written(tmp_path / folder, planner={"name": "made", "privileged": False, "seed": seed})
+
+    (table,) = drive_tables([seeded("a", 1), seeded("b", 2)])
+    assert [each[0] for each in table.rows] == ["made (seed 1)", "made (seed 2)"]
+    with pytest.raises(InputError, match="both hold drives of made"):
+        drive_tables([seeded("a", 1), seeded("c", 1)])
+
+
+def test_old_scores_are_marked(tmp_path: Path) -> None:
+    (table,) = drive_tables([written(tmp_path, scoring=999)])
+    assert table.rows[0][0] == "made ‡" and any("version 999" in note for note in table.notes)
 
 
 def test_a_terminal_shows_less_and_every_form_has_all(tmp_path: Path) -> None:
