@@ -24,9 +24,10 @@ from benchmark.machine.workers import single_threaded
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
 from generation.diffusion.prior import TrajectoryPrior, diversify
-from generation.search.candidates import initial_state, launch_frame
+from generation.search.candidates import launch_frame
 from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
+from generation.search.recorded_motion import initial_state
 from generation.search.scoring import Surroundings, score_terms, surroundings
 from generation.sources.town import town_scene
 from tests.benchmark.dynamics.slow_physics import slow_path, slow_simulate

@@ -8,6 +8,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +20,7 @@ from benchmark.drivers.solvability import SceneLadder
 from benchmark.encounters.tracks import Tracks
 from benchmark.realism.features import recorded_runs, runs_of
 from benchmark.realism.judging import realism_of
+from benchmark.realism.road_edge import RoadEdge
 from benchmark.realism.validity import faults_of
 from benchmark.scene import Scene
 from benchmark.severity.encounter import severity_of
@@ -67,10 +69,13 @@ def main() -> None:
         scene = town_scene("val", number)
         tracks, agent = Tracks.of_scene(scene), adversary_of(scene)
         objects.append(len(tracks))
-        ladder = clock.timed("drivers", SceneLadder.of, tracks, agent)
+        area = scene.road_map.drivable_area
+        ladder = clock.timed("drivers", SceneLadder.of, tracks, agent, None, area)
         clock.timed("severity", severity_of, tracks, agent)
-        adversaries[scene.name] = clock.timed("realism", runs_of, tracks, scene.keyframes, agent)
-        recorded[scene.name] = clock.timed("realism", recorded_runs, tracks, scene.keyframes, CATEGORY)
+        road = RoadEdge(area)
+        of_agent, of_all = partial(runs_of, road=road), partial(recorded_runs, road=road)
+        adversaries[scene.name] = clock.timed("realism", of_agent, tracks, scene.keyframes, agent)
+        recorded[scene.name] = clock.timed("realism", of_all, tracks, scene.keyframes, CATEGORY)
         clock.timed("validity", faults_of, tracks, agent, slice(None), scene.road_map)
         if len(chances) < options.last_chances:
             started = time.process_time()

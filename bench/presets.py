@@ -26,9 +26,8 @@ from benchmark.published import ADV_NUSC, TABLE_1
 from benchmark.records.attempts import ATTEMPTS_FILE, Attempt, read_attempts
 from generation.build.settings import BuildSettings
 from generation.build.split import NothingSurvivedError, build_split
-from generation.search.presets import Preset, hyper_parameters, trajectory_model
+from generation.search.presets import PRESETS, Preset, hyper_parameters, trajectory_model
 
-PRESETS: Final = ("default", "paper", "reference")
 BLIND: Final = ("constant-velocity",)
 """Planners that look at no images and mean something on any data."""
 CLOSE_M: Final = 1.0

@@ -21,6 +21,7 @@ _DEFINED_IN: Final = {
         "known_scenes",
         "load_planner",
         "schematic_renderer",
+        "drive_settings",
         "planner_under_test",
         "write_sheets",
         "write_leaderboard",
@@ -45,6 +46,11 @@ _DEFINED_IN: Final = {
     "adapters.result_files.planner": ["result_file_factory"],
     "adapters.result_files.writing.formats": ["write_results"],
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
+    "benchmark.judging.splits": ["judge_split"],
+    "benchmark.runs.driving": ["drive_split", "DriveSettings"],
+    "benchmark.runs.redriving": ["rescore_drives"],
+    "benchmark.records.drives": ["DriveRecord", "load_drives", "find_drives"],
+    "leaderboard.tables.drives": ["drive_tables"],
     "benchmark.protocols": ["PROTOCOLS"],
     "benchmark.records.run": ["RunRecord", "load_record", "find_records"],
     "benchmark.records.review": ["Verdict"],
@@ -112,6 +118,8 @@ if TYPE_CHECKING:
         build_frozen as build_frozen,
         build_town as build_town,
         disagreement_table as disagreement_table,
+        drive_settings as drive_settings,
+        drive_tables as drive_tables,
         fetch_weights as fetch_weights,
         frozen_split as frozen_split,
         build_split as _generate,
@@ -165,6 +173,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.statistics import statistics as _data_statistics
     from benchmark.errors import InputError as InputError
     from benchmark.evaluation import EvalSettings as EvalSettings, evaluate as evaluate
+    from benchmark.judging.splits import judge_split as judge_split
     from benchmark.machine.environment import checks as _doctor
     from benchmark.machine.workspace import Workspace as Workspace
     from benchmark.metrics.frames import samples_frame as samples_frame
@@ -183,8 +192,15 @@ if TYPE_CHECKING:
     from benchmark.protocols.explain.pictures import explain as _explain_protocols
     from benchmark.quality.definition import Definition as _QualityDefinition
     from benchmark.quality.measure import QualitySettings as QualitySettings, measure_quality as measure_quality
+    from benchmark.records.drives import (
+        DriveRecord as DriveRecord,
+        find_drives as find_drives,
+        load_drives as load_drives,
+    )
     from benchmark.records.review import Verdict as Verdict
     from benchmark.records.run import RunRecord as RunRecord, find_records as find_records, load_record as load_record
+    from benchmark.runs.driving import DriveSettings as DriveSettings, drive_split as drive_split
+    from benchmark.runs.redriving import rescore_drives as rescore_drives
     from benchmark.runs.reproducing import (
         expected_file as expected_file,
         published_numbers as published_numbers,

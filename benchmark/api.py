@@ -17,11 +17,14 @@ if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
     from benchmark.datasets.schema import FaultList
+    from benchmark.machine.workers import Executor
     from benchmark.machine.workspace import Workspace
     from benchmark.records.ablation import AblationReport
+    from benchmark.records.drives import DriveRecord
     from benchmark.records.quality import QualityRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
+    from benchmark.runs.driving import DriveSettings
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
     from benchmark.verification.checks import Check
     from generation.build.surrogate import PlannerUnderTest
@@ -63,6 +66,8 @@ if TYPE_CHECKING:
     from leaderboard.films.filming import write_films as write_films
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
+    from leaderboard.tables.drives import drive_tables as drive_tables
+    from leaderboard.tables.loops import loop_tables as loop_tables
     from leaderboard.tables.quality import quality_tables as quality_tables
     from leaderboard.tables.slices import slice_tables as slice_tables
     from leaderboard.tables.reproduction import reproduction_table as reproduction_table
@@ -296,6 +301,84 @@ def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Pa
     return chosen
 
 
+def looks_at_images(name: str) -> bool:
+    """Whether a planner may look at images: built-in ones say so, of others nobody knows."""
+    from adapters.models import MODELS
+
+    return name not in MODELS or not MODELS[name].blind
+
+
+def is_known_to_look(name: str) -> bool:
+    """Whether a planner is a built-in one that looks at images."""
+    from adapters.models import MODELS
+
+    return name in MODELS and not MODELS[name].blind
+
+
+def drive_settings(
+    split: str,
+    *,
+    engine: str = "default",
+    agents: str = "replay",
+    sensor: str = "none",
+    latency_ms: int = 0,
+    scenarios: str = "recorded",
+    runs: int = 1,
+    scenes: "Sequence[str] | None" = None,
+    limit: int | None = None,
+    executor: "Executor | None" = None,
+    timeout_s: float = 120.0,
+    seed: int = 0,
+) -> "DriveSettings":
+    """How planners are driven, for `benchmark.drive_split` (docs/closed-loop.md).
+
+    Args:
+        split: The split; generated ones have pictures in a style of their own.
+        engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
+        agents: ``replay`` or ``idm``; NeuroNCAP's never react.
+        sensor: ``none`` or ``schematic``.
+        latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
+        scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.
+        runs: Runs of each scene; one where nothing is drawn.
+        scenes: Only these scenes.
+        limit: Only the first so many.
+        executor: Where drives are made; this process by default.
+        timeout_s: How long a plan may take.
+        seed: Of the intervals.
+
+    Returns:
+        The settings.
+
+    Raises:
+        InputError: If there is no such engine, policy or sensor, or they do not go together.
+    """
+    from benchmark.closed_loop.engines import rides_of
+    from benchmark.closed_loop.drives.sensors import NO_SENSOR, NoSensor
+    from benchmark.machine.workers import LocalProcesses
+    from benchmark.machine.workspace import is_generated
+    from benchmark.runs.driving import DriveSettings
+    from generation.render.sensor import SCHEMATIC, SchematicSensor
+
+    if sensor not in (NO_SENSOR, SCHEMATIC):
+        raise InputError(f"there is no sensor {sensor!r}; there are {NO_SENSOR} and {SCHEMATIC}")
+    # Generated splits are drawn in the second style, what they are made from in the first.
+    style = "second" if is_generated(split) else "first"
+    return DriveSettings(
+        engine=engine,
+        maker=rides_of(engine, agents, latency_ms, scenarios),
+        agents=agents,
+        sensor=NoSensor() if sensor == NO_SENSOR else SchematicSensor(style),
+        runs=runs,
+        latency_ms=latency_ms,
+        scenarios=scenarios,
+        scenes=None if scenes is None else tuple(scenes),
+        limit=limit,
+        executor=executor or LocalProcesses(),
+        timeout_s=timeout_s,
+        seed=seed,
+    )
+
+
 def planner_under_test(
     name: str, checkpoint: Path | None = None, *, data: str | Path = "mini", seed: int = 0, workers: int = 0
 ) -> "PlannerUnderTest":
@@ -314,11 +397,10 @@ def planner_under_test(
     Raises:
         InputError: If the planner is unknown or cannot be built.
     """
-    from adapters.models import MODELS
     from generation.build.surrogate import PlannerUnderTest
 
     factory = load_planner(name, checkpoint, data=data, seed=seed)
-    return PlannerUnderTest(factory, images=name not in MODELS or not MODELS[name].blind, workers=worker_count(workers))
+    return PlannerUnderTest(factory, images=looks_at_images(name), workers=worker_count(workers))
 
 
 def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
@@ -353,9 +435,9 @@ def write_leaderboard(
     """Write tables, figures and site from everything that an output folder holds.
 
     Args:
-        out: The output folder: run records, scene sheets, video quality, ablation studies.
+        out: The output folder: run records, records of drives, scene sheets, video quality, ablation studies.
         to: Folder of the leaderboard; ``<out>/leaderboard`` by default.
-        records: Folders of run records, if not ``<out>/runs``.
+        records: Folders of run records and of records of drives, if not ``<out>/runs`` and ``<out>/drives``.
         site: Whether to write the site too.
 
     Returns:
@@ -366,8 +448,8 @@ def write_leaderboard(
     """
     from leaderboard.build import write_leaderboard as write
 
-    found, quality, sheets, ablations = _shown(out, records)
-    return write(found, to or out / "leaderboard", quality, sheets, ablations, site=site)
+    found, quality, sheets, ablations, drives = _shown(out, records)
+    return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, site=site)
 
 
 def stale_leaderboard(
@@ -376,15 +458,16 @@ def stale_leaderboard(
     """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
     from leaderboard.build import stale_files
 
-    found, quality, sheets, ablations = _shown(out, records)
-    return stale_files(found, to or out / "leaderboard", quality, sheets, ablations, site=site)
+    found, quality, sheets, ablations, drives = _shown(out, records)
+    return stale_files(found, to or out / "leaderboard", quality, sheets, ablations, drives, site=site)
 
 
 def _shown(
     out: Path, folders: "Sequence[Path] | None"
-) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport]]":
+) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport], list[DriveRecord]]":
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
+    from benchmark.records.drives import find_drives
     from benchmark.records.quality import find_quality
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
@@ -393,10 +476,13 @@ def _shown(
     space = workspace(out)
     quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
-    no_runs = bool(quality or sheets.splits or ablations) and folders is None and not space.run_root().exists()
+    own = [space.drive_root()] if space.drive_root().is_dir() else []
+    drives = find_drives(*(folders or own))
+    others = bool(quality or sheets.splits or ablations or drives)
+    no_runs = others and folders is None and not space.run_root().exists()
     roots = folders or [space.run_root()]
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
-    return records, quality, sheets, ablations
+    return records, quality, sheets, ablations, drives
 
 
 _VERIFIED: Final = {

@@ -14,12 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError, did_you_mean
+from benchmark.judging.kept import judged_facts
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
-from benchmark.machine.workers import map_ordered
+from benchmark.machine.workers import LocalProcesses, map_ordered
 from benchmark.planning import Planner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
 from benchmark.records.planner_versions import PLANS_SHA256
@@ -165,7 +167,8 @@ def evaluate(
         "split": split,
         "scenes": list(scenes),
         "scenes_in_split": len(every_scene),
-        "scene_facts": data.scene_facts(scenes),
+        "scene_facts": judged_facts(data, scenes, out, LocalProcesses(settings.workers)),
+        "realism": stored_realism(data.root, data.version),
         "frozen_split": frozen_split_of(data.provenance()),
         "review": data.review(split).facts,
         "generated": generated_facts(data.provenance()),

@@ -11,11 +11,12 @@ from benchmark.drawing.plots import DARK, page_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport
-from benchmark.records.driving import PDM
+from benchmark.records.drives import DriveRecord
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import NO_SHEETS, Sheets
 from benchmark.report.table import Table, escape_markdown
+from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_map
 from leaderboard.figures.refinement import refinement_figures
@@ -26,6 +27,9 @@ from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
 from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
+from leaderboard.tables.drives import drive_tables
+from leaderboard.tables.loops import DISAGREEMENTS, loop_tables
+from leaderboard.tables.pages import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text, table_files
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.slices import SLICES
@@ -33,20 +37,13 @@ from leaderboard.tables.standing import standing_tables
 
 Files = dict[str, bytes]
 """Bytes of each file by its path below the leaderboard's folder."""
-TABLES_FOLDER, FIGURES_FOLDER = "tables", "figures"
-"""Hold one folder for each data set and nothing else, so that what is no longer made there can be told."""
+FIGURES_FOLDER: Final = "figures"
+"""Holds one folder for each data set and nothing else, as `TABLES_FOLDER` does."""
 _DARK_FIGURES: Final = "figures-dark"
 """Of the site alone."""
 SITE_FOLDER: Final = "site"
 """Holds the site and nothing else."""
 _ON_THE_SITE: Final = (".tex", ".csv", ".json")
-_RATES: Final = "collision rates"
-_GROUPS: Final = {
-    "planners and transfer": ("planners", "transfer", "agreement"),
-    "causes and protocols": ("diagnosis", "disagreement"),
-    "driving scores": (PDM,),
-}
-"""What the site shows together, by the first word of a table's name; all others are `_RATES`."""
 OURS = (".tex", ".csv", ".json", ".md", ".png", ".svg")
 
 
@@ -78,6 +75,7 @@ def leaderboard_files(
     quality: Sequence[QualityRecord] = (),
     sheets: Sheets = NO_SHEETS,
     ablations: Sequence[AblationReport] = (),
+    drives: Sequence[DriveRecord] = (),
 ) -> Files:
     """The leaderboard's files without the site.
 
@@ -86,13 +84,14 @@ def leaderboard_files(
         quality: Records of video quality.
         sheets: Scene sheets: statistics, manoeuvres, search and runtime are made from them.
         ablations: Ablation studies.
+        drives: Records of drives.
 
     Returns:
         ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
         JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
         below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
     """
-    return _made(records, quality, sheets, ablations).files
+    return _made(records, quality, sheets, ablations, drives).files
 
 
 @dataclass(slots=True)
@@ -128,7 +127,7 @@ class _Made:
         # Of other protocols the slices are files alone: a site with all of them would be several times as large.
         on_site = [table for table in tables if group == SLICES or not table.name.startswith(f"{SLICES}-")]
         self.tables += [PlacedTable(table, data_name, group, folder) for table in on_site]
-        self.files |= {name: text.encode() for name, text in _table_files(folder, tables).items()}
+        self.files |= {name: text.encode() for name, text in table_files(folder, tables).items()}
 
 
 def _made(
@@ -136,11 +135,12 @@ def _made(
     quality: Sequence[QualityRecord],
     sheets: Sheets,
     ablations: Sequence[AblationReport],
+    drives: Sequence[DriveRecord],
     *,
     site: bool = False,
 ) -> _Made:
     """Tables and figures; ``README.md`` names the site if there is one."""
-    found = leaderboard_tables(records) if records or not (quality or sheets.splits or ablations) else []
+    found = leaderboard_tables(records) if records or not (quality or sheets.splits or ablations or drives) else []
     made = _Made()
     sections = ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
     if site:
@@ -148,7 +148,8 @@ def _made(
         sections += [f"To sort, to filter, and every scene to play: [{page}]({page}), which any browser opens.", ""]
     sections += ["What each number is: `docs/metrics.md` of challenger-bench.", ""]
     for data_set in found:
-        sections += _add_data_set(made, data_set, sheets)
+        sections += _add_data_set(made, data_set, sheets, [record for each in found for record in each.records])
+    sections += _add_closed_loop(made, drives)
     sections += _add_quality(made, quality)
     sections += _add_paper(made, found, sheets, ablations)
     for name, tables in generation_tables(sheets, ablations).items():
@@ -157,31 +158,41 @@ def _made(
         sections += [table.markdown() for table in tables]
     published = (*published_tables(), *standing_tables(made.records))
     made.place("", "published", published)
-    made.files["README.md"] = "\n".join(
-        [*sections, "## Published", "", *(table.markdown() for table in published)]
-    ).encode()
+    sections += ["## Published", "", *(table.markdown() for table in published)]
+    made.files["README.md"] = "\n".join(sections).encode()
     return made
 
 
-def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets) -> list[str]:
-    """Add tables, pages and pictures of one data set; its section of ``README.md``."""
+def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets, every_record: Sequence[RunRecord]) -> list[str]:
+    """Add tables, pages and pictures of one data set; its section of ``README.md``.
+
+    ``every_record`` is of all data sets: generator settings are compared with one another.
+    """
     name, folder = data_set.data_name, file_name(data_set.data_name)
     made.records += data_set.records
-    for group in dict.fromkeys(map(_group, data_set.front)):
-        made.place(name, group, [table for table in data_set.front if _group(table) == group])
+    for group in dict.fromkeys(map(group_of, data_set.front)):
+        made.place(name, group, [table for table in data_set.front if group_of(table) == group])
     made.place(name, SLICES, data_set.slices)
     if data_set.slices:
-        made.files[_page(folder, SLICES)] = _slices_text(data_set).encode()
+        made.files[page_path(folder, SLICES)] = page_text(
+            f"{escape_markdown(name)}: {SLICES}", data_set.slices
+        ).encode()
     for protocol, tables in data_set.others.items():
         made.place(name, f"protocol {protocol}", tables)
-        made.files[_page(folder, protocol)] = _page_text(data_set, protocol).encode()
+        made.files[page_path(folder, protocol)] = page_text(
+            f"{escape_markdown(name)}: protocol {escape_markdown(protocol)}", tables
+        ).encode()
     titles = {table.name: table.title for table in data_set.front}
     for table_name, matrix in data_set.matrices.items():
         drawn = (heat_map(matrix, ".png"), heat_map(matrix, ".svg"), heat_map(matrix, ".svg", DARK))
         made.draw(name, NamedFigure(table_name, titles[table_name], *drawn))
-    figures = (*data_set_figures(name, data_set.records), *refinement_figures(name, sheets))
+    charts = (*data_set_figures(name, data_set.records), *attack_figures(name, every_record))
+    figures = (*charts, *refinement_figures(name, sheets))
     for figure in figures:
         made.draw(name, figure)
+    missing = nothing_drawn(name, data_set.records)
+    if missing is not None:
+        data_set = replace(data_set, notes=(*data_set.notes, missing))
     return _section(data_set, figures, folder)
 
 
@@ -191,6 +202,7 @@ def write_leaderboard(
     quality: Sequence[QualityRecord] = (),
     sheets: Sheets = NO_SHEETS,
     ablations: Sequence[AblationReport] = (),
+    drives: Sequence[DriveRecord] = (),
     *,
     site: bool = True,
 ) -> list[Path]:
@@ -202,6 +214,7 @@ def write_leaderboard(
         quality: Records of video quality.
         sheets: Scene sheets.
         ablations: Ablation studies.
+        drives: Records of drives.
         site: Whether to write the site too.
 
     Returns:
@@ -210,7 +223,7 @@ def write_leaderboard(
     Raises:
         InputError: If a file cannot be written, or the site's folder holds something else.
     """
-    files = _all_files(records, quality, sheets, ablations, site=site)
+    files = _all_files(records, quality, sheets, ablations, drives, site=site)
     if site:
         _require_own(folder / SITE_FOLDER)
     for name, content in files.items():
@@ -229,6 +242,7 @@ def stale_files(
     quality: Sequence[QualityRecord] = (),
     sheets: Sheets = NO_SHEETS,
     ablations: Sequence[AblationReport] = (),
+    drives: Sequence[DriveRecord] = (),
     *,
     site: bool = True,
 ) -> list[str]:
@@ -240,12 +254,13 @@ def stale_files(
         quality: Records of video quality.
         sheets: Scene sheets.
         ablations: Ablation studies.
+        drives: Records of drives.
         site: Whether the site belongs to it.
 
     Returns:
         One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
     """
-    found, files = [], _all_files(records, quality, sheets, ablations, site=site)
+    found, files = [], _all_files(records, quality, sheets, ablations, drives, site=site)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
@@ -276,10 +291,10 @@ def _section(data_set: DataSetTables, figures: Sequence[NamedFigure], folder: st
     for figure in figures:
         lines += [f"![{escape_markdown(figure.title)}]({quote(_picture(folder, figure.name))})", ""]
     if data_set.slices:
-        page = quote(_page(folder, SLICES))
+        page = quote(page_path(folder, SLICES))
         lines += [f"The same by place, light, manoeuvre of the adversary, speed and command: [{SLICES}]({page}).", ""]
     if data_set.others:
-        links = [f"[{escape_markdown(name)}]({quote(_page(folder, name))})" for name in data_set.others]
+        links = [f"[{escape_markdown(name)}]({quote(page_path(folder, name))})" for name in data_set.others]
         lines += [f"Changes, planners and transfer under the other protocols: {', '.join(links)}.", ""]
         lines += [shown(collision) for collision, *_ in data_set.others.values()]
     return lines
@@ -322,31 +337,20 @@ def _add_quality(made: _Made, records: Sequence[QualityRecord]) -> list[str]:
     return lines
 
 
-def _group(table: Table) -> str:
-    """What a table under ``exact`` and the planners' own protocols is shown together with."""
-    kind = table.name.partition("-")[0]
-    return next((group for group, kinds in _GROUPS.items() if kind in kinds), _RATES)
-
-
-def _page_text(data_set: DataSetTables, protocol: str) -> str:
-    heading = f"# {escape_markdown(data_set.data_name)}: protocol {escape_markdown(protocol)}"
-    return "\n".join([heading, "", *(table.markdown() for table in data_set.others[protocol])])
-
-
-def _slices_text(data_set: DataSetTables) -> str:
-    heading = f"# {escape_markdown(data_set.data_name)}: {SLICES}"
-    return "\n".join([heading, "", *(table.markdown() for table in data_set.slices)])
-
-
-def _table_files(folder: str, tables: Sequence[Table]) -> dict[str, str]:
-    named = {f"{folder}/{file_name(table.name)}": table for table in tables}
-    latex = {f"{name}.tex": table.latex() for name, table in named.items()}
-    facts = {f"{name}.json": table.json() for name, table in named.items()}
-    return latex | facts | {f"{name}.csv": table.csv() for name, table in named.items()}
-
-
-def _page(folder: str, protocol: str) -> str:
-    return f"{TABLES_FOLDER}/{folder}/{file_name(protocol)}.md"
+def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
+    """Add the tables of drives, beside open loop where the planners ran there too; their sections of ``README.md``."""
+    lines: list[str] = []
+    for name in sorted({record.facts.data.name for record in drives}):
+        own = [record for record in drives if record.facts.data.name == name]
+        tables = [*drive_tables(own), *loop_tables(own, made.records)]
+        made.place(name, CLOSED_LOOP, tables)
+        page, path = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(file_name(name), "closed-loop")
+        made.files[path] = page_text(page, tables).encode()
+        scenes = [table for table in tables if table.name.startswith(DISAGREEMENTS)]
+        lines += [f"## {page}", "", *(table.markdown() for table in tables if table not in scenes)]
+        if scenes:
+            lines += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(path)}).", ""]
+    return lines
 
 
 def _picture(folder: str, name: str, suffix: str = ".png") -> str:
@@ -358,16 +362,17 @@ def _all_files(
     quality: Sequence[QualityRecord],
     sheets: Sheets,
     ablations: Sequence[AblationReport],
+    drives: Sequence[DriveRecord],
     *,
     site: bool,
 ) -> dict[str, bytes | Path]:
     """Every file; a path as value means a copy of that file, so that pictures are not all held at once."""
-    made = _made(records, quality, sheets, ablations, site=site)
+    made = _made(records, quality, sheets, ablations, drives, site=site)
     if not site:
         return dict(made.files)
     shown = {figure.path for figure in made.figures}
     downloads = {name: data for name, data in made.files.items() if name in shown or name.endswith(_ON_THE_SITE)}
-    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads | made.of_site)
+    pages = site_files(made.records, made.tables, quality, sheets, made.figures, downloads | made.of_site, drives)
     return made.files | {f"{SITE_FOLDER}/{name}": content for name, content in pages.items()}
 
 

@@ -1,7 +1,11 @@
-"""``log-replay``: the recorded future as the plan. The floor: what the collision columns say of a human driver."""
+"""``log-replay``: the recorded future as the plan. The floor: what the collision columns say of a human driver.
+
+In closed loop it is the recorded ego: it wants to be where the recorded car was at each time, wherever it is itself.
+"""
 
 import numpy as np
 
+from benchmark.closed_loop.drives.route import Route
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, to_local
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
@@ -15,10 +19,16 @@ class LogReplay:
 
     def __init__(self) -> None:
         self._lidar_path = np.empty((0, 2))
+        self._route: Route | None = None
 
     def reset(self, scene: SceneInfo) -> None:
         """Forget the recording."""
         self._lidar_path = np.empty((0, 2))
+        self._route = None
+
+    def follow(self, route: Route) -> None:
+        """Take the recorded path with its times: closed loop."""
+        self._route = route
 
     def reveal(self, scene: Scene) -> None:
         """Take the recorded motion of the lidar, extended by one plan's length.
@@ -45,8 +55,11 @@ class LogReplay:
             observation: Its index says where in the recording we are.
 
         Returns:
-            Waypoints of the lidar origin, lidar frame.
+            Waypoints of the lidar origin, lidar frame; in closed loop of the rear axle, ego frame.
         """
+        if self._route is not None:
+            seconds = self._route.seconds_of(observation.timestamp_us) + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
+            return Plan(to_local(self._route.recorded_at(seconds), observation.ego.pose), PlanFrame.EGO)
         start, here = self._lidar_path[observation.index], observation.index + 1
         pose = np.array([start[0], start[1], observation.ego.pose[2]])
         forward_left = to_local(self._lidar_path[here : here + PLAN_STEPS], pose)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli import data, demo, evaluate, generate, models, reproduce, review, show, train, verify, weights
+from benchmark.cli import data, demo, drive, evaluate, generate, models, reproduce, review, show, train, verify, weights
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
@@ -27,6 +27,7 @@ app.add_typer(show.leaderboard_app, name="leaderboard")
 app.command("generate")(generate.generate_command)
 app.command("ablate")(generate.ablate_command)
 app.command("eval")(evaluate.eval_command)
+app.command("drive")(drive.drive_command)
 app.command("models")(models.models_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 OF_THE_SEARCH: Final = (
     "freeze", "source_split", "adversaries", "surrogate", "surrogate_checkpoint", "vehicles", "per_scene", "top",
-    "candidates", "rounds", "parked", "preset", "changes", "denoiser", "calls", "dropout", "samples", "device",
-    "together", "keep_rounds", "profile",
+    "candidates", "rounds", "parked", "preset", "keep_unsolvable", "changes", "denoiser", "calls", "dropout", "samples",
+    "device", "together", "keep_rounds", "profile",
 )  # fmt: skip
 """Options of ``generate`` that say nothing to a split that is built from a frozen one."""
 

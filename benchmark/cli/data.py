@@ -29,6 +29,7 @@ from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+    from benchmark.records.judged_splits import SplitJudgement
 
 app = typer.Typer(cls=WholeSummaries, help="Look at, check, import, build and export data sets.", no_args_is_help=True)
 app.add_typer(export.app, name="export")
@@ -72,26 +73,74 @@ def data_stats_command(
         str, typer.Argument(help="mini, demo or the root of a data set, generated ones included.")
     ] = "mini",
     split: Annotated[str | None, typer.Option(help="Only this split; every row of the tables if not given.")] = None,
+    recordings: Annotated[
+        str | None, typer.Option(help="What the scenes were made from: adversaries are compared with it.")
+    ] = None,
+    judge: Annotated[
+        bool | None,
+        typer.Option(
+            "--judge/--no-judge", help="Judge recordings, too, or nothing; by default scenes with adversaries."
+        ),
+    ] = None,
     out: OutOption = api.OUT,
     tables: TablesOption = None,
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
-    """Print the paper's data-set table for any split, and what generated adversaries do where."""
-    from benchmark.cli.beforehand.data_sets import require_source
+    """Print the data-set table; what adversaries do where, who could avoid it, how severe and how real it is."""
+    from benchmark.cli.beforehand.data_sets import require_data, require_root, require_source
     from benchmark.datasets.statistics import statistics
     from benchmark.machine.workspace import EMBEDDED_NAMES
 
-    api.worker_count(workers)
-    if split is not None:
-        require_source(root, tables, split, out, scenes=None, limit=None)
+    processes = api.worker_count(workers)
     known = root in EMBEDDED_NAMES
-    folder = api.open_data(root, tables=tables, workers=workers, out=out).root if known else Path(root)
+    if split is not None and known:
+        require_data(root, tables, split, out)
+    elif split is not None:
+        require_source(root, tables, split, out, scenes=None, limit=None)
+    if recordings is not None:
+        require_root(recordings, None, out)
+    folder = Path(root)
+    if known:
+        source = api.open_data(root, tables=tables, workers=workers, out=out)
+        folder = (source if split is None else api.open_split(source, split, out, workers=workers)).root
     found = statistics(folder, split=split, version=tables)
+    judged = None
+    if judge is not False:
+        judged = _judged(folder, split, tables, recordings, processes, out, everything=judge is True)
     if json_output:
-        print_json(found.as_json())
-    else:
-        typer.echo(found.plain())
+        said = None if judged is None else judged.model_dump(mode="json")
+        print_json({**found.as_json(), "judgement": said})
+        return
+    typer.echo(found.plain())
+    if judged is not None:
+        from benchmark.judging.tables import judgement_text
+
+        typer.echo("\n" + judgement_text(judged), nl=False)
+
+
+def _judged(
+    root: Path,
+    split: str | None,
+    tables: str | None,
+    recordings: str | None,
+    workers: int,
+    out: Path,
+    *,
+    everything: bool,
+) -> "SplitJudgement | None":
+    """What is said of the scenes of a root; nothing where there is none to judge."""
+    from benchmark.datasets.roots import open_data
+    from benchmark.judging.splits import adversarial_names, judge_split
+    from benchmark.machine.workers import LocalProcesses
+
+    data = open_data(root, version=tables)
+    known = data.scene_names(split)
+    names = known if everything else adversarial_names(data, known)
+    if not names:
+        return None
+    base = None if recordings is None else api.open_data(recordings, workers=workers, out=out)
+    return judge_split(data, names, LocalProcesses(workers), base)
 
 
 @app.command("show")

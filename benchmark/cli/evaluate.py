@@ -366,6 +366,7 @@ def _show_runs(
     json_output: bool,
 ) -> bool:
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
+    from benchmark.metrics.attacks import attack_facts
     from benchmark.metrics.slices import kinds_named
     from benchmark.runs.failures import FAILURES_FILE, first_failure
     from leaderboard.tables.collision import run_tables
@@ -375,7 +376,12 @@ def _show_runs(
     sliced = run_slices(data_name, records, kinds_named(by), protocols, allow_partial=allow_partial)
     if json_output:
         rows = [
-            {"directory": str(r.directory), "status": r.run.status, **r.summary.model_dump(mode="json")}
+            {
+                "directory": str(r.directory),
+                "status": r.run.status,
+                **r.summary.model_dump(mode="json"),
+                **attack_facts(r),
+            }
             for r in records
         ]
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)

@@ -59,6 +59,7 @@ from benchmark.errors import InputError, did_you_mean
 if TYPE_CHECKING:
     from benchmark.cli.beforehand.data_sets import Ahead
     from benchmark.machine.workers import Executor
+    from generation.labels.manoeuvres import Manoeuvre
     from generation.render.contract import Renderer
 
 
@@ -83,11 +84,25 @@ def generate_command(
     surrogate_checkpoint: Annotated[Path | None, typer.Option(help="Weights of the surrogate.")] = None,
     vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
     per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
+    variants: Annotated[
+        int | None, typer.Option(min=1, help="Keep at most so many variants of a scene, those that differ most.")
+    ] = None,
+    manoeuvres: Annotated[
+        list[str] | None,
+        typer.Option("--manoeuvre", help="Steer the search to this kind, e.g. cut-in-left; may be repeated."),
+    ] = None,
     top: Annotated[int | None, typer.Option(min=1, help="Keep only the so many most challenging scenes.")] = None,
     candidates: Annotated[int | None, typer.Option(min=4, max=65536, help="Candidates per planning step.")] = None,
     rounds: Annotated[int | None, typer.Option(min=0, help="Refinement rounds per planning step.")] = None,
     parked: Annotated[bool, typer.Option(help="Also try vehicles that never move.")] = False,
     preset: PresetOption = Preset.DEFAULT,
+    keep_unsolvable: Annotated[
+        bool,
+        typer.Option(
+            "--keep-unsolvable",
+            help="Keep scenes that nobody could have avoided: they test luck, not driving (docs/severity.md).",
+        ),
+    ] = False,
     changes: SetOption = None,
     denoiser: DenoiserOption = None,
     calls: CallsOption = None,
@@ -132,7 +147,11 @@ def generate_command(
     wanted = splits_to_build(split, seed, seeds, from_file, freeze, context)
     frozen = wanted[0].frozen
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
+    shortcuts["solvable"] = False if keep_unsolvable else None
     hyper = hyper_parameters(preset.value, shortcuts, changes or ())
+    asked = _asked(manoeuvres or [], split, from_file)
+    if variants is not None and per_scene is not None:
+        raise InputError("--variants keeps scenes that differ, --per-scene the most challenging ones; give one of them")
     if surrogate is None and surrogate_checkpoint is not None:
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
     _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
@@ -201,6 +220,8 @@ def generate_command(
         adversaries=adversaries,
         surrogate=under_test,
         per_scene=per_scene,
+        variants=variants,
+        asked=asked,
         total=top,
         layout=layout.value,
         renderer=drawing,
@@ -229,6 +250,20 @@ def generate_command(
         print_json(built[0].said if seeds is None else [each.said for each in built])
     if not dry_run:
         say_built(wanted, own, same_place(data, out, tables), json_output=json_output)
+
+
+def _asked(names: list[str], split: str, from_file: str | None) -> "tuple[Manoeuvre, ...]":
+    """The kinds of manoeuvre that are asked for; `InputError` for one that cannot be."""
+    if not names:
+        return ()
+    from generation.search.asked_manoeuvres import askable
+
+    if split != "adv" or from_file is not None:
+        raise InputError("--manoeuvre steers the search for split adv, and nothing is searched here; leave it out")
+    kinds = tuple(map(askable, names))
+    if len(set(kinds)) < len(kinds):
+        raise InputError("--manoeuvre names one kind twice; name each once")
+    return kinds
 
 
 def _require_generated(split: str) -> None:

@@ -130,6 +130,7 @@ class Preset(StrEnum):
     """Settings of the search to start from."""
 
     DEFAULT = "default"
+    NEAR = "near"
     PAPER = "paper"
     REFERENCE = "reference"
 
@@ -200,7 +201,8 @@ AsPublishedOption = Annotated[
 PresetOption = Annotated[
     Preset,
     typer.Option(
-        "--preset", help="default, paper (the text) or reference (the public code); --dry-run lists departures."
+        "--preset",
+        help="default, near (no threats), paper (text), reference (code); --dry-run lists departures.",
     ),
 ]
 SetOption = Annotated[

@@ -1,8 +1,9 @@
 """Commands that show results: ``sheets``, ``film`` and ``leaderboard``."""
 
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,6 +34,9 @@ from benchmark.cli.what_next import same_place, say_next
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.errors import InputError
 from benchmark.report.words import counted
+
+if TYPE_CHECKING:
+    from benchmark.drawing.lettering import Picture
 
 leaderboard_app = typer.Typer(
     cls=WholeSummaries,
@@ -232,19 +236,28 @@ def film_command(
     form: FilmFormatOption = FilmFormatName.WEBM,
     begin_s: Annotated[float, typer.Option("--from", help="First moment, seconds.")] = 0.0,
     end_s: Annotated[float | None, typer.Option("--until", help="Last moment, seconds.")] = None,
-    fps: Annotated[float, typer.Option(help="Frames a second; the film is as fast as the scene.")] = 12.0,
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Frames a second, 12 of scenes and 10 of drives; the film is as fast as the scene."),
+    ] = None,
     width: Annotated[int, typer.Option(help="Width of the frames in pixels, which are 16:9.")] = 1280,
     extent: Annotated[float, typer.Option(help="Half the width of what is seen from above, metres.")] = 24.0,
     north_up: Annotated[bool, typer.Option("--north-up", help="North points up, not the ego's heading.")] = False,
     candidates: Annotated[bool, typer.Option(help="Whether to draw what the search chose from.")] = True,
     protocol: Annotated[str, typer.Option(help="Whose verdicts are shown; native: of each planner's own.")] = "exact",
+    drives: Annotated[
+        bool, typer.Option("--drives", help="Film drives in closed loop, of all planners unless --model names some.")
+    ] = False,
+    tables: TablesOption = None,
     json_output: JsonOption = False,
 ) -> None:
-    """Film scenes from their sheets: cameras, view from above, plans and verdicts of planners (docs/films.md)."""
+    """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/films.md)."""
     from benchmark.cli.beforehand.names import planners_shown
     from benchmark.cli.beforehand.places import require_folder, require_place
+    from benchmark.cli.drive_films import AskedDrives, drive_films
     from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
+    from leaderboard.films.drive_film import DRIVE_FPS
     from leaderboard.films.film import FilmLayout, FilmSettings
     from leaderboard.films.filming import FilmFormat, planner_folder, write_films
 
@@ -253,22 +266,33 @@ def film_command(
     for place in records or ():
         require_folder(place, "--records")
     require_place(to, "--to")
-    runs = space.run_root()
-    model = planners_shown(model or (), records or [planner_folder(runs, data, split)], runs)
+    settings = FilmSettings(
+        shown, judge, begin_s, end_s, fps or (DRIVE_FPS if drives else 12.0), width, extent, not north_up, candidates
+    )
+
+    def watch(frames: "Iterable[Picture]", total: int, label: str) -> "Iterable[Picture]":
+        return progress(frames, total=total, label=label, count=Count("frame"))
+
+    if drives:
+        asked = AskedDrives(data, split, out, records, model or (), name_list(scenes), limit, tables)
+        written = drive_films(asked, to, FilmFormat(form.value), settings, watch)
+    else:
+        runs = space.run_root()
+        written = write_films(
+            space.sheet_root(),
+            records or runs,
+            data,
+            split,
+            to,
+            planners_shown(model or (), records or [planner_folder(runs, data, split)], runs),
+            scenes=name_list(scenes),
+            limit=limit,
+            form=FilmFormat(form.value),
+            settings=settings,
+            watch=watch,
+        )
     films = []
-    for film in write_films(
-        space.sheet_root(),
-        records or space.run_root(),
-        data,
-        split,
-        to,
-        model,
-        scenes=name_list(scenes),
-        limit=limit,
-        form=FilmFormat(form.value),
-        settings=FilmSettings(shown, judge, begin_s, end_s, fps, width, extent, not north_up, candidates),
-        watch=lambda frames, total, label: progress(frames, total=total, label=label, count=Count("frame")),
-    ):
+    for film in written:
         films.append(str(film))
         typer.echo(films[-1], err=json_output)
     if json_output:

@@ -12,6 +12,7 @@ from benchmark.datasets.annotated import read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import fingerprint_of
+from benchmark.datasets.judged import read_judgements
 from benchmark.datasets.map_layers import expansion_file, read_road_map
 from benchmark.datasets.observations import observations_of_scene
 from benchmark.datasets.reviewed import review_of_rows
@@ -28,6 +29,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import read_json
 from benchmark.planning import CameraView, Observation
+from benchmark.records.judgement import SceneJudgement
 from benchmark.records.review import SplitReview, read_review
 from benchmark.records.run_schema import SceneFacts
 from benchmark.road_map import RoadMap
@@ -61,6 +63,7 @@ class NuScenesData:
         self._scenes: OrderedDict[str, Scene] = OrderedDict()
         self._maps: dict[str, RoadMap] = {}
         self._fingerprint: str | None = None
+        self._judged: dict[str, tuple[SceneJudgement, ...]] | None = None
 
     @classmethod
     def open(
@@ -218,7 +221,7 @@ class NuScenesData:
         return self._provenance
 
     def scene_facts(self, names: Sequence[str]) -> dict[str, SceneFacts]:
-        """Where scenes come from and what their first adversary does (see `scene_facts_of`).
+        """Where scenes come from, what their first adversary does and what was said of them (see `scene_facts_of`).
 
         Args:
             names: Scene names.
@@ -231,8 +234,11 @@ class NuScenesData:
         """
         made = self._provenance["scenes"] if self._provenance else {}
         known = {name: self._row(name) for name in names}
+        if self._judged is None:
+            self._judged = read_judgements(self.root / self.version)
+        judged = self._judged
         return {
-            name: scene_facts_of(name, made.get(name, {}), str(row.get("description", "")))
+            name: scene_facts_of(name, made.get(name, {}), str(row.get("description", "")), judged.get(name, ()))
             for name, row in known.items()
         }
 

@@ -1,10 +1,11 @@
 """Where scenes come from and what is done in them, from ``challenger.json`` or from a scene's name."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from benchmark.records.attempts import stored_labels
+from benchmark.records.judgement import JudgementSummary, SceneJudgement
 from benchmark.records.run_schema import SceneFacts
 from benchmark.scene import Look
 
@@ -12,13 +13,19 @@ _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")
 """Names of the published Adv-nuSc, which has no provenance file: the recorded scene and a suffix."""
 
 
-def scene_facts_of(name: str, made: Mapping[str, Any], description: str | None = None) -> SceneFacts:
+def scene_facts_of(
+    name: str,
+    made: Mapping[str, Any],
+    description: str | None = None,
+    judgements: Sequence[SceneJudgement] = (),
+) -> SceneFacts:
     """Facts of one scene.
 
     Args:
         name: Scene name.
         made: What ``challenger.json`` says of the scene; empty where it says nothing.
         description: Of the scene, in words; ``None`` where it is not known.
+        judgements: What is said of its adversaries; empty where nobody judged it.
 
     Returns:
         Source: as the file says, else the ``scene-0001`` of ``scene-0001-suffix``, else the scene itself. Manoeuvre:
@@ -34,6 +41,7 @@ def scene_facts_of(name: str, made: Mapping[str, Any], description: str | None =
         source=source,
         manoeuvre=next((manoeuvre for manoeuvre in manoeuvres if isinstance(manoeuvre, str)), None),
         adversaries=len(listed) if isinstance(listed, list) else 0 if source == name else None,
+        judgement=JudgementSummary.of(judgements) if judgements else None,
         light=None if description is None else [look.value for look in Look.said_in(description)],
     )
 

@@ -11,8 +11,8 @@ from benchmark.drawing.canvas import GroundView, fill_box, mark_at, outline_box,
 from benchmark.drawing.captions import draw_captions
 from benchmark.drawing.ground import SheetGround, draw_ground, ground_of
 from benchmark.drawing.lettering import Picture
-from benchmark.drawing.overlays import CandidatesOverlay, Overlay, PlanOverlay
-from benchmark.drawing.palette import ADVERSARY, EGO, ON_LIGHT, GroundColours, Rgb, mixed
+from benchmark.drawing.overlays import CandidatesOverlay, Overlay, PathOverlay, PlanOverlay
+from benchmark.drawing.palette import ADVERSARY, EGO, ON_LIGHT, PATH, PATH_DASH, GroundColours, Rgb, mixed
 from benchmark.drawing.placing import agent_box, ego_box, frame_seconds
 from benchmark.drawing.planned import draw_candidates, draw_contacts, draw_expectations, draw_plan
 from benchmark.errors import InputError
@@ -105,6 +105,8 @@ class SceneFromAbove:
         for overlay in overlays:
             if isinstance(overlay, CandidatesOverlay):
                 draw_candidates(image, view, overlay)
+            if isinstance(overlay, PathOverlay):
+                stroke(image, view, overlay.points, PATH, 2, dash=PATH_DASH)
         for plan in plans:
             draw_expectations(image, view, plan)
         self._draw_boxes(image, view, frame)

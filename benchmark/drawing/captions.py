@@ -19,6 +19,7 @@ from benchmark.drawing.palette import (
     INK,
     ON_LIGHT,
     PAPER,
+    PATH_DASH,
     PlannerStyle,
     Rgb,
     mixed,
@@ -33,7 +34,7 @@ class LegendEntry:
     """One line of the legend.
 
     Attributes:
-        kind: ``box``, ``way``, ``forecast`` or ``candidates``.
+        kind: ``box``, ``way``, ``path``, ``forecast`` or ``candidates``.
         colour: Of what it explains.
         words: What it is.
     """
@@ -89,6 +90,8 @@ def draw_entry(image: Picture, entry: LegendEntry, at: tuple[float, float], *, s
         for number, share in enumerate((1.0, 0.6, 0.3, 0.0)):
             shade = mixed(BEST, (190, 214, 90), share)
             cv2.line(image, (left, row + 4), (right, row - 6 + 4 * number), shade, 1, cv2.LINE_AA)
+    elif entry.kind == "path":
+        line_pixels(image, (left, row), (right, row), entry.colour, 2, PATH_DASH)
     else:
         line_pixels(image, (left, row), (right, row), entry.colour, 2, (3.0, 3.0) if entry.kind == "forecast" else ())
         inside = PAPER if entry.kind == "forecast" else entry.colour

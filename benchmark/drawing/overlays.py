@@ -105,7 +105,18 @@ class CandidatesOverlay:
     chosen: Floats
 
 
-Overlay = PlanOverlay | CandidatesOverlay
+@dataclass(frozen=True, slots=True)
+class PathOverlay:
+    """Where the recorded ego went, beside one that was driven.
+
+    Attributes:
+        points: (M, 2) centres of its body.
+    """
+
+    points: Floats
+
+
+Overlay = PlanOverlay | CandidatesOverlay | PathOverlay
 
 
 def verdict_of(row: SampleRow, protocol: str) -> Verdict:
@@ -220,11 +231,11 @@ def _contact(sheet: Sheet, keyframe: int, plan: PlacedPlan, seconds: float, hit:
     agent = next((each for each in sheet.agents if each.id == hit), None)
     at = float(frame_seconds(sheet)[keyframe]) + seconds
     other = None if agent is None else agent_box_at(sheet, agent, at)
-    return Contact(seconds, ego, other, ego[:2] if other is None else _shared_point(ego, other))
+    return Contact(seconds, ego, other, ego[:2] if other is None else shared_point(ego, other))
 
 
-def _shared_point(first: Floats, second: Floats) -> Floats:
-    """Middle of the overlap of two boxes, or of their centres where rounding pulls them apart."""
+def shared_point(first: Floats, second: Floats) -> Floats:
+    """Middle of the overlap of two boxes (5,), or of their centres where rounding pulls them apart."""
     origin = first[:2]
     one, two = ((box_corners(box) - origin).astype(np.float32) for box in (first, second))
     area, polygon = cv2.intersectConvexConvex(one, two)

@@ -10,6 +10,8 @@ EGO: Final[Rgb] = (0, 158, 115)
 ADVERSARY: Final[Rgb] = (213, 74, 0)
 """In every picture, film, figure and page, light or dark: its contrast is 3.9 on both grounds and 2.4 or more on both
 roads, where it has an edge besides; white letters on it have 4.4. No planner's colour is near it."""
+PATH: Final[Rgb] = (118, 190, 168)
+"""Where the recorded ego went beside one that was driven: its colour, faint."""
 INK: Final[Rgb] = (34, 36, 40)
 FAINT_INK: Final[Rgb] = (104, 108, 116)
 PAPER: Final[Rgb] = (255, 255, 255)
@@ -91,6 +93,7 @@ ON_DARK: Final = GroundColours(
     paper=(16, 18, 20),
 )
 
+PATH_DASH: Final = (5.0, 6.0)
 BEST, WORST = (68, 1, 84), (190, 214, 90)
 """Ends of the scale of candidates: the lower the score, the better, the darker."""
 

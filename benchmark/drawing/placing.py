@@ -119,9 +119,7 @@ def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
     if row.plan is None:
         return None
     plan, ahead = row.plan, row.lidar_ahead_m
-    heading = np.array([np.cos(axle[2]), np.sin(axle[2])])
-    # The lidar frame's first axis points to the right.
-    lidar = np.array([*(axle[:2] + ahead * heading), axle[2] - np.pi / 2])
+    lidar = _lidar_pose(axle, ahead)
     try:
         judged = np.array(plan.waypoints[:PLAN_STEPS], np.float64).reshape(PLAN_STEPS, 2)
         waypoints = waypoints_in_lidar(judged, plan.frame, ahead)
@@ -141,6 +139,37 @@ def placed_plan(row: SampleRow, axle: Floats) -> PlacedPlan | None:
         modes=to_global(modes[other], lidar),
         forecasts=forecasts,
     )
+
+
+def placed_waypoints(waypoints: Floats, frame: str, ahead_m: float, axle: Floats) -> PlacedPlan | None:
+    """Put waypoints where they were planned.
+
+    Args:
+        waypoints: (N, 2) metres.
+        frame: ``lidar`` or ``ego``.
+        ahead_m: Lidar origin ahead of the rear axle.
+        axle: (3,) pose of the rear axle.
+
+    Returns:
+        The plan to 3 s without modes and forecasts, or ``None`` of one that is shorter.
+    """
+    if len(waypoints) < PLAN_STEPS:
+        return None
+    lidar = _lidar_pose(axle, ahead_m)
+    judged = waypoints_in_lidar(np.asarray(waypoints[:PLAN_STEPS], np.float64), frame, ahead_m)
+    return PlacedPlan(
+        waypoints=to_global(judged, lidar),
+        footprints=_boxes_of(ego_boxes(judged), lidar),
+        start=_boxes_of(ego_footprints(np.array([0.0, 0.0, np.pi / 2])), lidar),
+        modes=np.empty((0, PLAN_STEPS, 2)),
+        forecasts=None,
+    )
+
+
+def _lidar_pose(axle: Floats, ahead_m: float) -> Floats:
+    heading = np.array([np.cos(axle[2]), np.sin(axle[2])])
+    # The lidar frame's first axis points to the right.
+    return np.array([*(axle[:2] + ahead_m * heading), axle[2] - np.pi / 2])
 
 
 def _forecasts(row: SampleRow, lidar: Floats) -> PlacedForecasts:

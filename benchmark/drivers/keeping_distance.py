@@ -20,7 +20,7 @@ SMALLEST_GAP_M: Final = 1.0
 _EXPONENT: Final = 4
 
 
-def idm_acceleration(speed: Floats, free_speed: float, gap: Floats, leader_speed: Floats) -> Floats:
+def idm_acceleration(speed: Floats, free_speed: float | Floats, gap: Floats, leader_speed: Floats) -> Floats:
     """Acceleration of a car that keeps distance.
 
     Args:

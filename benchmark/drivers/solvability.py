@@ -6,6 +6,7 @@ careful human passes does.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import shapely
 
@@ -35,13 +36,17 @@ class SceneLadder:
 
     @classmethod
     def of(
-        cls, tracks: Tracks, adversary: int, start: float | None = None, drivable: shapely.MultiPolygon | None = None
+        cls,
+        tracks: Tracks,
+        adversary: int | None,
+        start: float | None = None,
+        drivable: shapely.MultiPolygon | None = None,
     ) -> "SceneLadder":
         """Let all drivers drive a scene.
 
         Args:
             tracks: Everybody.
-            adversary: Index of the adversary.
+            adversary: Index of the adversary; ``None`` where none is known, who is then never visible.
             start: When drivers take over, seconds; at the first frame by default.
             drivable: Where manoeuvres may go; anywhere by default.
 
@@ -51,7 +56,23 @@ class SceneLadder:
         situation = Situation.of(tracks, start, adversary)
         surroundings = Surroundings.of(situation)
         outcomes = {motion.rung.driver: surroundings.outcome(motion) for motion in drive(situation)}
-        return cls(situation, outcomes, first_visible(tracks, adversary, situation.times), drivable)
+        seen = None if adversary is None else first_visible(tracks, adversary, situation.times)
+        return cls(situation, outcomes, seen, drivable)
+
+    def about(self, adversary: int) -> Self:
+        """The same scene with another one as the adversary: drivers and last chance do not depend on who that is.
+
+        Args:
+            adversary: Its index.
+
+        Returns:
+            The ladder, with what was found already.
+        """
+        situation = self.situation
+        seen = first_visible(situation.tracks, adversary, situation.times)
+        other = type(self)(situation, self.outcomes, seen, self.drivable)
+        other.__dict__.update({name: getattr(self, name) for name in ("base", "last_chance")})
+        return other
 
     def survives(self, driver: Driver) -> bool:
         """Whether a driver hits nobody."""

@@ -268,7 +268,7 @@ def _steer(drive: Drive, law: SteeringLaw, wheelbase: float, model: MotionModel)
     states, direction = drive.states, drive.direction
     travel = states[:-1, 3] * model.dt
     turning = travel / wheelbase
-    most_change, most_angle = _steering_limits(states[1:, 3], wheelbase, model)
+    most_change, most_angle = steering_limits(states[1:, 3], wheelbase, model.limits, model.dt)
     least_change, least_angle = -most_change, -most_angle
     responding = np.full(travel.shape[1], model.dt * model.dt / (model.dt + STEERING_LAG_S))
     for step, (now, following, heading) in enumerate(zip(states, states[1:], direction)):
@@ -290,15 +290,24 @@ def _steer(drive: Drive, law: SteeringLaw, wheelbase: float, model: MotionModel)
     np.sin(states[-1, 2], out=direction[-1, 1])
 
 
-def _steering_limits(speed: Floats, wheelbase: float, model: MotionModel) -> tuple[Floats, Floats]:
-    """Largest change of the steering angle in one frame and largest angle, at speeds of any shape."""
-    limits = model.limits
+def steering_limits(speed: Floats, wheelbase: float, limits: DriverLimits | None, dt: float) -> tuple[Floats, Floats]:
+    """How far a driver turns the wheels.
+
+    Args:
+        speed: (...) m/s.
+        wheelbase: Metres.
+        limits: Of the driver, ``None`` for the reference's steering limit alone.
+        dt: Time of one frame.
+
+    Returns:
+        (...) largest change of the steering angle in one frame and (...) largest angle, radians.
+    """
     if limits is None:
         return np.full_like(speed, np.inf), np.full_like(speed, REFERENCE_STEERING_RAD)
     fast = np.maximum(speed, 0.1)
     most_rate = np.minimum(limits.steering_rate_rad_s, limits.lateral_jerk_m_s3 * wheelbase / fast**2)
     most_curvature = np.minimum(limits.lateral_acceleration_m_s2 / fast**2, limits.yaw_rate_rad_s / fast)
-    return most_rate * model.dt, np.minimum(limits.steering_rad, np.arctan(most_curvature * wheelbase))
+    return most_rate * dt, np.minimum(limits.steering_rad, np.arctan(most_curvature * wheelbase))
 
 
 def _global(drive: Drive, pose: Floats, ahead_m: float) -> tuple[Floats, Floats]:

@@ -12,12 +12,14 @@ SIDEWAYS_M_S = 0.3
 """Sideways speed of the rear axle that an explicit integration step may show in a tight turn."""
 
 
-def broken_limit(boxes: Floats, limits: DriverLimits) -> tuple[str, float, float] | None:
+def broken_limit(boxes: Floats, limits: DriverLimits, *, rounded_m: float = 0.0) -> tuple[str, float, float] | None:
     """First limit of the driver that a 12 Hz track breaks: finite differences of the rear axle's path.
 
     Args:
         boxes: (F, 5) boxes.
         limits: Limits.
+        rounded_m: How far each position may be from where it was, where a file holds it to a few digits: the limits
+            are wider by what that does to the differences.
 
     Returns:
         Name with unit, value and limit, or ``None``; tracks of fewer than three frames break none.
@@ -31,11 +33,13 @@ def broken_limit(boxes: Floats, limits: DriverLimits) -> tuple[str, float, float
     across = step[:, 1] * np.cos(yaw) - step[:, 0] * np.sin(yaw)
     yaw_rate = wrap_angle(np.diff(axle[:, 2])) * FRAME_HZ
     acceleration = np.diff(along) * FRAME_HZ
+    sideways = SIDEWAYS_M_S + 2 * rounded_m * FRAME_HZ
+    more = 4 * rounded_m * FRAME_HZ**2
     measured = (
-        ("speed sideways, m/s", np.abs(across).max(), SIDEWAYS_M_S),
-        ("speed backwards, m/s", -along.min(), SIDEWAYS_M_S),
-        ("acceleration, m/s^2", acceleration.max(), limits.acceleration_m_s2 * LIMIT_TOLERANCE),
-        ("braking, m/s^2", -acceleration.min(), limits.braking_m_s2 * LIMIT_TOLERANCE),
+        ("speed sideways, m/s", np.abs(across).max(), sideways),
+        ("speed backwards, m/s", -along.min(), sideways),
+        ("acceleration, m/s^2", acceleration.max(), limits.acceleration_m_s2 * LIMIT_TOLERANCE + more),
+        ("braking, m/s^2", -acceleration.min(), limits.braking_m_s2 * LIMIT_TOLERANCE + more),
         ("yaw rate, rad/s", np.abs(yaw_rate).max(), limits.yaw_rate_rad_s * LIMIT_TOLERANCE),
         (
             "lateral acceleration, m/s^2",

@@ -154,6 +154,11 @@ class Tracks:
         lasting = span >= _SHORTEST_S
         return np.asarray(np.where(lasting[..., None], moved / np.where(lasting, span, 1.0)[..., None], 0.0))
 
+    def ego_velocities_at(self, times: Floats) -> Floats:
+        """(T, 2) velocities of the ego at (T,) times by the same rule."""
+        there = np.ones((1, len(self.seconds)), np.bool_)
+        return np.asarray(type(self)(self.seconds, self.ego, self.ego[None], there, ("",)).velocities_at(times)[0])
+
     def run_limits_at(self, times: Floats) -> tuple[Floats, Floats]:
         """(N, T) when each agent's run of valid frames around each of (T,) times starts, and when it ends."""
         frame, fraction = between(self.seconds, times)

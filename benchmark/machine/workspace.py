@@ -68,6 +68,10 @@ class Workspace:
         """Folder of all run records."""
         return self.out / "runs"
 
+    def drive_root(self) -> Path:
+        """Folder of all records of drives."""
+        return self.out / "drives"
+
     def quality_root(self) -> Path:
         """Folder of all records of video quality."""
         return self.out / "quality"

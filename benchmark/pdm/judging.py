@@ -61,19 +61,22 @@ class DrivenPlan:
         return {**{each.name: getattr(self, each.name) for each in fields(self)}, "forgiven": list(self.forgiven)}
 
 
-def judge_scene(scene: Scene, plans: Sequence[Plan | None]) -> list[DrivenPlan | None]:
+def judge_scene(
+    scene: Scene, plans: Sequence[Plan | None], recorded: RecordedScene | None = None
+) -> list[DrivenPlan | None]:
     """Judge the plans of a scene.
 
     Args:
         scene: The scene, with its map.
         plans: One for each of its K samples in time order, ``None`` where the planner failed.
+        recorded: What the scene gives to judge by, if that is there already.
 
     Returns:
         K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map there has no
         road or no lanes.
     """
     found: list[DrivenPlan | None] = [None] * len(plans)
-    recorded = RecordedScene(scene)
+    recorded = recorded or RecordedScene(scene)
     samples = np.flatnonzero(recorded.complete & np.array([plan is not None for plan in plans], np.bool_))
     # Without lanes every plan would be on the wrong side of the road.
     if not (recorded.road.drivable and recorded.road.lanes and len(samples)):

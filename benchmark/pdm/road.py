@@ -62,6 +62,37 @@ class Road:
             tuple(crossings),
         )
 
+    def unsure(self, boxes: Floats) -> Bools:
+        """Where a car has no lane of its own, so that it is to blame for contacts at its sides.
+
+        Args:
+            boxes: (Q, 5) rectangles of cars.
+
+        Returns:
+            (Q,) whether each is in several lanes or off the drivable surfaces.
+        """
+        corners = _Points(box_corners(boxes))
+        return self.straddled(corners, (len(boxes),)) | self.left(corners, (len(boxes),))
+
+    def straddled(self, corners: "_Points", shape: tuple[int, ...]) -> Bools:
+        """Whether cars (four corners each) are on more than one lane or connector and none holds them whole."""
+        touched, whole = np.zeros(shape, np.int64), np.zeros(shape, np.bool_)
+        for surface in self.lanes:
+            which, inside = corners.inside(surface)
+            if which.size:
+                held = np.zeros((*shape, 4), np.bool_)
+                held.reshape(-1)[which[inside]] = True
+                touched += held.any(axis=-1)
+                whole |= held.all(axis=-1)
+        return np.asarray((touched > 1) & ~whole)
+
+    def left(self, corners: "_Points", shape: tuple[int, ...]) -> Bools:
+        """Whether a corner of cars is on no drivable surface."""
+        drivable = np.zeros((*shape, 4), np.bool_)
+        for surface in self.drivable:
+            corners.mark(drivable, surface)
+        return np.asarray(~drivable.all(axis=-1))
+
 
 @dataclass(frozen=True, slots=True)
 class Whereabouts:
@@ -111,25 +142,16 @@ def whereabouts(road: Road, states: Floats) -> Whereabouts:
     shape = states.shape[:-1]
     corners = _Points(box_corners(boxes))
     center, axle = _Points(boxes[..., :2]), _Points(states[..., :2])
-    touched, whole = np.zeros(shape, np.int64), np.zeros(shape, np.bool_)
     routed = np.zeros(shape, np.bool_)
     for surface, on_route in zip(road.lanes, road.on_route, strict=True):
-        which, inside = corners.inside(surface)
-        if which.size:
-            held = np.zeros((*shape, 4), np.bool_)
-            held.reshape(-1)[which[inside]] = True
-            touched += held.any(axis=-1)
-            whole |= held.all(axis=-1)
         if on_route:
             center.mark(routed, surface)
-    drivable = np.zeros((*shape, 4), np.bool_)
-    for surface in road.drivable:
-        corners.mark(drivable, surface)
     crossing, axle_crossing = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     for surface in road.intersections:
         center.mark(crossing, surface)
         axle.mark(axle_crossing, surface)
-    return Whereabouts((touched > 1) & ~whole, ~drivable.all(axis=-1), ~routed, crossing, axle_crossing)
+    straddled, left = road.straddled(corners, shape), road.left(corners, shape)
+    return Whereabouts(straddled, left, ~routed, crossing, axle_crossing)
 
 
 class _Points:

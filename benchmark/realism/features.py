@@ -5,7 +5,7 @@ that differences at any higher rate are zero inside and spikes at the keyframes;
 therefore read at the keyframes, smoothed and splined alike.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -17,6 +17,7 @@ from scipy.signal import savgol_filter
 from benchmark.encounters.contacts import time_to_contact
 from benchmark.encounters.tracks import Tracks
 from benchmark.geometry import Bools, Floats, box_gap
+from benchmark.realism.road_edge import RoadEdge
 
 FEATURES: Final = (
     "speed",
@@ -28,6 +29,8 @@ FEATURES: Final = (
     "gap",
     "ttc",
 )
+ROAD_EDGE: Final = "road_edge"
+"""The ninth feature, of scenes with a map."""
 FEWEST_KEYFRAMES: Final = 5
 SHORTEST_M: Final = 5.0
 """Runs that move less say nothing about driving."""
@@ -48,7 +51,7 @@ class Run:
     Attributes:
         agent: Index of the agent.
         times: (S,) seconds of the samples.
-        values: (S,) of each of `FEATURES`, by name.
+        values: (S,) of each of `FEATURES`, and of `ROAD_EDGE` with a map, by name.
     """
 
     agent: int
@@ -72,7 +75,12 @@ class SplinedMotion:
 
 
 def runs_of(
-    tracks: Tracks, keyframes: Integers, agent: int, *, between: tuple[float, float] | None = None
+    tracks: Tracks,
+    keyframes: Integers,
+    agent: int,
+    *,
+    between: tuple[float, float] | None = None,
+    road: RoadEdge | None = None,
 ) -> list[Run]:
     """All runs of one agent.
 
@@ -81,20 +89,30 @@ def runs_of(
         keyframes: (K,) indices of the annotated frames, rising.
         agent: Index of the agent.
         between: Keyframes outside these times do not count; for the adversarial stretch of an adversary.
+        road: Where the road ends, for `ROAD_EDGE`.
 
     Returns:
         Those that count, in order of time.
     """
-    return list(_runs(Surroundings.of(tracks), keyframes, agent, between))
+    return list(_runs(Surroundings.of(tracks), keyframes, agent, between, road))
 
 
-def recorded_runs(tracks: Tracks, keyframes: Integers, category: str) -> list[Run]:
+def recorded_runs(
+    tracks: Tracks,
+    keyframes: Integers,
+    category: str,
+    *,
+    without: Collection[int] = (),
+    road: RoadEdge | None = None,
+) -> list[Run]:
     """All runs of all agents of a category: what a scene gives to the reference.
 
     Args:
         tracks: Everybody, as recorded.
         keyframes: (K,) indices of the annotated frames, rising.
         category: nuScenes category name.
+        without: Indices of agents that are not as recorded.
+        road: Where the road ends, for `ROAD_EDGE`.
 
     Returns:
         The runs, by agent and time. The ego is left out: another instrument measured it.
@@ -103,8 +121,8 @@ def recorded_runs(tracks: Tracks, keyframes: Integers, category: str) -> list[Ru
     return [
         run
         for agent, name in enumerate(tracks.categories)
-        if name == category
-        for run in _runs(around, keyframes, agent, None)
+        if name == category and agent not in without
+        for run in _runs(around, keyframes, agent, None, road)
     ]
 
 
@@ -225,7 +243,13 @@ class Surroundings:
         return np.asarray(np.where(span[..., None] > 0, moved / np.where(span > 0, span, 1.0)[..., None], 0.0))
 
 
-def _runs(around: Surroundings, keyframes: Integers, agent: int, between: tuple[float, float] | None) -> Iterator[Run]:
+def _runs(
+    around: Surroundings,
+    keyframes: Integers,
+    agent: int,
+    between: tuple[float, float] | None,
+    road: RoadEdge | None,
+) -> Iterator[Run]:
     tracks = around.tracks
     times, boxes, valid = tracks.seconds[keyframes], tracks.agents[agent, keyframes], tracks.valid[agent, keyframes]
     if between is not None:
@@ -235,7 +259,10 @@ def _runs(around: Surroundings, keyframes: Integers, agent: int, between: tuple[
         count = int(np.floor((of_run[-2] - of_run[1]) / SAMPLE_S + 1e-6)) + 1
         samples = of_run[1] + SAMPLE_S * np.arange(count)
         motion = splined(of_run, boxes[run], samples)
-        yield Run(agent, samples, {**motion.values, **around.nearness(agent, samples, motion)})
+        values = {**motion.values, **around.nearness(agent, samples, motion)}
+        if road is not None:
+            values[ROAD_EDGE] = road.beyond(motion.boxes)
+        yield Run(agent, samples, values)
 
 
 def _along(vectors: Floats, places: Floats) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.geometry import Floats
 from benchmark.realism.divergence import Histograms, equal_bins, quantile_bins, w1
-from benchmark.realism.features import FEATURES, Run
+from benchmark.realism.features import FEATURES, ROAD_EDGE, Run
 
 BOOTSTRAP_DRAWS: Final = 200
 _INTERVAL: Final = (0.025, 0.975)
@@ -54,7 +54,7 @@ class Realism:
     """All features.
 
     Attributes:
-        features: By the order of `FEATURES`.
+        features: By the order of `FEATURES`, then `ROAD_EDGE` where all scenes have a map.
         samples: Samples of adversaries, and of recordings.
     """
 
@@ -86,9 +86,11 @@ def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0)
     scenes = list(recorded)
     if not any(map(len, adversaries.values())) or not any(map(len, recorded.values())):
         return None
+    everything = [run for runs in (*adversaries.values(), *recorded.values()) for run in runs]
+    names = (*FEATURES, *([ROAD_EDGE] if all(ROAD_EDGE in run.values for run in everything) else []))
     halves = ({name: recorded[name] for name in scenes[first::2]} for first in (0, 1))
-    even, odd = (_pooled(half) for half in halves)
-    ours, reference = _pooled(adversaries), _pooled(recorded)
+    even, odd = (_pooled(half, names) for half in halves)
+    ours, reference = _pooled(adversaries, names), _pooled(recorded, names)
     features = tuple(
         FeatureRealism(
             name=name,
@@ -99,7 +101,7 @@ def realism_of(adversaries: RunsOfScenes, recorded: RunsOfScenes, seed: int = 0)
             realism_of_halves=_of_both(_realism, even[name], odd[name]),
             interval=_interval(adversaries, reference[name], name, seed),
         )
-        for name in FEATURES
+        for name in names
     )
     return Realism(features, (len(ours[FEATURES[0]]), len(reference[FEATURES[0]])))
 
@@ -112,10 +114,10 @@ def _of_both(measure: Callable[[Floats, Floats], float], first: Floats, second: 
     return measure(first, second) if len(first) and len(second) else None
 
 
-def _pooled(runs: RunsOfScenes) -> dict[str, Floats]:
+def _pooled(runs: RunsOfScenes, names: Sequence[str]) -> dict[str, Floats]:
     return {
         name: np.concatenate([np.empty(0), *(run.values[name] for some in runs.values() for run in some)])
-        for name in FEATURES
+        for name in names
     }
 
 

@@ -28,7 +28,7 @@ TELEPORT_RAD: Final = np.deg2rad(30.0)
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What is wrong with one adversary's track; ``None`` where nobody could tell without a map.
+    """What is wrong with one adversary's track; ``None`` where nobody could tell: without a map, or a 12 Hz track.
 
     Attributes:
         beyond_limits: It asks more of car or driver than `benchmark.dynamics.bicycle.DriverLimits`.
@@ -39,12 +39,12 @@ class Faults:
         teleport: It moves or turns further between two frames than any car could.
     """
 
-    beyond_limits: bool
+    beyond_limits: bool | None
     off_road: bool | None
     contact: bool
     against_traffic: bool | None
     hovering: bool
-    teleport: bool
+    teleport: bool | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,15 @@ class ValidityRate:
         return self.count / self.of if self.of else None
 
 
-def faults_of(tracks: Tracks, agent: int, frames: slice, road_map: RoadMap | None = None) -> Faults:
+def faults_of(
+    tracks: Tracks,
+    agent: int,
+    frames: slice | Integers,
+    road_map: RoadMap | None = None,
+    *,
+    at_keyframes: bool = False,
+    rounded_m: float = 0.0,
+) -> Faults:
     """Look for faults of an adversary.
 
     Args:
@@ -76,6 +84,9 @@ def faults_of(tracks: Tracks, agent: int, frames: slice, road_map: RoadMap | Non
         agent: Index of the adversary.
         frames: Its adversarial stretch; frames at which it is not there do not count.
         road_map: The map, if there is one.
+        at_keyframes: Whether the frames are keyframes, between which nobody knows: then limits and jumps are not asked,
+            and of the others only what the keyframes show is found.
+        rounded_m: How far each position may be from where it was generated (`broken_limit`).
 
     Returns:
         What was found.
@@ -87,12 +98,12 @@ def faults_of(tracks: Tracks, agent: int, frames: slice, road_map: RoadMap | Non
     touching, near = _nearness(boxes, others, present)
     ego = len(others) - 1
     return Faults(
-        beyond_limits=broken_limit(boxes, DriverLimits()) is not None,
+        beyond_limits=None if at_keyframes else broken_limit(boxes, DriverLimits(), rounded_m=rounded_m) is not None,
         off_road=None if road_map is None else bool(_off_road(boxes, road_map).any()),
         contact=bool(np.delete(touching, ego, axis=0).any()),
         against_traffic=None if road_map is None else _lasts(_against(boxes, road_map)[None], seconds, AGAINST_S),
         hovering=_lasts(near, seconds, HOVERING_S),
-        teleport=bool(teleports(seconds, boxes).any()),
+        teleport=None if at_keyframes else bool(teleports(seconds, boxes).any()),
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from benchmark.machine.storage import read_json_lines
+from benchmark.records.judgement import SceneJudgement
 from benchmark.records.store import validated
 
 ATTEMPTS_FILE: Final = "attempts.jsonl"
@@ -143,10 +144,13 @@ class Attempt(_Stored):
         least_time_to_collision_s: Smallest time to collision, ``None`` if never within 5 s.
         labels: What the adversary does, if kept.
         masked_steps: By protocol, if kept: steps of all samples that are masked whatever is planned.
+        judgements: If verification passed: what is said of each adversary that the scene has by then, its own last;
+            empty in older files.
         plans: Trace.
         earlier: Adversaries that the scene had already.
         dropped: Why an attempt that passed verification is not written (`generation.search.chains.Dropped`).
         written: Name of the scene that it became.
+        asked: Kind of manoeuvre that was asked for (``generate --manoeuvre``), if one was.
     """
 
     scene: str
@@ -162,10 +166,12 @@ class Attempt(_Stored):
     least_time_to_collision_s: float | None
     labels: Labels | None = None
     masked_steps: dict[str, MaskedSteps] = Field(default_factory=dict)
+    judgements: tuple[SceneJudgement, ...] = ()
     plans: tuple[PlanningFrame, ...] = ()
     earlier: tuple[str, ...] = ()
     dropped: str | None = None
     written: str | None = None
+    asked: str | None = None
 
 
 def read_attempts(path: Path) -> tuple[Attempt, ...]:

@@ -5,13 +5,15 @@ from dataclasses import replace
 from typing import Any
 
 from benchmark.records.run import RunRecord
-from benchmark.records.run_schema import AS_PUBLISHED
+from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
 
 PLANS_SHA256 = "plans_sha256"
 """Setting of a planner whose plans come from a file: the file's hash."""
 _OF_ONE_SPLIT = frozenset({PLANS_SHA256})
 """What differs between splits without making another version: a plan file holds one split."""
 _HASH_CHARACTERS = 8
+Ran = tuple[PlannerFacts, str, str]
+"""Who ran, on which data set, on which split."""
 
 
 def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
@@ -27,30 +29,42 @@ def labelled(records: Sequence[RunRecord]) -> list[RunRecord]:
     Returns:
         The same records, in their order.
     """
-    runs: dict[str, list[RunRecord]] = {}
-    for record in records:
-        runs.setdefault(record.run.planner.name, []).append(record)
-    telling = {name: _telling(found) for name, found in runs.items()}
-    return [replace(record, label=_label(record, telling[record.run.planner.name])) for record in records]
+    found = labels([(record.run.planner, record.run.data.name, record.run.split) for record in records])
+    return [replace(record, label=label) for record, label in zip(records, found, strict=True)]
 
 
-def _telling(records: Sequence[RunRecord]) -> list[str]:
-    """Names of the facts that tell records of one planner apart."""
-    versions = [_version(record) for record in records]
+def labels(ran: Sequence[Ran]) -> list[str | None]:
+    """As `labelled`, of planners that ran anywhere.
+
+    Args:
+        ran: Planner, name of the data set, split.
+
+    Returns:
+        The name of each that tells its version from the others, or ``None`` where there are no others.
+    """
+    alike: dict[str, list[Ran]] = {}
+    for each in ran:
+        alike.setdefault(each[0].name, []).append(each)
+    telling = {name: _telling(found) for name, found in alike.items()}
+    return [_label(planner, telling[planner.name]) for planner, _, _ in ran]
+
+
+def _telling(ran: Sequence[Ran]) -> list[str]:
+    """Names of the facts that tell versions of one planner apart."""
+    versions = [version_of(planner) for planner, _, _ in ran]
     names = sorted({name for version in versions for name in version})
-    return [name for name in names if _differs(name, records, [version.get(name) for version in versions])]
+    return [name for name in names if _differs(name, ran, [version.get(name) for version in versions])]
 
 
-def _differs(name: str, records: Sequence[RunRecord], values: Sequence[str | None]) -> bool:
+def _differs(name: str, ran: Sequence[Ran], values: Sequence[str | None]) -> bool:
     if name not in _OF_ONE_SPLIT:
         return len(set(values)) > 1
-    places = [(record.run.data.name, record.run.split) for record in records]
+    places = [(data, split) for _, data, split in ran]
     return len(set(zip(places, values))) > len(set(places))
 
 
-def _version(record: RunRecord) -> dict[str, str]:
+def version_of(planner: PlannerFacts) -> dict[str, str]:
     """What tells versions of a planner apart, as text by what it is."""
-    planner = record.run.planner
     # Records of before name the code of native planners in their settings too (shared_code_sha256).
     settings = {name: value for name, value in planner.settings.items() if not name.endswith("code_sha256")}
     facts: dict[str, Any] = {"seed": planner.seed, **settings}
@@ -70,9 +84,9 @@ def _shown(name: str, value: Any) -> str:
     return value[:_HASH_CHARACTERS] if is_hash else str(value)
 
 
-def _label(record: RunRecord, telling: Sequence[str]) -> str | None:
+def _label(planner: PlannerFacts, telling: Sequence[str]) -> str | None:
     if not telling:
         return None
-    own = _version(record)
+    own = version_of(planner)
     said = ", ".join(f"{name} {own.get(name, 'none')}" for name in telling)
-    return f"{record.run.planner.name} ({said})"
+    return f"{planner.name} ({said})"

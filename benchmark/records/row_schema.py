@@ -4,6 +4,7 @@ from typing import Any, Final, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from benchmark.records.judgement import Impact, NotNegative, Text
 from benchmark.records.stored import Stored
 
 Waypoints = list[list[float]]
@@ -101,6 +102,50 @@ class LongerRow(Stored):
     l2: list[float | None]
 
 
+class PlanContactRow(Impact):
+    """The first contact of a plan in open loop (`benchmark.severity.plans`); its time is since the sample.
+
+    Attributes:
+        agent: Instance that is touched.
+        adversary: Whether it was made to be an adversary.
+    """
+
+    agent: Text
+    adversary: bool
+
+
+class PlanNearRow(Stored):
+    """How near a plan without contact comes to the adversaries; of several, each number is that of the worst.
+
+    Attributes:
+        least_gap_m: Smallest distance of the bodies.
+        least_ttc_s: Least time to contact; null where they never head for one another.
+        tet_s: How long it is below 1.5 s.
+        tit_s2: By how much it is below, summed over time.
+        pet_s: Post-encroachment time; null where the ways do not meet within the plan's 3 s.
+        max_btn: Largest braking threat number.
+    """
+
+    least_gap_m: NotNegative
+    least_ttc_s: NotNegative | None
+    tet_s: NotNegative
+    tit_s2: NotNegative
+    pet_s: NotNegative | None
+    max_btn: NotNegative
+
+
+class PlanSeverityRow(Stored):
+    """How severe a plan is in open loop.
+
+    Attributes:
+        contact: The first contact with anybody.
+        near: How near it comes to the adversaries; null with a contact, and where no adversary is there.
+    """
+
+    contact: PlanContactRow | None = None
+    near: PlanNearRow | None = None
+
+
 class SampleRow(Stored):
     """One line of ``samples.jsonl``.
 
@@ -126,6 +171,7 @@ class SampleRow(Stored):
         longer: Verdicts beyond 3 s, or null where the plan ends there.
         place: What kind of place the recorded car is on (docs/manoeuvres.md); null in older records.
         speed_m_s: Its speed; null in older records.
+        severity: How severe the plan is (docs/severity.md); null where there is no plan, and in older records.
     """
 
     scene: str
@@ -147,3 +193,4 @@ class SampleRow(Stored):
     longer: LongerRow | None = None
     place: PlaceName | None = None
     speed_m_s: float | None = Field(default=None, ge=0)
+    severity: PlanSeverityRow | None = None

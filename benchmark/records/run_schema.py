@@ -5,9 +5,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from benchmark.records.judgement import JudgementSummary, SplitRealism
 from benchmark.records.stored import Stored
 
-SCHEMA = 4
+SCHEMA = 5
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 AS_PUBLISHED: Final = "as_published"
@@ -59,12 +60,15 @@ class SceneFacts(Stored):
         adversaries: How many vehicles were made to be adversaries; null where the data set does not say, and in older
             records.
         light: Light and weather that its description names, none where it names none; null in older records.
+        judgement: Who could have avoided it, how severe it is and what is wrong with its adversary; null of recordings,
+            where nobody judged it, and in older records.
     """
 
     source: str
     manoeuvre: str | None = None
     adversaries: int | None = Field(default=None, ge=0, le=MOST_ADVERSARIES)
     light: list[LightName] | None = None
+    judgement: JudgementSummary | None = None
 
 
 class DataFacts(Stored):
@@ -152,6 +156,7 @@ class RunFacts(Stored):
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
         review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
+        realism: How real the split's adversaries move; null where nobody looked, and in older records.
         plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
             environment is then that of the import.
         status: ``partial`` if the planner failed on any sample.
@@ -173,6 +178,7 @@ class RunFacts(Stored):
     frozen_split: str | None = None
     review: ReviewFacts | None = None
     generated: GeneratedFacts | None = None
+    realism: SplitRealism | None = None
     plans_from: PlansFrom | None = None
     status: Literal["complete", "partial"]
     protocols: dict[str, Version]

@@ -6,6 +6,7 @@ between the renames leaves a pending ``run.json``, and `settle` finishes the ren
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +28,18 @@ from benchmark.records.run_schema import SCHEMA
 RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
 _HASHED = (ROWS_FILE, SUMMARY_FILE)
 """Files whose hashes ``run.json`` names."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileNames:
+    """Names of the three files of a record: what ran, which names the hashes of the other two, rows, and summary."""
+
+    head: str
+    rows: str
+    summary: str
+
+
+RUN_FILES = FileNames(RUN_FILE, ROWS_FILE, SUMMARY_FILE)
 
 RecordFiles = tuple[dict[str, Any], list[Any], dict[str, Any]]
 """Contents of ``run.json``, ``samples.jsonl`` and ``summary.json``."""
@@ -87,7 +100,11 @@ def pending(directory: Path, name: str) -> Path:
 
 
 def replace_files(
-    directory: Path, run: Callable[[dict[str, str]], dict[str, Any]], rows: list[Any], summary: dict[str, Any]
+    directory: Path,
+    run: Callable[[dict[str, str]], dict[str, Any]],
+    rows: list[Any],
+    summary: dict[str, Any],
+    names: FileNames = RUN_FILES,
 ) -> dict[str, str]:
     """Write the files of a record in place of those that are there.
 
@@ -96,6 +113,7 @@ def replace_files(
         run: Contents of ``run.json``, given the SHA-256 of the other files by name.
         rows: Contents of ``samples.jsonl``.
         summary: Contents of ``summary.json``.
+        names: What the files are called, if not as those of a run.
 
     Returns:
         Those hashes.
@@ -103,47 +121,48 @@ def replace_files(
     Raises:
         InputError: If they cannot be written.
     """
-    settle(directory)
-    write_json_lines(pending(directory, ROWS_FILE), rows)
-    write_json(pending(directory, SUMMARY_FILE), summary)
-    hashes = {name: file_sha256(pending(directory, name)) for name in _HASHED}
-    write_json(pending(directory, RUN_FILE), run(hashes))
-    _rename(directory)
+    settle(directory, names)
+    write_json_lines(pending(directory, names.rows), rows)
+    write_json(pending(directory, names.summary), summary)
+    hashes = {name: file_sha256(pending(directory, name)) for name in (names.rows, names.summary)}
+    write_json(pending(directory, names.head), run(hashes))
+    _rename(directory, names)
     return hashes
 
 
-def settle(directory: Path) -> None:
+def settle(directory: Path, names: FileNames = RUN_FILES) -> None:
     """Finish a replacement that was decided when its command was killed, and drop one that was not.
 
     Args:
         directory: Run directory; nobody else may write to it.
+        names: What the files are called, if not as those of a run.
 
     Raises:
         InputError: If the directory cannot be written.
     """
-    if _is_decided(directory):
-        _rename(directory)
+    if _is_decided(directory, names):
+        _rename(directory, names)
     with writing_to(directory):
         for path in (*directory.glob(".*.pending"), *directory.glob(".*.part")):
             path.unlink()
 
 
-def _is_decided(directory: Path) -> bool:
+def _is_decided(directory: Path, names: FileNames) -> bool:
     """Whether a pending ``run.json`` and the files that it names are all there, renamed already or not."""
-    run = read_kept_json(pending(directory, RUN_FILE))
+    run = read_kept_json(pending(directory, names.head))
     hashes = run.get("files") if isinstance(run, dict) else None
     if not isinstance(hashes, dict):
         return False
     newest = {
         name: next((path for path in (pending(directory, name), directory / name) if path.is_file()), None)
-        for name in _HASHED
+        for name in (names.rows, names.summary)
     }
     return all(path is not None and file_sha256(path) == hashes.get(name) for name, path in newest.items())
 
 
-def _rename(directory: Path) -> None:
+def _rename(directory: Path, names: FileNames) -> None:
     with writing_to(directory):
-        for name in (*_HASHED, RUN_FILE):
+        for name in (names.rows, names.summary, names.head):
             if pending(directory, name).exists():
                 pending(directory, name).replace(directory / name)
 
@@ -226,5 +245,10 @@ def _from_schema_3(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]
     return {**run, "schema": 4}, rows, {**summary, "schema": 4}
 
 
-UPGRADES: dict[int, Upgrade] = {1: _from_schema_1, 2: _from_schema_2, 3: _from_schema_3}
+def _from_schema_4(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> RecordFiles:
+    """Schema 5 only adds fields, and those have defaults that say "unknown"."""
+    return {**run, "schema": 5}, rows, {**summary, "schema": 5}
+
+
+UPGRADES: dict[int, Upgrade] = {1: _from_schema_1, 2: _from_schema_2, 3: _from_schema_3, 4: _from_schema_4}
 """From a schema to the next one: run, rows and summary in, the same out. Old records load for ever."""

@@ -17,11 +17,13 @@ from benchmark.geometry import Floats
 from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
 from benchmark.pdm.judging import judge_scene
+from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
 from benchmark.records.row_schema import SampleRow
 from benchmark.scene import Scene
+from benchmark.severity.plans import plan_severities
 from benchmark.surroundings.circumstances import Circumstances
 from benchmark.truth import SampleTruth
 
@@ -47,7 +49,8 @@ def judge(
         rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
         truths: One for each sample, in the same order.
         protocols: Who judges.
-        scene: The scene with its map, for driving scores; without it there are none.
+        scene: The scene with its map, for driving scores, and for who is to blame for contacts at the ego's sides;
+            without it there is neither.
         around: Place and speed of the recorded car at each sample; without them rows do not say where they are.
         longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
             said beyond 3 s.
@@ -72,7 +75,11 @@ def judge(
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
-    driven = _driven(scene, dict(zip(planned, plans)), len(rows))
+    recorded = None if scene is None else RecordedScene(scene)
+    driven = _driven(scene, recorded, dict(zip(planned, plans)), len(rows))
+    # A map without roads or lanes would blame the ego for every contact at its sides.
+    known = recorded is not None and bool(recorded.road.drivable and recorded.road.lanes)
+    severe = plan_severities(happened, in_lidar, recorded.road if recorded is not None and known else None)
     beyond = longer_verdicts(dict(zip(planned, whole)), longer) if longer is not None and EXACT in outcomes else {}
     for place, index in enumerate(planned):
         findings[index] = {
@@ -81,6 +88,7 @@ def judge(
             "outcomes": {name: found[place] for name, found in verdicts.items()},
             "diagnosis": causes[place],
             "disagreements": differences[place],
+            "severity": severe[place],
         }
     where = repeat(None, len(rows)) if around is None else around
     return [
@@ -105,11 +113,13 @@ def scene_with_map(data: "DataSet", name: str) -> Scene | None:
     return data.scene(name) if data.has_map(name) else None
 
 
-def _driven(scene: Scene | None, plans: Mapping[int, Plan], count: int) -> list[dict[str, Any] | None]:
+def _driven(
+    scene: Scene | None, recorded: RecordedScene | None, plans: Mapping[int, Plan], count: int
+) -> list[dict[str, Any] | None]:
     """Driving scores of each sample, as rows hold them."""
     if scene is None:
         return [None] * count
-    verdicts = judge_scene(scene, [plans.get(index) for index in range(count)])
+    verdicts = judge_scene(scene, [plans.get(index) for index in range(count)], recorded)
     return [None if verdict is None else verdict.as_json() for verdict in verdicts]
 
 

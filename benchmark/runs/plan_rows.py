@@ -38,7 +38,7 @@ ROW_FORMAT = 2
 """Raised whenever the rows of an unchanged planner would change."""
 
 
-_FAILURES = (Exception, SystemExit)
+FAILURES = (Exception, SystemExit)
 """What a planner may raise: one that calls `sys.exit` must not end the run as if it had succeeded."""
 
 
@@ -179,7 +179,7 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     kept = None if fresh else kept_rows(path, key)
     if kept is not None:
         return PlannedScene(kept, None)
-    _seed_everything(content_seed(key))
+    seed_everything(content_seed(key))
     started = time.perf_counter()
     scene, observations = source.scene(name), list(source.observations(name))
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
@@ -207,7 +207,7 @@ def _header(key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {"key": key, "rows": len(rows), "content": content_key(rows)}
 
 
-def _seed_everything(seed: int) -> None:
+def seed_everything(seed: int) -> None:
     """Planners that draw from global generators draw the same whatever ran before in this process."""
     random.seed(seed)
     np.random.seed(seed % 2**32)
@@ -220,25 +220,25 @@ def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         if isinstance(planner, PrivilegedPlanner):
             planner.reveal(scene)
-    except _FAILURES:
-        error = _traceback()
+    except FAILURES:
+        error = traceback_text()
         return [_row(observation, None, error) for observation in observations]
     planned = (_planned_row(planner, observation) for observation in observations)
     return list(progress(planned, total=len(observations), label=scene.name, count=Count("sample")))
 
 
 def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
-    views = {name: replace(view, load=_loud(view.load)) for name, view in observation.views.items()}
+    views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
     try:
         plan = planner.plan(replace(observation, views=views, ego=ego))
         if not isinstance(plan, Plan):
             raise TypeError(f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan")
-        return _row(observation, _plan_json(plan), None)
+        return _row(observation, plan_json(plan), None)
     except BrokenImageError:
         raise
-    except _FAILURES:
-        return _row(observation, None, _traceback())
+    except FAILURES:
+        return _row(observation, None, traceback_text())
 
 
 def _row(observation: Observation, plan: dict[str, Any] | None, error: str | None) -> dict[str, Any]:
@@ -254,7 +254,7 @@ def _row(observation: Observation, plan: dict[str, Any] | None, error: str | Non
     }
 
 
-def _plan_json(plan: Plan) -> dict[str, Any]:
+def plan_json(plan: Plan) -> dict[str, Any]:
     """The plan as it was given; refuses shapes that `Plan` does not have and numbers that JSON does not have."""
     modes, scores, forecasts = plan.modes, plan.mode_scores, plan.forecasts
     count = len(scores if modes is None else modes) if scores is not None else 0
@@ -298,7 +298,7 @@ def _numbers(values: Floats, shape: tuple[int, ...], part: str) -> Any:
     return array.tolist()
 
 
-def _loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:
+def loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8]]:
     """A broken image stops the run; anything else that a planner raises is the planner's failure."""
 
     def loaded() -> NDArray[np.uint8]:
@@ -310,7 +310,7 @@ def _loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint
     return loaded
 
 
-def _traceback() -> str:
+def traceback_text() -> str:
     """The traceback being handled, without what differs between machines and runs: folders and addresses."""
     text = traceback.format_exc()
     text = re.sub(r'File "([^"]*[/\\])?([^"/\\]+)"', r'File "\2"', text)

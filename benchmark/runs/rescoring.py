@@ -13,7 +13,7 @@ from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.review import review_words
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
-from benchmark.records.run_schema import SCHEMA
+from benchmark.records.run_schema import SCHEMA, SceneFacts
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
 from benchmark.surroundings.circumstances import circumstances_of
@@ -125,13 +125,24 @@ def _rescore(
         rows = [row for scene in old.run.scenes for row in judged_anew(old, data, scene, tuple(versions))]
         facts = {
             **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
-            "scene_facts": data.scene_facts(old.run.scenes),
+            "scene_facts": _scene_facts(old, data),
             "config": {**old.run.config, "protocols": list(versions)},
         }
         if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, versions):
             return old, "current"
         facts["rescored"] = environment_facts()
         return write_record(directory, facts, rows, versions, seed=old.run.seed), "rescored"
+
+
+def _scene_facts(record: RunRecord, data: "DataSet") -> dict[str, SceneFacts]:
+    """Facts of the data set, and what a record knows of scenes that nobody judged here: the tracks are the same."""
+    known = record.run.scene_facts
+    return {
+        name: facts.model_copy(update={"judgement": known[name].judgement})
+        if facts.judgement is None and name in known
+        else facts
+        for name, facts in data.scene_facts(record.run.scenes).items()
+    }
 
 
 def require_same_data(record: RunRecord, data: "DataSet") -> None:

@@ -207,12 +207,14 @@ def _same_circumstances(said: SampleRow, computed: SampleRow) -> bool:
 
 
 def _other_facts(record: RunRecord, found: Mapping[str, SceneFacts]) -> list[str]:
-    """Scenes of which a record says something else than the data set; what it does not say is no fault."""
-    return [
-        name
-        for name, facts in record.run.scene_facts.items()
-        if name in found and any(value is not None and value != getattr(found[name], said) for said, value in facts)
-    ]
+    """Scenes of which a record says something else than the data set; what either does not say is no fault."""
+
+    def other(facts: SceneFacts, here: SceneFacts) -> bool:
+        # Whether somebody judged a scene is no content of a data set, and who did not cannot contradict.
+        asked = ((said, value) for said, value in facts if said != "judgement" or here.judgement is not None)
+        return any(value is not None and value != getattr(here, said) for said, value in asked)
+
+    return [name for name, facts in record.run.scene_facts.items() if name in found and other(facts, found[name])]
 
 
 def _same_verdict(said: OutcomeRow | None, computed: OutcomeRow | None) -> bool:

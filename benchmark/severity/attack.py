@@ -1,12 +1,19 @@
-"""Whether an attack on a planner succeeded, in three readings, each stricter than the one before."""
+"""Whether an attack on a planner succeeded, in three readings, each stricter than the one before.
 
-from collections.abc import Sequence
+What nobody can tell is ``None`` and enters no share: it is never a failure of the attack.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+Reading = Literal["contact", "at_fault", "attributable"]
+READINGS: Final[tuple[Reading, ...]] = get_args(Reading)
 
 
 @dataclass(frozen=True, slots=True)
 class Attack:
-    """One scene and one planner.
+    """One run of one planner: a scene, or a plan in open loop.
 
     Attributes:
         contact: Whether the planner touches anybody: the reading of the paper.
@@ -15,33 +22,35 @@ class Attack:
     """
 
     contact: bool
-    at_fault: bool
-    attributable: bool
+    at_fault: bool | None
+    attributable: bool | None
 
     @classmethod
-    def of(cls, at_fault: bool | None, careful_survives: bool) -> "Attack":
-        """Read one scene.
+    def of(cls, contact: bool, at_fault: bool | None, careful_survives: bool | None) -> "Attack":
+        """Read one run.
 
         Args:
-            at_fault: Whether the first contact is the planner's fault; ``None`` without contact.
-            careful_survives: Whether the careful human survives the scene.
+            contact: Whether there is any.
+            at_fault: Whether the first contact is the planner's fault; ``None`` where nobody can tell. Without a
+                contact it is not asked.
+            careful_survives: Whether the careful human survives the scene; ``None`` where nobody judged it.
 
         Returns:
             The three readings.
         """
-        blamed = bool(at_fault)
-        return cls(at_fault is not None, blamed, blamed and careful_survives)
+        blamed = at_fault if contact else False
+        return cls(contact, blamed, None if careful_survives is None else _both(blamed, careful_survives))
 
 
 @dataclass(frozen=True, slots=True)
 class AttackSuccess:
-    """Shares of scenes, and of how many.
+    """Shares of runs, and of how many.
 
     Attributes:
         scenes: How many were read.
         contact: Share with any contact; ``None`` of no scenes.
-        at_fault: Share with a contact at fault.
-        attributable: Share with an attributable contact.
+        at_fault: Share with a contact at fault, of those in which that is known.
+        attributable: Share with an attributable contact, of those in which that is known.
     """
 
     scenes: int
@@ -59,10 +68,23 @@ def attack_success(attacks: Sequence[Attack]) -> AttackSuccess:
     Returns:
         The shares.
     """
-    if not attacks:
-        return AttackSuccess(0, None, None, None)
-    shares = (
-        sum(getattr(attack, reading) for attack in attacks) / len(attacks)
-        for reading in ("contact", "at_fault", "attributable")
-    )
-    return AttackSuccess(len(attacks), *shares)
+    return AttackSuccess(len(attacks), *(_share(getattr(each, reading) for each in attacks) for reading in READINGS))
+
+
+def any_known(verdicts: Iterable[bool | None]) -> bool | None:
+    """Whether something holds anywhere: yes if it is known to somewhere, else unknown if it is unknown anywhere."""
+    said = list(verdicts)
+    if any(said):
+        return True
+    return None if None in said else False
+
+
+def _both(first: bool | None, second: bool) -> bool | None:
+    if first is None:
+        return None if second else False
+    return first and second
+
+
+def _share(verdicts: Iterable[bool | None]) -> float | None:
+    known = [verdict for verdict in verdicts if verdict is not None]
+    return sum(known) / len(known) if known else None

@@ -111,7 +111,7 @@ def severity_of(tracks: Tracks, agent: int) -> Severity:
     if len(hits):
         asked[first_contact + 1 :] = False
     velocity = pair.velocities_at(times)[0] * is_agent(pair.categories[0])
-    ego_velocity = _ego_velocity(pair)
+    ego_velocity = pair.ego_velocities_at(times)
     ttc = np.where(asked, time_to_contact(ego, ego_velocity, other, velocity), np.nan)
     btn = np.where(asked, _braking_threat(tracks.only([agent]), times, ego_velocity), np.nan)
     pet, first = (0, "none") if len(hits) else _encroachment(ego, other, present)
@@ -121,18 +121,6 @@ def severity_of(tracks: Tracks, agent: int) -> Severity:
 def _resampled(tracks: Tracks, times: Floats) -> Tracks:
     boxes, present = tracks.agents_at(times)
     return Tracks(times, tracks.ego_at(times), boxes, present, tracks.categories)
-
-
-def _ego_velocity(tracks: Tracks) -> Floats:
-    """(K, 2) by the same rule as that of agents."""
-    ego = Tracks(
-        seconds=tracks.seconds,
-        ego=tracks.ego,
-        agents=tracks.ego[None],
-        valid=np.ones((1, len(tracks.seconds)), np.bool_),
-        categories=("vehicle.car",),
-    )
-    return np.asarray(ego.velocities_at(tracks.seconds)[0])
 
 
 def _braking_threat(tracks: Tracks, times: Floats, ego_velocity: Floats) -> Floats:

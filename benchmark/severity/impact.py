@@ -5,7 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.drivers.outcomes import Contact
-from benchmark.encounters.contacts import ContactKind, at_fault, delta_v, fatal_probability, mass_kg
+from benchmark.encounters.contacts import (
+    KINDS,
+    ContactKind,
+    Pairs,
+    at_fault,
+    delta_v,
+    fatal_probability,
+    is_agent,
+    mass_kg,
+)
+from benchmark.encounters.tracks import STEP_S, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,4 +64,37 @@ def impact_of(contact: Contact, category: str, *, unsure: bool = False) -> Impac
         delta_v_ego=float(ego),
         delta_v_other=float(other),
         fatal_probability=float(fatal_probability(ego)),
+    )
+
+
+def contact_at(tracks: Tracks, agent: int, time: float) -> Contact:
+    """The ego and an agent at the moment at which they touch, whatever either touched before.
+
+    Args:
+        tracks: Everybody; the ego may be the recorded one or one that follows a plan.
+        agent: Index of the agent.
+        time: Seconds, inside the tracks.
+
+    Returns:
+        The contact. Speeds are those of the last 0.2 s (`Tracks.velocities_at`), the ego's along its heading.
+    """
+    at = np.array([time])
+    ego, other = tracks.ego_at(at), tracks.agents_at(at)[0][agent]
+    pair = Pairs(
+        ego=ego,
+        ego_speed=np.hypot(*tracks.ego_velocities_at(at).T),
+        other=other,
+        other_velocity=tracks.velocities_at(at, np.array([agent]))[0],
+        is_agent=np.array([is_agent(tracks.categories[agent])]),
+    )
+    return Contact(
+        time=time,
+        step=round((time - float(tracks.seconds[0])) / STEP_S),
+        agent=agent,
+        kind=KINDS[pair.kinds[0]],
+        ego_speed=float(pair.ego_speed[0]),
+        other_speed=float(pair.other_speed[0]),
+        impact_speed=float(pair.impact_speed[0]),
+        ego=ego[0],
+        other=other[0],
     )

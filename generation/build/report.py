@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from benchmark.records.judgement import unsolvable
 from benchmark.report.words import counted
 from generation.build.estimate import Estimate
 from generation.build.profile import RuntimeTable
 from generation.search.chains import Chain, SearchResult
 from generation.search.eligibility import not_tried_together
 from generation.search.ground_truth_checks import masked_line, masked_together
+from generation.search.verify import Discard
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +29,14 @@ class BuildReport:
         written: Names of the scenes written, best first for ``adv``.
         dropped: Number of attempts that passed verification but are not written, by reason.
         not_tried: Number of objects that are not tried in the recorded scenes, by reason.
+        unsolvable: Scenes that passed everything else and that nobody could have avoided: ``dropped`` for that, and
+            ``written`` where they are kept; ``None`` where there was no search.
         masked_steps: By protocol, steps of the written scenes that its ground-truth check takes from every planner:
             because the recorded ego touches an ``adversary``, or only something else (``others``).
         adversaries: In each scene written.
+        requests: By kind of manoeuvre, if any was asked for: of how many vehicles (``asked``), how many of them drive
+            in a direction in which they can do it (``tried``), attempts that passed verification and do it (``kept``),
+            and how many are ``written``.
         surrogate: What the surrogate made of the survivors, if there was one.
         estimate: How much work there is (dry run only).
         runtime: How long the work took, on this or an earlier run; no part of the JSON, which is the same every time.
@@ -45,8 +52,10 @@ class BuildReport:
     written: tuple[str, ...] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     not_tried: dict[str, int] = field(default_factory=dict)
+    unsolvable: dict[str, int] | None = None
     masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     adversaries: int = 1
+    requests: dict[str, dict[str, int]] = field(default_factory=dict)
     surrogate: dict[str, Any] | None = None
     estimate: Estimate | None = None
     runtime: RuntimeTable | None = None
@@ -74,9 +83,14 @@ class BuildReport:
             written=tuple(chain.name for chain in written),
             dropped=dict(Counter(reason.value for reason in found.dropped.values())),
             not_tried=not_tried_together(first_looks),
+            unsolvable={
+                "dropped": discarded[Discard.UNSOLVABLE.value],
+                "written": sum(unsolvable(chain.judgements) for chain in written),
+            },
             # The last adversary of a chain was looked at with all the others in the scene.
             masked_steps=masked_together(chain.links[-1].attempt.masked_steps for chain in written),
             adversaries=adversaries,
+            requests=_requests(found, written),
             surrogate=surrogate,
         )
 
@@ -120,6 +134,16 @@ class BuildReport:
             f"{counted(len(self.written), 'scene')} written"
         ]
         lines += [f"  {what:<9} {count:>7}  {reason}" for what, count, reason in rows]
+        if self.unsolvable is not None:
+            lines.append(
+                f"  scenes that nobody could have avoided: {self.unsolvable['dropped']} dropped for it, "
+                f"{self.unsolvable['written']} among those written"
+            )
+        lines += [
+            f"  {kind}: asked of {counted(row['asked'], 'vehicle')}, {row['tried']} tried, {row['kept']} kept, "
+            f"{row['written']} written"
+            for kind, row in self.requests.items()
+        ]
         if self.masked_steps:
             lines.append(f"  {masked_line(self.masked_steps)}")
         if self.surrogate is not None:
@@ -129,3 +153,13 @@ class BuildReport:
                 f"{counted(self.surrogate['samples'], 'sample')}"
             )
         return "\n".join(lines)
+
+
+def _requests(found: SearchResult, written: Sequence[Chain]) -> dict[str, dict[str, int]]:
+    """How often each kind was asked for, tried, kept and written."""
+    kept = Counter(tried.unit.asked for tried in found.tried if tried.attempt.kept)
+    wrote = Counter(link.unit.asked for chain in written for link in chain.links)
+    return {
+        kind.value: {"asked": each.vehicles, "tried": each.tried, "kept": kept[kind], "written": wrote[kind]}
+        for kind, each in found.requests.items()
+    }

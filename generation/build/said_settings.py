@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.machine.storage import read_kept_json
-from generation.search.hyperparameters import HyperParameters
+from generation.search.presets import PRESETS, hyper_parameters
 from generation.splits.packaged import frozen_split, packaged_splits
 
 
@@ -29,5 +29,5 @@ def said_settings(root: Path, made: Mapping[str, Any] | None) -> dict[str, Any]:
     if name not in packaged_splits():
         return {}
     search = frozen_split(str(name)).frozen.search
-    known = (HyperParameters(), HyperParameters.paper(), HyperParameters.reference())
+    known = [hyper_parameters(preset) for preset in PRESETS]
     return next((asdict(hyper) for hyper in known if hyper.fingerprint == search.hyper), {})

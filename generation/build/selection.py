@@ -8,6 +8,7 @@ from benchmark.records.review import Judged
 from generation.build.inspection import rejected_jobs
 from generation.build.settings import BuildSettings
 from generation.build.surrogate import Judgement, judge, staging_plan, take_over
+from generation.build.variants import differing
 from generation.build.writing import WritingJob, write_scenes
 from generation.nuscenes_writer import DataSetPlan
 from generation.search.chains import Chain, Dropped, SearchResult
@@ -90,7 +91,8 @@ def select(source: DataSet, plan: DataSetPlan, found: SearchResult, settings: Bu
 
 
 def _most_challenging(found: SearchResult, chains: Sequence[Chain], settings: BuildSettings) -> list[Chain]:
-    kept = ranked(chains, per_scene=settings.per_scene, total=settings.total)
+    apart = chains if settings.variants is None else differing(chains, settings.variants)
+    kept = ranked(apart, per_scene=settings.per_scene, total=settings.total)
     names = {chain.name for chain in kept}
     for chain in chains:
         if chain.name not in names:
@@ -123,6 +125,7 @@ def writing_jobs(chains: Sequence[Chain], plan: DataSetPlan) -> list[WritingJob]
                 chain.adversarial,
                 chain.report(),
                 last_attempt=(chain.links[-1].key, chain.last_place),
+                judgements=chain.judgements,
             )
         )
     return jobs

@@ -7,6 +7,7 @@ from typing import Literal
 from benchmark.errors import InputError
 from benchmark.machine.workers import Executor, LocalProcesses
 from generation.build.surrogate import PlannerUnderTest
+from generation.labels.manoeuvres import Manoeuvre
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.render.contract import Renderer
 from generation.search.definition import PackagedPrior, PriorFactory
@@ -31,6 +32,8 @@ class BuildSettings:
         adversaries: In each scene.
         surrogate: Keep only scenes in which this planner collides; ``None`` keeps all.
         per_scene: Most adversarial variants kept of one source scene, ``None`` for all.
+        variants: Most kept of one source scene, each as unlike the others as can be; ``None`` for all.
+        asked: Kinds of manoeuvre that every vehicle is asked for, one attempt each; none leaves it free.
         total: Most adversarial scenes kept, ``None`` for all.
         renderer: Draws the images, ``None`` for a data set without images.
         layout: One root with suffixed names, or one root per variant with original names.
@@ -56,6 +59,8 @@ class BuildSettings:
     adversaries: int = 1
     surrogate: PlannerUnderTest | None = None
     per_scene: int | None = None
+    variants: int | None = None
+    asked: tuple[Manoeuvre, ...] = ()
     total: int | None = None
     renderer: Renderer | None = None
     layout: Literal["suffixed", "per-variant"] = "suffixed"

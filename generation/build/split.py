@@ -21,7 +21,15 @@ from generation.build.profile import runtime_table
 from generation.build.report import BuildReport
 from generation.build.selection import select
 from generation.build.settings import BuildSettings
-from generation.build.writing import WritingJob, publish_reports, publish_rounds, withdraw, write_scenes
+from generation.build.writing import (
+    WritingJob,
+    publish_judgements,
+    publish_realism,
+    publish_reports,
+    publish_rounds,
+    withdraw,
+    write_scenes,
+)
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.search.attempts import kept_attempt
@@ -85,6 +93,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         prior=settings.prior,
         prior_fingerprint=settings.prior().fingerprint,
         state=settings.out / STATE_FOLDER,
+        asked=settings.asked,
     )
     if settings.dry_run:
         return replace(_counted(source, search, names, settings), split=split)
@@ -138,8 +147,8 @@ def _counted(source: DataSet, search: Search, names: Sequence[str], settings: Bu
     left = [unit for unit in units if kept_attempt(search, unit, with_rounds=with_rounds) is None]
     count, each = planning_estimate(search, units, left, source.scene, settings.adversaries)
     expected = round(KEPT_SHARE * len(units))
-    if settings.per_scene is not None:
-        expected = min(expected, settings.per_scene * len(names))
+    for most in (settings.per_scene, settings.variants):
+        expected = expected if most is None else min(expected, most * len(names))
     if settings.total is not None:
         expected = min(expected, settings.total)
     scene_s = _rendering_seconds(source, names, settings)
@@ -206,6 +215,8 @@ def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tup
         tried=report.tried,
         survived=report.survived,
         per_scene=settings.per_scene,
+        variants=settings.variants,
+        asked=tuple(kind.value for kind in settings.asked) or None,
         total=settings.total,
         surrogate=None if report.surrogate is None else str(report.surrogate["planner"]),
         rejected=_frozen_rejections(rejected),
@@ -254,7 +265,9 @@ def _write(source: DataSet, plan: DataSetPlan, jobs: Sequence[WritingJob], setti
     timing = settings.timing / "rendering"
     keys = write_scenes(plan, jobs, source.scene, settings.where_rendered, timing=timing)
     publish_rounds(plan, jobs, keys)
+    publish_judgements(plan, jobs, keys)
     finish_data_set(plan, keys)
+    publish_realism(plan, source)
     return [timing / f"{key}.timing.json" for key in keys]
 
 

@@ -10,11 +10,23 @@ from typing import Any
 from pydantic import ValidationError
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.judged import (
+    JUDGEMENTS_FILE,
+    judgements_text,
+    read_judgements,
+    read_judgements_file,
+    stored_judgements,
+    stored_realism,
+)
+from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.tables import variant_folders
 from benchmark.errors import InputError
+from benchmark.judging.realism import split_realism
+from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.machine.progress import Count
-from benchmark.machine.storage import canonical_json, read_json, write_bytes, writing_to
+from benchmark.machine.storage import canonical_json, read_json, read_kept_json, write_bytes, write_json, writing_to
 from benchmark.machine.workers import Executor
+from benchmark.records.judgement import DEFINITION, SceneJudgement
 from benchmark.records.scenes import KEPT_ROUNDS_FOLDER, RefinementTrace, kept_rounds_path
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
@@ -37,6 +49,8 @@ class WritingJob:
         last_attempt: Content key of the attempt that made its last adversary, and the place of that among the scene's
             adversaries; ``None`` for a recording.
         identity: What its tokens are made of, if not its motion.
+        judgements: What is said of each of its adversaries.
+        tracks: How its adversaries were made, if it is to be judged where it is written.
     """
 
     name: str
@@ -47,6 +61,8 @@ class WritingJob:
     report: dict[str, Any]
     last_attempt: tuple[str, int] | None = None
     identity: str | None = None
+    judgements: tuple[SceneJudgement, ...] = ()
+    tracks: TracksAtHand | None = None
 
     def name_read(self, plan: DataSetPlan) -> str:
         """Name by which `benchmark.datasets.roots.open_data` knows the scene."""
@@ -104,6 +120,8 @@ def _write_one(plan: DataSetPlan, timing: Path, shipped: tuple[Scene, WritingJob
         variant=job.variant,
         identity=job.identity,
     )
+    if job.tracks is not None:
+        _judge(plan, written.key, scene, job.tracks)
     note = timing / f"{written.key}.timing.json"
     # A scene that was complete takes no time: what it took when it was rendered stays.
     if not note.exists():
@@ -157,6 +175,89 @@ def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence
                 path.unlink()
 
 
+def publish_judgements(
+    plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]
+) -> list[tuple[SceneJudgement, ...]]:
+    """Put what is said of the scenes beside the tables of each root; it is no part of the fingerprint.
+
+    Args:
+        plan: The data set.
+        jobs: Its scenes.
+        keys: What `write_scenes` returned for them.
+
+    Returns:
+        The judgements of each scene, in the order of the jobs.
+
+    Raises:
+        InputError: If the disk refuses.
+    """
+    of_root: dict[Path, dict[str, tuple[SceneJudgement, ...]]] = {}
+    of_jobs = [
+        job.judgements if job.tracks is None else _kept_judgements(plan, key) or ()
+        for job, key in zip(jobs, keys, strict=True)
+    ]
+    for job, judged in zip(jobs, of_jobs, strict=True):
+        if judged:
+            root = plan.data_root(job.variant if plan.layout == "per-variant" else 0)
+            of_root.setdefault(root, {})[job.written_as] = judged
+    for root, scenes in of_root.items():
+        folder = root / plan.version
+        if _kept_file(folder) != scenes:
+            write_bytes(folder / JUDGEMENTS_FILE, judgements_text(scenes).encode())
+    return of_jobs
+
+
+def publish_realism(plan: DataSetPlan, source: DataSet) -> None:
+    """Compare the adversaries of a finished data set with its recordings, once, and say so beside their judgements.
+
+    Args:
+        plan: The data set, finished.
+        source: The recordings.
+
+    Raises:
+        InputError: If it cannot be read or written.
+    """
+    data = open_data(plan.root, version=plan.version)
+    judged = stored_judgements(data.root, data.version)
+    if not judged or stored_realism(data.root, data.version) is not None:
+        return
+    realism = split_realism(data, judged, source)
+    for folder in (plan.root / name for name in variant_folders(plan.root) or [""]):
+        scenes = read_judgements(folder / plan.version)
+        write_bytes(folder / plan.version / JUDGEMENTS_FILE, judgements_text(scenes, realism).encode())
+
+
+def _kept_file(folder: Path) -> dict[str, tuple[SceneJudgement, ...]] | None:
+    """What was published before; nothing if it is damaged, so that it is written again."""
+    try:
+        found = read_judgements_file(folder)
+    except InputError:
+        return None
+    return None if found is None else found.scenes
+
+
+def _judge(plan: DataSetPlan, key: str, scene: Scene, tracks: TracksAtHand) -> None:
+    """Judge a scene where it is written, once."""
+    if _kept_judgements(plan, key) is None:
+        judged = [each.model_dump(mode="json") for each in judge_scene(scene, tracks)]
+        write_json(_judgements_path(plan, key), {"definition": DEFINITION, "judgements": judged}, indent=None)
+
+
+def _kept_judgements(plan: DataSetPlan, key: str) -> tuple[SceneJudgement, ...] | None:
+    kept = read_kept_json(_judgements_path(plan, key))
+    if not isinstance(kept, dict) or kept.get("definition") != DEFINITION:
+        return None
+    try:
+        return tuple(SceneJudgement.model_validate(each) for each in kept["judgements"])
+    except (KeyError, TypeError, ValidationError):
+        # A damaged file is unfinished work: it is made again.
+        return None
+
+
+def _judgements_path(plan: DataSetPlan, key: str) -> Path:
+    return plan.state / "judgements" / f"{key}.json"
+
+
 def _rounds(plan: DataSetPlan, job: WritingJob, key: str) -> bytes | None:
     """The rounds of a scene's last adversary under the names of the data set, if they were kept."""
     if job.last_attempt is None:
@@ -187,7 +288,8 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
     claims = filter(None, map(read_state, sorted((plan.state / "claims").glob("*.json"))))
     sensor_files = [other.data_root(claim["variant"]) / path for claim in claims for path in claim["files"]]
     # The tables go last: a killed command finds by them that there is something to take away.
-    for path in (*(root / plan.version / PROVENANCE for root in roots), *sensor_files, *left):
+    marks = (root / plan.version / name for root in roots for name in (PROVENANCE, JUDGEMENTS_FILE))
+    for path in (*marks, *sensor_files, *left):
         with writing_to(path):
             path.unlink(missing_ok=True)
 
@@ -195,7 +297,7 @@ def _leave_other_layout(plan: DataSetPlan) -> None:
 def unfinish(root: Path) -> None:
     """Take the mark of a finished data set away, so that nobody reads it beside reports of another build.
 
-    Rounds go with it: they belong to the search that the reports are about.
+    Rounds and judgements go with it: they belong to the search that the reports are about.
     """
     for path in (*_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
         with writing_to(path):
@@ -223,4 +325,5 @@ def withdraw(root: Path) -> None:
 
 
 def _marks(root: Path) -> list[Path]:
-    return [*root.glob(f"*/{PROVENANCE}"), *root.glob(f"v*/*/{PROVENANCE}")]
+    names = (PROVENANCE, JUDGEMENTS_FILE)
+    return [path for name in names for path in (*root.glob(f"*/{name}"), *root.glob(f"v*/*/{name}"))]

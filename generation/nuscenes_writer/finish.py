@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.judged import JUDGEMENTS_FILE
 from benchmark.datasets.reviewed import LEFT_OUT
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, write_bytes, write_json, writing_to
@@ -19,7 +20,7 @@ from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
 STATE_FOLDERS: Final = (
-    "attempts", "claims", "fragments", "maps", "rounds", "surveys", "timing/attempts", "timing/rendering"
+    "attempts", "claims", "fragments", "judgements", "maps", "rounds", "surveys", "timing/attempts", "timing/rendering"
 )  # fmt: skip
 """Where unfinished files may lie below the writer's own folder."""
 _LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")
@@ -131,7 +132,7 @@ def _remove_stale(plan: DataSetPlan, roots: Mapping[int, Sequence[Fragment]]) ->
             if root not in used:
                 _remove_root(plan, root)
     maps = {fragment["map"] for members in roots.values() for fragment in members}
-    for folder, names in (("fragments", kept), ("maps", maps)):
+    for folder, names in (("fragments", kept), ("judgements", kept), ("maps", maps)):
         for path in sorted((plan.state / folder).glob("*.json")):
             if path.stem not in names:
                 with writing_to(path):
@@ -143,6 +144,7 @@ def _remove_root(plan: DataSetPlan, root: Path) -> None:
     with writing_to(root):
         for table in (*NUSCENES_TABLES, "splits"):
             (root / plan.version / f"{table}.json").unlink(missing_ok=True)
+        (root / plan.version / JUDGEMENTS_FILE).unlink(missing_ok=True)
         shutil.rmtree(root / "maps", ignore_errors=True)
         shutil.rmtree(plan.drawn_path(root), ignore_errors=True)
         folders = [root / plan.version, *(root / kind for kind in ("samples", "sweeps", "can_bus")), root]

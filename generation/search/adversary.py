@@ -14,11 +14,13 @@ import shapely
 from benchmark.dynamics.bicycle import MotionModel
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap
+from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.machine.storage import content_key, content_seed
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.records.scenes import TraceFrame
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
+from generation.labels.manoeuvres import Manoeuvre
 from generation.search.candidates import launch_frame
 from generation.search.ground_truth_checks import masked_steps
 from generation.search.hyperparameters import Discards, HyperParameters
@@ -26,7 +28,7 @@ from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, SearchSteps, Seconds, run_together
 from generation.search.ranking import challenge_score
 from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, Finding, verify
+from generation.search.verify import Discard, Finding, unfair, verify
 
 ALGORITHM_VERSION = "4"
 """Part of every content key; changes when the same inputs would give other tracks."""
@@ -72,6 +74,8 @@ def attempts_together(
     diversify: Diversify | None = None,
     model: MotionModel | None = None,
     keep_rounds: bool = False,
+    earlier: Sequence[Mapping[str, int]] | None = None,
+    asked: Sequence[Manoeuvre | None] | None = None,
 ) -> list[Searched]:
     """Let vehicles challenge the ego from their launch to the end of the scene, with ``hyper.tries`` chances each.
 
@@ -85,6 +89,8 @@ def attempts_together(
         diversify: Spread of the initial batch; by default the package's own, or none (``hyper.varied``).
         model: Physics; those of ``hyper`` by default.
         keep_rounds: Whether the candidates of every round are kept; no other result depends on it.
+        earlier: For each vehicle the launch frames of the adversaries that its scene has already, by identifier.
+        asked: What each vehicle is to do, ``None`` where anything is welcome; by default that is everywhere.
 
     Returns:
         For each vehicle the kept scene, or the reason why there is none.
@@ -98,7 +104,10 @@ def attempts_together(
             raise InputError(f"{scene.name} has {len(scene.agents)} agents, there is no agent {agent}")
     diversify = diversify or (_packaged_diversify() if hyper.varied else _as_drawn)
     searches = [
-        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds) for scene, agent in vehicles
+        _tries(scene, agent, seed, hyper, prior.fingerprint, diversify, model, keep_rounds, launches, kind)
+        for (scene, agent), launches, kind in zip(
+            vehicles, earlier or [{}] * len(vehicles), asked or [None] * len(vehicles), strict=True
+        )
     ]
     found, spent = run_together(searches, prior)
     return [
@@ -122,31 +131,34 @@ def _tries(
     diversify: Diversify,
     model: MotionModel,
     keep_rounds: bool,
+    earlier: Mapping[str, int],
+    asked: Manoeuvre | None,
 ) -> SearchSteps[Searched]:
     """Searches for one vehicle until one is kept or there is no use in another."""
     start = launch_frame(scene, agent, hyper)
-    blank = _untried(scene.name, scene.agents.ids[agent], seed, start)
+    blank = _untried(scene.name, scene.agents.ids[agent], seed, start, asked)
     if start is None:
         return blank.discarded(Finding(Discard.NEVER_LAUNCHED))
     if hyper.discards is not Discards.REFERENCE and ego_already_collides(scene):
         return blank.discarded(Finding(Discard.ORIGINAL_COLLIDES))
     content = (scene_identity(scene), blank.attempt.agent, seed, hyper.fingerprint, prior_fingerprint)
+    request = () if asked is None else (asked.value,)
     stages = {"physics": 0.0, "scoring": 0.0}
     result = blank
     for number in range(hyper.tries):
-        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number))
-        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds)
+        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, number, *request))
+        planning = Planning(scene, agent, start, hyper, diversify, model, rng, stages, keep_rounds, asked)
         driven = yield from planning.run()
         told = blank.attempt.model_copy(update={"tries": number + 1, "plans": driven.plans})
         tried = Searched(told, None, driven.poses, rounds=driven.rounds)
-        result = _judged(tried, planning) if driven.gave_up is None else tried.discarded(driven.gave_up)
+        result = _judged(tried, planning, earlier) if driven.gave_up is None else tried.discarded(driven.gave_up)
         # A vehicle that the area loses drives the other way; it would be lost again.
         if result.finding is None or result.finding.reason is Discard.LEAVES_AREA:
             break
     return replace(result, stage_seconds=stages)
 
 
-def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Searched:
+def _untried(scene_name: str, agent_id: str, seed: int, start: int | None, asked: Manoeuvre | None) -> Searched:
     attempt = Attempt(
         scene=scene_name,
         agent=agent_id,
@@ -162,10 +174,13 @@ def _untried(scene_name: str, agent_id: str, seed: int, start: int | None) -> Se
         labels=None,
         plans=(),
     )
+    if asked is not None:
+        # Where nothing is asked for, the report is as it was before one could ask.
+        attempt = attempt.model_copy(update={"asked": asked.value})
     return Searched(attempt, None, np.zeros((0, 3)))
 
 
-def _judged(tried: Searched, planning: Planning) -> Searched:
+def _judged(tried: Searched, planning: Planning, earlier: Mapping[str, int]) -> Searched:
     """The result with its verdict and its numbers."""
     agent, start = planning.agent, planning.start
     changed = planning.scene.with_adversary(agent, slice(start, start + len(tried.poses)), tried.poses)
@@ -179,11 +194,18 @@ def _judged(tried: Searched, planning: Planning) -> Searched:
         "least_time_to_collision_s": None if np.isinf(soonest) else soonest,
     }
     if finding is None:
+        labels = describe(changed, agent, start)
         told |= {
             "challenge": challenge_score(changed, agent, start),
-            "labels": describe(changed, agent, start),
+            "labels": labels,
             "masked_steps": masked_steps(changed),
         }
+        if planning.asked is not None and labels.manoeuvre != planning.asked.value:
+            finding = Finding(Discard.ANOTHER_MANOEUVRE, quantity=labels.manoeuvre)
+    if finding is None:
+        launches = {**earlier, tried.attempt.agent: start}
+        told["judgements"] = judge_scene(changed, TracksAtHand(generated=True, launches=launches))
+        finding = unfair(changed, told["judgements"], planning.hyper)
     result = replace(tried, attempt=tried.attempt.model_copy(update=told), scene=changed)
     return result if finding is None else result.discarded(finding)
 

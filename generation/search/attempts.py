@@ -129,7 +129,8 @@ def kept_attempt(search: Search, unit: Unit, *, with_rounds: bool = False) -> St
         # A damaged file is unfinished work: it is made again.
         return None
     report = stored.report
-    same_unit = (report.scene, stored.agent, report.agent) == (unit.scene_name, unit.agent, unit.agent_id)
+    of_unit = (unit.scene_name, unit.agent, unit.agent_id, unit.asked)
+    same_unit = (report.scene, stored.agent, report.agent, report.asked) == of_unit
     unfinished = with_rounds and report.kept and not search.rounds_path(unit).is_file()
     return stored if same_unit and not unfinished else None
 
@@ -182,7 +183,15 @@ def attempts(
 def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
     """Compute and keep a few attempts; runs in a worker."""
     vehicles = [(scene, unit.agent) for scene, unit in work]
-    results = attempts_together(vehicles, search.seed, search.hyper, search.prior(), keep_rounds=keep_rounds)
+    results = attempts_together(
+        vehicles,
+        search.seed,
+        search.hyper,
+        search.prior(),
+        keep_rounds=keep_rounds,
+        earlier=[{link.agent_id: link.start for link in unit.earlier} for _, unit in work],
+        asked=[unit.asked for _, unit in work],
+    )
     kept = []
     for (scene, unit), result in zip(work, results, strict=True):
         stored = StoredAttempt.of(unit, _undisturbed(result, unit, search.hyper))

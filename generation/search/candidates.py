@@ -9,21 +9,14 @@ from enum import StrEnum
 import numpy as np
 import shapely
 
-from benchmark.constants import FOUR_WHEELED_CATEGORIES, FRAME_HZ, FRAMES_PER_KEYFRAME
-from benchmark.dynamics.bicycle import REFERENCE_STEERING_RAD, WHEELBASE, DriverLimits, VehicleState, rear_axle
-from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.constants import FOUR_WHEELED_CATEGORIES
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from generation.labels.labelling import ego_speed
 from generation.search.hyperparameters import ChoiceOf, HyperParameters, Launch
+from generation.search.reach import launch_in_reach, reach_at
+from generation.search.recorded_motion import center_distance, drives_forward, in_canvas
 from generation.search.reference_rules import CAR, in_reference_canvas, near_on_the_road, reference_launch
-
-STANDING_M_S = 0.3
-"""Slower than this a recorded vehicle stands; what its annotation drifts is noise."""
-MOST_SLIP_RAD = 0.35
-"""Recorded direction of motion and recorded heading may differ by this at the launch."""
-FIT_HALF_WINDOW = FRAMES_PER_KEYFRAME
-"""Frames on either side from which the motion at the launch is estimated: one keyframe interval."""
 
 
 class NotTried(StrEnum):
@@ -34,6 +27,7 @@ class NotTried(StrEnum):
     NEVER_NEAR = "never-near-the-ego"
     PARKED = "parked"
     OFF_ROAD = "off-the-drivable-area"
+    OUT_OF_REACH = "cannot-get-in-the-way-of-the-ego"
     NO_LAUNCH = "no-frame-to-launch-at"
     EGO_STANDS = "ego-stands-after-the-launch"
     NOT_DRAWN = "not-drawn-by-the-seed"
@@ -54,7 +48,8 @@ def draw(scene: Scene, eligible: Sequence[int], hyper: HyperParameters, seed: in
     """
     rng = np.random.default_rng(content_seed("candidates", scene.name, scene.token, seed))
     # Weighted draw without replacement: who waits least, with waiting times of rate "weight".
-    weight = np.array([staying_share(scene, agent, hyper) for agent in eligible]) ** hyper.staying_preference
+    measure = nearness if hyper.launch is Launch.REACH else staying_share
+    weight = np.array([measure(scene, agent, hyper) for agent in eligible]) ** hyper.staying_preference
     drawn = np.argsort(rng.exponential(size=len(eligible)) / weight, kind="stable")[: hyper.candidate_limit]
     return tuple(sorted(eligible[index] for index in drawn))
 
@@ -94,7 +89,8 @@ def _unfit_as_reference(scene: Scene, agent: int) -> NotTried | None:
 def _unfit_as_we_choose(scene: Scene, agent: int, hyper: HyperParameters) -> NotTried | None:
     agents = scene.agents
     canvas = in_canvas(scene, agents.position[agent, :, :2], hyper.half_extent_m) & agents.valid[agent]
-    if not canvas.any() or center_distance(scene, agent)[canvas].min() >= hyper.proximity_m:
+    by_reach = hyper.launch is Launch.REACH
+    if not canvas.any() or (not by_reach and center_distance(scene, agent)[canvas].min() >= hyper.proximity_m):
         return NotTried.NEVER_NEAR
     path = agents.position[agent, agents.valid[agent], :2]
     if not hyper.parked and np.ptp(path, axis=0).max() < hyper.least_motion_m:
@@ -104,7 +100,7 @@ def _unfit_as_we_choose(scene: Scene, agent: int, hyper: HyperParameters) -> Not
         return NotTried.OFF_ROAD
     launch = launch_frame(scene, agent, hyper)
     if launch is None:
-        return NotTried.NO_LAUNCH
+        return NotTried.OUT_OF_REACH if by_reach else NotTried.NO_LAUNCH
     if not (ego_speed(scene)[launch:] >= hyper.moving_ego_m_s).any():
         return NotTried.EGO_STANDS
     return None
@@ -126,25 +122,10 @@ def staying_share(scene: Scene, agent: int, hyper: HyperParameters) -> float:
     return float(inside[launch:].mean())
 
 
-def in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
-    """Whether points lie in the square around the ego, frame by frame.
-
-    Args:
-        scene: The scene.
-        points: (F, 2) metres, global, one a frame.
-        half_extent_m: Half the side of the square.
-        first: Frame of the first point.
-
-    Returns:
-        (F,) verdicts.
-    """
-    local = to_local(points, scene.ego.pose[first : first + len(points)])
-    return np.asarray((np.abs(local) <= half_extent_m).all(axis=-1))
-
-
-def center_distance(scene: Scene, agent: int) -> Floats:
-    """Distance (T,) between the box centres of an agent and of the ego, metres."""
-    return np.asarray(np.linalg.norm(scene.agents.position[agent, :, :2] - scene.ego.boxes[:, :2], axis=-1))
+def nearness(scene: Scene, agent: int, hyper: HyperParameters) -> float:
+    """How soon after its launch an eligible vehicle can be in the ego's way: 1 at once, 1/2 after 3 s; more than 0."""
+    launch = launch_frame(scene, agent, hyper)
+    return float("nan") if launch is None else 1.0 / (1.0 + reach_at(scene, agent, launch, hyper) / 3.0)
 
 
 def launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None:
@@ -163,6 +144,8 @@ def launch_frame(scene: Scene, agent: int, hyper: HyperParameters) -> int | None
             return _launch_near(scene, agent, hyper)
         case Launch.REFERENCE:
             return reference_launch(scene, agent)
+        case Launch.REACH:
+            return launch_in_reach(scene, agent, hyper)
         case Launch.START:
             inside = in_canvas(scene, scene.agents.position[agent, :, :2], hyper.half_extent_m)
             there = np.flatnonzero(inside & scene.agents.valid[agent])
@@ -196,62 +179,3 @@ def _launch_near(scene: Scene, agent: int, hyper: HyperParameters) -> int | None
             if on_road:
                 return int(frame)
     return None
-
-
-def drives_forward(scene: Scene, agent: int, frame: int) -> bool:
-    """Whether recorded motion agrees with recorded heading: standing, or moving where the box points."""
-    velocity, _, _ = _motion(scene, agent, frame)
-    if np.hypot(*velocity) < STANDING_M_S:
-        return True
-    slip = wrap_angle(np.arctan2(velocity[1], velocity[0]) - scene.agents.yaw[agent, frame])
-    return bool(np.abs(slip) <= MOST_SLIP_RAD)
-
-
-def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
-    """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
-
-    Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot ahead).
-
-    Args:
-        scene: The recorded scene.
-        agent: Index of the agent.
-        frame: Frame of the hand-over.
-        limits: The state is brought inside them; without any, only the steering inside that of the physics.
-
-    Returns:
-        State at the rear axle.
-    """
-    velocity, acceleration, yaw_rate = _motion(scene, agent, frame)
-    yaw = float(scene.agents.yaw[agent, frame])
-    heading = np.array([np.cos(yaw), np.sin(yaw)])
-    length = float(scene.agents.size[agent, 0])
-    pose = rear_axle(np.array([*scene.agents.position[agent, frame, :2], yaw]), length)
-    speed = max(float(velocity @ heading), 0.0)
-    if speed < STANDING_M_S:
-        return VehicleState(pose, 0.0)
-    if limits is None:
-        steering = np.arctan(yaw_rate * WHEELBASE * length / max(speed, 1.0))
-        bounded = np.clip(steering, -REFERENCE_STEERING_RAD, REFERENCE_STEERING_RAD)
-        return VehicleState(pose, speed, float(acceleration @ heading), float(bounded))
-    along = float(np.clip(acceleration @ heading, -limits.braking_m_s2, limits.acceleration_m_s2))
-    most = min(limits.lateral_acceleration_m_s2 / speed, limits.yaw_rate_rad_s)
-    steering = np.arctan(np.clip(yaw_rate, -most, most) * WHEELBASE * length / max(speed, 1.0))
-    return VehicleState(pose, speed, along, float(np.clip(steering, -limits.steering_rad, limits.steering_rad)))
-
-
-def _motion(scene: Scene, agent: int, frame: int) -> tuple[Floats, Floats, float]:
-    """Velocity (2,), acceleration (2,) and yaw rate of the recorded track at a frame, by a local quadratic fit."""
-    valid = scene.agents.valid[agent]
-    first, last = frame, frame
-    while first > max(frame - FIT_HALF_WINDOW, 0) and valid[first - 1]:
-        first -= 1
-    while last < min(frame + FIT_HALF_WINDOW, len(valid) - 1) and valid[last + 1]:
-        last += 1
-    time = (np.arange(first, last + 1) - frame) / FRAME_HZ
-    if len(time) < 3:
-        return np.zeros(2), np.zeros(2), 0.0
-    basis = np.column_stack([np.ones_like(time), time, 0.5 * time**2])
-    yaw = np.unwrap(scene.agents.yaw[agent, first : last + 1])
-    measured = np.column_stack([scene.agents.position[agent, first : last + 1, :2], yaw])
-    fit = np.linalg.lstsq(basis, measured - measured[0], rcond=None)[0]
-    return fit[1, :2], fit[2, :2], float(fit[1, 2])

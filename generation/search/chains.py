@@ -15,8 +15,12 @@ from benchmark.machine.progress import progress
 from benchmark.machine.storage import token
 from benchmark.machine.workers import Executor
 from benchmark.records.attempts import Attempt
+from benchmark.records.judgement import SceneJudgement
 from benchmark.scene import Scene
+from generation.labels.manoeuvres import Manoeuvre
+from generation.search.asked_manoeuvres import able
 from generation.search.attempts import StoredAttempt, attempts, eligibility
+from generation.search.candidates import launch_frame
 from generation.search.definition import Earlier, Search, Unit
 from generation.search.eligibility import Eligibility
 from generation.search.ranking import ranked
@@ -111,8 +115,15 @@ class Chain:
     @property
     def name(self) -> str:
         """Name of the generated scene; it does not depend on the rank."""
-        suffix = token("adversary", self.scene_name, *self.agent_ids)[:8]
+        # The same vehicle may have been asked for several kinds.
+        asked = [link.unit.asked.value for link in self.links if link.unit.asked is not None]
+        suffix = token("adversary", self.scene_name, *self.agent_ids, *asked)[:8]
         return f"{self.scene_name.replace('/', '-')}-{suffix}"
+
+    @property
+    def judgements(self) -> tuple[SceneJudgement, ...]:
+        """What is said of each adversary in the scene with all of them."""
+        return self.links[-1].attempt.judgements
 
     def adversarial(self, scene: Scene) -> Scene:
         """The generated scene.
@@ -131,11 +142,28 @@ class Chain:
         return scene
 
     def report(self) -> dict[str, Any]:
-        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several."""
-        reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude={"plans"}) for link in self.links]
+        """What ``challenger.json`` says of the scene: the adversary's report, or one for each of several.
+
+        Judgements are in a file of their own (`benchmark.datasets.judged`): better definitions make no other data set.
+        """
+        left_out = {"plans", "judgements"}
+        reports = [link.attempt.model_dump(mode="json", exclude_unset=True, exclude=left_out) for link in self.links]
         if len(reports) == 1:
             return reports[0]
         return {"challenge": self.challenge, "adversaries": reports}
+
+
+@dataclass(frozen=True, slots=True)
+class Requested:
+    """How often one kind of manoeuvre was asked for.
+
+    Attributes:
+        vehicles: Vehicles that it was asked of.
+        tried: Those of them that drive in a direction in which they can do it (`asked_manoeuvres.able`).
+    """
+
+    vehicles: int = 0
+    tried: int = 0
 
 
 @dataclass(slots=True)
@@ -147,16 +175,25 @@ class SearchResult:
         tried: Every attempt, in the order of stages and scenes.
         chains: Generated scenes with the wanted number of adversaries.
         dropped: Why attempts that passed verification are not written.
+        requests: Where manoeuvres were asked for: how many vehicles each kind was asked of and how many were tried.
     """
 
     eligibility: list[tuple[tuple[str, ...], Eligibility]] = field(default_factory=list)
     tried: list[Tried] = field(default_factory=list)
     chains: list[Chain] = field(default_factory=list)
     dropped: dict[Unit, Dropped] = field(default_factory=dict)
+    requests: dict[Manoeuvre, Requested] = field(default_factory=dict)
 
     def drop(self, chain: Chain, reason: Dropped) -> None:
         """Note that the adversaries of a chain are not written."""
         self.dropped.update({link.unit: reason for link in chain.links})
+
+    def requested(self, kinds: Sequence[Manoeuvre], vehicles: int, units: Sequence[Unit]) -> None:
+        """Count what the vehicles of one scene were asked for."""
+        for kind in kinds:
+            before = self.requests.get(kind, Requested())
+            tried = sum(unit.asked is kind for unit in units)
+            self.requests[kind] = Requested(before.vehicles + vehicles, before.tried + tried)
 
 
 def first_units(
@@ -227,6 +264,8 @@ def search_chains(
         )
         tried = [Tried(unit, search.key(unit), stored) for unit, stored in zip(owner, results, strict=True)]
         found.tried += tried
+        for seen, units in chosen:
+            found.requested(search.asked, len(seen.chosen), units)
         links = [each for each in tried if each.attempt.kept]
         chains = _begun(links) if stage == 0 else _extended(found, chains, links)
     found.chains = chains
@@ -262,7 +301,17 @@ def _scene_of(scenes: "_Scenes", owner: Mapping[Unit, Chain], unit: Unit) -> Sce
 def _chosen(search: Search, chain: Chain, scenes: "_Scenes", *, keep: bool) -> tuple[Eligibility, list[Unit]]:
     """Which vehicles of a scene are tried, and the vehicles to try in it."""
     seen = eligibility(search, chain.scene_name, chain.earlier, lambda: scenes.of(chain), keep=keep)
-    return seen, [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in seen.chosen]
+    units = [Unit(chain.scene_name, vehicle.agent, vehicle.agent_id, chain.earlier) for vehicle in seen.chosen]
+    if not search.asked:
+        return seen, units
+    scene = scenes.of(chain)
+    starts = [launch_frame(scene, unit.agent, search.hyper) for unit in units]
+    return seen, [
+        replace(unit, asked=kind)
+        for unit, start in zip(units, starts, strict=True)
+        for kind in search.asked
+        if start is not None and able(kind, scene, unit.agent, start)
+    ]
 
 
 class _Scenes:

@@ -8,7 +8,9 @@ from typing import Any, Final
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.machine.storage import content_key
+from benchmark.records.judgement import DEFINITION
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
+from generation.labels.manoeuvres import Manoeuvre
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.hyperparameters import HyperParameters
 from generation.search.proposals import Prior
@@ -70,12 +72,14 @@ class Unit:
         agent: Index of the vehicle.
         agent_id: Its instance identifier.
         earlier: Adversaries that the scene has already, in the order in which they were planned.
+        asked: Kind of manoeuvre that is asked for, if any.
     """
 
     scene_name: str
     agent: int
     agent_id: str
     earlier: tuple[Earlier, ...] = ()
+    asked: Manoeuvre | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,8 @@ class Search:
         prior: Makes the diffusion model.
         prior_fingerprint: Of the diffusion model.
         state: Where finished work is kept.
+        asked: Kinds of manoeuvre that every vehicle is asked for, one attempt each; none for one attempt that may do
+            anything.
     """
 
     fingerprint: str
@@ -97,12 +103,15 @@ class Search:
     prior: PriorFactory
     prior_fingerprint: str
     state: Path
+    asked: tuple[Manoeuvre, ...] = ()
 
     def key(self, unit: Unit) -> str:
         """Content key of one attempt."""
         parts = (self.fingerprint, unit.scene_name, unit.agent_id, self.seed, self.hyper.fingerprint)
         chain = [[link.key for link in unit.earlier]] if unit.earlier else []
-        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain)
+        verdict = {"judged": DEFINITION, "solvable": self.hyper.solvable}
+        request = [] if unit.asked is None else [{"asked": unit.asked.value}]
+        return content_key("attempt", ALGORITHM_VERSION, *parts, self.prior_fingerprint, *chain, verdict, *request)
 
     def path(self, unit: Unit) -> Path:
         """File of one finished attempt."""
@@ -132,6 +141,7 @@ class Search:
             "sampler": asdict(self.prior.sampler) if isinstance(self.prior, PackagedPrior) else None,
             "hyper": asdict(self.hyper),
             "hyper_fingerprint": self.hyper.fingerprint,
+            **({"asked": [kind.value for kind in self.asked]} if self.asked else {}),
         }
 
     def rounds_facts(self, unit: Unit) -> dict[str, Any]:

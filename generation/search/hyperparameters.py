@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
+from generation.search.threat_settings import NEUTRAL, ThreatSettings
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
 """Frames that a candidate lasts: 8 s at 12 Hz."""
@@ -29,10 +30,11 @@ _POSITIVE = ("half_extent_m", "stopping_m_s2")
 _NOT_NEGATIVE = (
     "rounds", "lookahead_frames", "clearance_m", "headway_s", "temperature", "history_frames", "staying_preference",
     "init_scale", "corner_weight", "dac_weight", "cr_weight", "ac_weight", "road_and_collision_last_weight",
-    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least",
+    "challenge_first_weight", "lookahead_weight", "lookahead_challenge_weight", "init_least", "manoeuvre_weight",
+    *(each.name for each in fields(ThreatSettings)),
 )  # fmt: skip
-_ADDED = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
-"""Settings that came when searches had been kept already: at their defaults they are no part of the fingerprint."""
+_OF_THE_VERDICT = ("solvable",)
+"""Settings that no track depends on, and so no random number either: never a part of the fingerprint."""
 
 
 class CollisionReading(StrEnum):
@@ -82,11 +84,14 @@ class Launch(StrEnum):
 
     ``NEAR``: once it is near the ego, after a history, driving forwards on the road. ``START``: at the first frame at
     which it is there and in the area around the ego (Algorithm 1 begins at frame 0). ``REFERENCE``: the code's.
+    ``REACH``: when it can get in the ego's way and stay near it (`generation.search.reach`); who never can is not
+    tried.
     """
 
     NEAR = "near"
     START = "start"
     REFERENCE = "reference"
+    REACH = "reach"
 
 
 class Discards(StrEnum):
@@ -102,7 +107,7 @@ class Discards(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class HyperParameters:
+class HyperParameters(ThreatSettings):
     """Settings of the search for one adversary; defaults are the paper's wherever it names a value.
 
     `paper` gives the paper's text, `reference` the public code. Frames are 1/12 s. The first block is the paper's
@@ -164,11 +169,15 @@ class HyperParameters:
         varied: Whether the speeds of the first batch are spread (the reference's ``aug_traj``, which the paper does not
             mention).
         init_least: Lower end of the random initial score.
+        manoeuvre_weight: Weight of what is missing to a manoeuvre that was asked for (``generate --manoeuvre``), until
+            the driven track has it; it counts only where one was asked for.
         score: Whose score.
         motion: How a planned vehicle moves.
         choice: Whose rules choose vehicles.
         launch: When an adversary takes over.
         discards: What a scene is dropped for.
+        solvable: Whether a scene that nobody could have avoided is dropped (``docs/severity.md``, "What solvable
+            means"). Neither the paper nor the code asks. No track depends on it.
     """
 
     candidates: int = 256
@@ -217,11 +226,13 @@ class HyperParameters:
     timestep_frames: int = 1
     varied: bool = True
     init_least: float = 0.0
+    manoeuvre_weight: float = 2.0
     score: ScoreOf = ScoreOf.APPENDIX
     motion: Motion = Motion.DRIVER
     choice: ChoiceOf = ChoiceOf.OURS
     launch: Launch = Launch.NEAR
     discards: Discards = Discards.OURS
+    solvable: bool = True
 
     @classmethod
     def paper(cls) -> Self:
@@ -245,6 +256,7 @@ class HyperParameters:
             motion=Motion.UNLIMITED,
             launch=Launch.START,
             discards=Discards.PAPER,
+            solvable=False,
         )
 
     @classmethod
@@ -266,6 +278,7 @@ class HyperParameters:
             choice=ChoiceOf.REFERENCE,
             launch=Launch.REFERENCE,
             discards=Discards.REFERENCE,
+            solvable=False,
         )
 
     def changed(self, assignments: Sequence[str]) -> Self:
@@ -314,10 +327,12 @@ class HyperParameters:
 
     @property
     def fingerprint(self) -> str:
-        """Content key of all values but those of younger settings at their defaults, so that kept work stays found."""
-        defaults = {each.name: each.default for each in fields(self)}
-        said = asdict(self)
-        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != defaults[name]})
+        """Content key of all values but those of younger settings that change nothing, so that kept work stays found.
+
+        Settings that no track depends on are left out: random numbers are seeded by it.
+        """
+        said = {name: value for name, value in asdict(self).items() if name not in _OF_THE_VERDICT}
+        return content_key({name: said[name] for name in said if name not in _ADDED or said[name] != _ADDED[name]})
 
     @property
     def executed_frames(self) -> int:
@@ -363,6 +378,14 @@ class HyperParameters:
         if not self.multi_round:
             return ()
         return tuple(int(level) for level in np.rint(np.linspace(self.first_noise_level, 1, self.rounds)))
+
+
+_ADDED: Final[dict[str, Any]] = {
+    "timestep_frames": 1, "varied": True, "init_least": 0.0, "score": ScoreOf.APPENDIX, "motion": Motion.DRIVER,
+    "choice": ChoiceOf.OURS, "launch": Launch.NEAR, "discards": Discards.OURS, "manoeuvre_weight": 2.0,
+    **asdict(NEUTRAL),
+}  # fmt: skip
+"""Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""
 
 
 def _parsed(name: str, text: str, kind: type) -> Any:

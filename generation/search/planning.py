@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,15 +13,18 @@ from benchmark.records.attempts import PlanningFrame
 from benchmark.records.scenes import TraceFrame
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.search.candidates import in_canvas, initial_state
+from generation.labels.manoeuvres import Manoeuvre
+from generation.search.asked_manoeuvres import Wish
 from generation.search.hyperparameters import Discards, HyperParameters, Motion, ScoreOf
 from generation.search.proposals import Diversify, SearchSteps
+from generation.search.recorded_motion import in_canvas, initial_state
 from generation.search.reference_discards import fault_of_place, fault_of_step
 from generation.search.reference_rules import SPEED_FRAMES, STEP_FRAMES, reference_previous, reference_state
 from generation.search.reference_scoring import challenge_on, reference_surroundings, reference_terms
 from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine
 from generation.search.rounds import rounds_of
 from generation.search.scoring import Terms, score_terms, surroundings
+from generation.search.threat import threat_rating
 from generation.search.verify import EGO, Discard, Finding, contacts
 
 
@@ -56,6 +59,7 @@ class Planning:
         rng: Source of every random number.
         stages: Seconds of physics and scoring are added here.
         keep_rounds: Whether the candidates of every round are kept; no result depends on it.
+        asked: Kind of manoeuvre that is asked for, if any.
     """
 
     scene: Scene
@@ -67,6 +71,7 @@ class Planning:
     rng: np.random.Generator
     stages: dict[str, float]
     keep_rounds: bool = False
+    asked: Manoeuvre | None = None
 
     def run(self) -> SearchSteps[Driven]:
         """Plan and execute to the end of the scene, or to where there is no use in going on."""
@@ -171,9 +176,27 @@ class Planning:
             on = challenge_on(self._distances(frame, track), self.start, frame, self.rng)
             return lambda motion: reference_terms(motion.center[:, offsets], size, seen, challenged=on)
         around = surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
-        return lambda motion: score_terms(
-            motion.center[:, offsets], size, around, self.hyper, speed=motion.states[:, offsets, 3]
-        )
+        hyper = self.hyper if self.asked is None else self.hyper.where_asked()
+        further = threat_rating(self.scene, self.agent, frame, offsets, around, hyper) if hyper.threatens else None
+        missing = self._missing(frame, offsets, track)
+
+        def rate(motion: SimulatedMotion) -> Terms:
+            center, speed = motion.center[:, offsets], motion.states[:, offsets, 3]
+            terms = score_terms(center, size, around, hyper, speed=speed)
+            if further is not None:
+                terms = replace(terms, further=further(motion))
+            return terms if missing is None else replace(terms, asked=missing(center, speed))
+
+        return rate
+
+    def _missing(
+        self, frame: int, offsets: tuple[int, ...], track: Floats
+    ) -> Callable[[Floats, Floats], Floats] | None:
+        """What says how far candidates are from what was asked for; ``None`` if nothing was, or it is done."""
+        if self.asked is None or self.hyper.manoeuvre_weight == 0.0:
+            return None
+        wish = Wish(self.asked, self.scene, self.agent, self.start)
+        return None if wish.fulfilled(track) else wish.at(frame, offsets, track)
 
     def _distances(self, frame: int, track: Floats) -> Floats:
         """Distances from its centre to the ego's rear axle, from the frame before the launch to ``frame``."""

@@ -1,17 +1,41 @@
-"""The settings that a search starts from: this project's, the paper's text, or the public reference code."""
+"""The settings that a search starts from: this project's, the paper's text, or the public reference code.
+
+This project has two: ``default`` threatens (`generation.search.threat`), and ``near`` is what the default was before,
+when it asked for nearness alone as the paper does; the frozen splits mini-adv-1 and mini-adv-2 are of that search.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from generation.search.hyperparameters import HyperParameters
+from generation.search.hyperparameters import HyperParameters, Launch
 
 if TYPE_CHECKING:
     from generation.search.definition import PackagedPrior
 
-Preset = Literal["default", "paper", "reference"]
+Preset = Literal["default", "near", "paper", "reference"]
+PRESETS: Final[tuple[Preset, ...]] = ("default", "near", "paper", "reference")
 SampleSource = Literal["fresh", "reference", "stored"]
+
+
+def threatening() -> HyperParameters:
+    """The default: what was measured best (``docs/generation.md``, "What was measured")."""
+    return HyperParameters(
+        launch=Launch.REACH,
+        tries=1,
+        ac_weight=0.0,
+        lookahead_weight=0.06,
+        threat_weight=10.0,
+        closing_weight=2.0,
+        careful_weight=3.0,
+        side_weight=4.0,
+        behind_weight=3.0,
+        against_weight=2.0,
+        hover_weight=2.0,
+        area_weight=4.0,
+        careful_survives=True,
+    )
 
 
 def hyper_parameters(
@@ -20,8 +44,8 @@ def hyper_parameters(
     """Settings of the search: the preset, settings by name, and changes by text, each over the last.
 
     Args:
-        preset: ``default`` is this project's best, ``paper`` the text, ``reference`` the public code
-            (`generation.search.departures` says where they cannot be followed).
+        preset: ``default`` is this project's best, ``near`` what it was before it threatened, ``paper`` the text,
+            ``reference`` the public code (`generation.search.departures` says where they cannot be followed).
         settings: Values of single settings; ``None`` leaves a setting as it is.
         changes: ``name=value`` (`HyperParameters.changed`).
 
@@ -33,6 +57,8 @@ def hyper_parameters(
     """
     match preset:
         case "default":
+            start = threatening()
+        case "near":
             start = HyperParameters()
         case "paper":
             start = HyperParameters.paper()
@@ -71,7 +97,7 @@ def trajectory_model(
     from generation.diffusion.prior import SamplerSettings, Samples
     from generation.search.definition import PackagedPrior
 
-    ours = preset == "default"
+    ours = preset in ("default", "near")
     source = Samples(samples or ("fresh" if ours else "reference"))
     dropout = dropout or preset == "reference"
     sampler = SamplerSettings(samples=source, conditioned=ours, mutation_steps=calls, drivable=ours, dropout=dropout)

@@ -170,10 +170,11 @@ def scores_together(batches: Sequence[Batch], hyper: HyperParameters) -> Floats:
     terms = [batch.evaluated.terms for batch in batches]
     finite = np.stack([each.finite for each in terms])
     challenge = terms[0].challenges(terms)
-    safety = np.stack(
-        [batch.start + hyper.dac_weight * each.dac + hyper.cr_weight * each.cr for batch, each in zip(batches, terms)]
-    )
-    return np.where(finite, safety + hyper.ac_weight * challenge, np.inf)
+    safety = np.stack([each.safety(batch.start, hyper) for batch, each in zip(batches, terms)])
+    wanted = hyper.ac_weight * challenge
+    if terms[0].asked is not None:
+        wanted = hyper.manoeuvre_weight * terms[0].requests(terms)
+    return np.where(finite, safety + wanted, np.inf)
 
 
 def _best(batches: Sequence[Batch], hyper: HyperParameters, rng: np.random.Generator) -> tuple[int, int, float]:

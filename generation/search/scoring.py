@@ -4,7 +4,7 @@ Paper section 3 "Trajectory Scorer" and appendix "Trajectory Scoring". Vectorise
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -51,6 +51,9 @@ class Terms:
         cr: (B,) collision score.
         challenge: (B,) ACScore' of the appendix, not yet normalised.
         finite: (B,) False for candidates that must never be chosen.
+        asked: (B,) metres that are missing to the manoeuvre that was asked for, if one was
+            (`generation.search.asked_manoeuvres`), not yet normalised.
+        further: (B,) weighted sum of the terms of `generation.search.threat`; ``None`` where none has a weight.
     """
 
     center_off_road: Bools
@@ -61,11 +64,24 @@ class Terms:
     cr: Floats
     challenge: Floats
     finite: Bools
+    asked: Floats | None = field(default=None, kw_only=True)
+    further: Floats | None = field(default=None, kw_only=True)
+
+    def safety(self, start: Floats, hyper: HyperParameters) -> Floats:
+        """(B,) all of a score but the challenge, from (B,) random initial scores on."""
+        score = start + hyper.dac_weight * self.dac + hyper.cr_weight * self.cr
+        return np.asarray(score if self.further is None else score + self.further)
 
     @classmethod
     def challenges(cls, batches: "Sequence[Self]") -> Floats:
         """ACScore of the appendix, normalised over R batches together, (R, B)."""
         return normalised(np.stack([each.challenge for each in batches]), np.stack([each.finite for each in batches]))
+
+    @classmethod
+    def requests(cls, batches: "Sequence[Self]") -> Floats:
+        """What is missing to what was asked for, normalised in the same way, (R, B); zeros where nothing was."""
+        asked = [np.zeros_like(each.challenge) if each.asked is None else each.asked for each in batches]
+        return normalised(np.stack(asked), np.stack([each.finite for each in batches]))
 
 
 def surroundings(
@@ -283,5 +299,9 @@ def final_scores(terms: Terms, start: Floats, hyper: HyperParameters) -> Floats:
         (B,) scores, lower is better; infinity for candidates that must never be chosen.
     """
     (challenge,) = terms.challenges([terms])
-    score = start + hyper.dac_weight * terms.dac + hyper.cr_weight * terms.cr + hyper.ac_weight * challenge
+    # What was asked for stands in the place of the challenge until it is done.
+    wanted = hyper.ac_weight * challenge
+    if terms.asked is not None:
+        wanted = hyper.manoeuvre_weight * terms.requests([terms])[0]
+    score = terms.safety(start, hyper) + wanted
     return np.where(terms.finite, score, np.inf)

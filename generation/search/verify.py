@@ -3,6 +3,7 @@
 Paper section 3 (last paragraph of "Multi-round Trajectory Refinement") and appendix "The Adv-nuSc Dataset".
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -16,12 +17,13 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.dynamics.driver_limits import broken_limit
 from benchmark.geometry import Floats, box_corners, boxes_overlap, to_local
 from benchmark.protocols import NATIVE_PROTOCOLS
+from benchmark.records.judgement import SceneJudgement, unsolvable
 from benchmark.scene import Scene
 from generation.labels.labelling import agent_boxes, body_gaps, ego_speed
-from generation.search.candidates import in_canvas
 from generation.search.ground_truth_checks import recorded_contacts
 from generation.search.hyperparameters import Discards, HyperParameters
 from generation.search.recorded_ego import log_replay_contacts
+from generation.search.recorded_motion import in_canvas
 from generation.splits.format import METRE_DIGITS, YAW_DIGITS
 
 
@@ -43,7 +45,10 @@ class Discard(StrEnum):
     TOUCHES_VAD = "touches-under-vad"
     TOUCHES_SPARSEDRIVE = "touches-under-sparsedrive"
     TOUCHES_DIFFUSIONDRIVE = "touches-under-diffusiondrive"
+    CAREFUL_COLLIDES = "a-careful-human-collides"
     SCORES_TOO_HIGH = "best-score-above-the-limit"
+    UNSOLVABLE = "unsolvable"
+    ANOTHER_MANOEUVRE = "another-manoeuvre-than-asked"
 
     @classmethod
     def touches(cls, protocol: str) -> "Discard":
@@ -159,6 +164,26 @@ def _masked(scene: Scene, agent: int, start: int) -> Finding | None:
                     Discard.touches(protocol), first, EGO, f"steps masked under {protocol}", float(own.sum()), 0.0
                 )
     return None
+
+
+def unfair(scene: Scene, judgements: Sequence[SceneJudgement], hyper: HyperParameters) -> Finding | None:
+    """Whether a scene that passed everything else asks too much of whoever drives it (``docs/severity.md``).
+
+    Args:
+        scene: The adversarial scene.
+        judgements: What is said of it, one for each adversary.
+        hyper: What it is dropped for.
+
+    Returns:
+        That nobody could have avoided it, or else what the careful and competent human touches: nobody is to blame for
+        what that driver does not avoid.
+    """
+    if hyper.solvable and unsolvable(judgements):
+        return Finding(Discard.UNSOLVABLE)
+    contact = judgements[0].drivers["cc"].contact
+    if contact is None or not hyper.careful_survives:
+        return None
+    return Finding(Discard.CAREFUL_COLLIDES, int(np.searchsorted(scene.seconds, contact.time_s)), contact.instance)
 
 
 def _as_read(scene: Scene) -> Scene:

@@ -9,13 +9,14 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
+from benchmark.records.judgement import unsolvable
 from benchmark.records.review import REJECTED, Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import Estimate, rendering_estimate, workers_of
 from generation.build.settings import BuildSettings
-from generation.build.writing import WritingJob, publish_reports, write_scenes
+from generation.build.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.nuscenes_writer.scenes import read_state
@@ -25,7 +26,7 @@ from generation.splits.digests import facts_of_row, tables_digest, written_diges
 from generation.splits.format import FrozenScene, ImageFacts
 from generation.splits.packaged import NamedSplit
 from generation.splits.seeds import require_seed, search_hash
-from generation.splits.tracks import adversarial, scene_report
+from generation.splits.tracks import adversarial, scene_report, tracks_of
 
 _MARK: Final = "frozen.json"
 """In the writer's own folder: which frozen split a root is built from."""
@@ -44,6 +45,7 @@ class FrozenReport:
         images: What the frozen hashes of images are of, if the images here could be compared.
         other_images: Scenes whose images differ.
         verified_by: Version of the search that verified the scenes; they are not verified anew.
+        unsolvable: Scenes that nobody could have avoided (``docs/severity.md``); kept as frozen.
         masked_steps: By protocol, steps that are masked whatever is planned (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
         split: Name of the split.
@@ -57,6 +59,7 @@ class FrozenReport:
     images: ImageFacts | None = None
     other_images: tuple[str, ...] = ()
     verified_by: str = ALGORITHM_VERSION
+    unsolvable: tuple[str, ...] = ()
     masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     estimate: Estimate | None = None
     split: str = "adv"
@@ -69,6 +72,7 @@ class FrozenReport:
             "other_tables": list(self.other_tables),
             "other_images": list(self.other_images) if compared else None,
             "verified_by": self.verified_by,
+            "unsolvable": list(self.unsolvable),
             "masked_steps": self.masked_steps,
             "dry_run": self.estimate is not None,
         }
@@ -98,8 +102,8 @@ class FrozenReport:
         )
         return (
             f"{counted(count, 'scene')} built from frozen split {self.name}, {counted(self.scenes, 'recorded scene')}\n"
-            f"  tables: {tables}\n  images: {self._images(count)}\n  {masked_line(self.masked_steps)}"
-            + self._verification()
+            f"  tables: {tables}\n  images: {self._images(count)}\n  {masked_line(self.masked_steps)}\n"
+            f"  scenes that nobody could have avoided: {len(self.unsolvable)}, kept as frozen" + self._verification()
         )
 
     def _verification(self) -> str:
@@ -160,7 +164,9 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         keys = write_scenes(
             plan, jobs, source.scene, settings.where_rendered, timing=settings.timing / "rendering", label="rendering"
         )
+        judged = publish_judgements(plan, jobs, keys)
         finish_data_set(plan, keys)
+        publish_realism(plan, source)
         images, other_images = _other_images(plan, split.frozen.images, chosen, keys)
     other = tuple(frozen.name for (frozen, _), digest in zip(chosen, tables, strict=True) if digest != frozen.tables)
     return replace(
@@ -170,6 +176,7 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         other_images=other_images,
         verified_by=split.frozen.search.algorithm,
         masked_steps=masked,
+        unsolvable=tuple(job.name for job, said in zip(jobs, judged, strict=True) if unsolvable(said)),
     )
 
 
@@ -251,6 +258,7 @@ def _jobs(
             make=partial(adversarial, frozen),
             report=scene_report(frozen, scene, seed),
             identity=frozen.identity,
+            tracks=tracks_of(frozen),
         )
         made[index] = job, tables_digest(plan, scene, frozen)
         masked.append(masked_steps(scene))

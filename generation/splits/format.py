@@ -91,12 +91,27 @@ class Recordings(_Frozen):
 
 
 class SearchFacts(_Frozen):
-    """Who searched: version of the algorithm, hashes of its settings and of its trajectory model, and the seed."""
+    """Who searched.
+
+    Attributes:
+        algorithm: Version of the algorithm.
+        hyper: Hash of its settings.
+        prior: Hash of its trajectory model.
+        seed: The seed.
+        solvable: Whether scenes that nobody could have avoided were dropped; older files do not say, and none were.
+    """
 
     algorithm: str
     hyper: str
     prior: str
     seed: int
+    solvable: bool | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_older_files(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """What older files do not say keeps their content hash as it was."""
+        said: dict[str, Any] = plain(self)
+        return {name: value for name, value in said.items() if value is not None}
 
 
 class FrozenRejection(_Frozen):
@@ -118,6 +133,8 @@ class Choice(_Frozen):
         total: Most kept at all, null for all.
         surrogate: Planner that fails every scene, if one was asked.
         rejected: Scenes that inspectors rejected, if they did; files without have no such field.
+        variants: Most kept of one recorded scene where they were to differ; likewise.
+        asked: Kinds of manoeuvre that were asked for, if any; likewise.
     """
 
     scenes: int
@@ -127,12 +144,15 @@ class Choice(_Frozen):
     total: int | None
     surrogate: str | None
     rejected: tuple[FrozenRejection, ...] | None = None
+    variants: Annotated[int, Field(ge=1)] | None = None
+    asked: tuple[_Name, ...] | None = None
 
     @model_serializer(mode="wrap")
     def _without_nothing(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Splits that nobody reviewed keep the bytes, and the content hash, that they had before there were reviews."""
+        """Splits without the younger fields keep the bytes, and the content hash, that they had before these came."""
         said: dict[str, Any] = plain(self)
-        return said if self.rejected else {name: value for name, value in said.items() if name != "rejected"}
+        younger = ("rejected", "variants", "asked")
+        return {name: value for name, value in said.items() if value or name not in younger}
 
 
 class ImageFacts(_Frozen):

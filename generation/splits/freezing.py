@@ -74,7 +74,11 @@ def search_facts(search: Search) -> SearchFacts:
     """Who searched, as frozen splits say it."""
     said = search.as_json()
     return SearchFacts(
-        algorithm=said["algorithm"], hyper=said["hyper_fingerprint"], prior=said["prior"], seed=said["seed"]
+        algorithm=said["algorithm"],
+        hyper=said["hyper_fingerprint"],
+        prior=said["prior"],
+        seed=said["seed"],
+        solvable=search.hyper.solvable,
     )
 
 

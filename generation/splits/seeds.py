@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
@@ -21,8 +22,12 @@ def search_hash(search: SearchFacts, chosen: Choice, adversaries: int) -> str:
     Returns:
         64 hexadecimal digits.
     """
-    searched = [search.algorithm, search.hyper, search.prior]
-    return content_key("search", searched, chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries)
+    searched = [search.algorithm, search.hyper, search.prior, *([] if search.solvable is None else [search.solvable])]
+    chose: list[Any] = [chosen.scenes, chosen.per_scene, chosen.total, chosen.surrogate, adversaries]
+    younger = {"variants": chosen.variants, "asked": chosen.asked}
+    # Searches without them keep the hash that they had before there were any.
+    chose += [{name: value} for name, value in younger.items() if value]
+    return content_key("search", searched, *chose)
 
 
 def file_of_seed(path: Path, seed: int) -> Path:

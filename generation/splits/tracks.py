@@ -6,11 +6,12 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, wrap_angle
+from benchmark.judging.scenes import TracksAtHand
 from benchmark.records.attempts import Approach, Attempt
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
 from generation.search.ranking import challenge_score
-from generation.splits.format import FrozenAdversary, FrozenScene
+from generation.splits.format import METRE_DIGITS, FrozenAdversary, FrozenScene
 
 SAME_M: Final = 0.01
 """How far the recorded body may be from where the frozen split has it at the launch."""
@@ -73,6 +74,12 @@ def _distance(scene: Scene, agent: int, frame: int, adversary: FrozenAdversary) 
         return float("inf")
     turned = abs(float(wrap_angle(scene.agents.yaw[agent, frame] - yaw)))
     return float(np.hypot(position[0] - x, position[1] - y) + 0.5 * np.hypot(size[0], size[1]) * turned)
+
+
+def tracks_of(frozen: FrozenScene) -> TracksAtHand:
+    """How the adversaries of a frozen scene were made: at 12 Hz, and then rounded along both axes."""
+    launches = {each.instance: each.launch_frame for each in frozen.adversaries}
+    return TracksAtHand(generated=True, launches=launches, rounded_m=float(np.hypot(0.5, 0.5)) * 10**-METRE_DIGITS)
 
 
 def recorded_pose(scene: Scene, agent: int, frame: int) -> Floats:

@@ -153,7 +153,7 @@ def manoeuvre_figure(
 def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], theme: Theme) -> Figure:
     shown = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
-    names_of = {run.planner: _name(run) for run in runs}
+    names_of = {run.planner: planner_name(run) for run in runs}
     style = {name: _style(place, theme) for place, name in enumerate(planners)}
     lines_of_legend = -(-len(planners) // _LEGEND_COLUMNS)
     below = 0.15 + 0.2 * lines_of_legend
@@ -227,7 +227,7 @@ def _disagreement(
     panels[0].set_ylim(len(protocols) - 0.5, -0.5)
     figure.tight_layout(rect=(0, (0.1 + 0.22 * -(-len(found) // 2)) / figure.get_figheight(), 1, 0.92))
     patches = [Patch(color=theme.planner(place)) for place in range(len(found))]
-    names = [_name(run) for run, _ in found]
+    names = [planner_name(run) for run, _ in found]
     legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
     _plain_text(legend.get_texts())
     _heading(figure, f"{drawable(titled(data_name, split))}: protocols against exact (a tick: undefined)")
@@ -252,7 +252,7 @@ def _manoeuvre_panels(data_name: str, protocol: str, runs: Sequence[RunRecord], 
         axes.barh(rows, [failed[name] for name in order], 0.72, color=theme.contact)
         for row, name in enumerate(order):
             axes.text(scenes[name], row, f" {failed[name]}/{scenes[name]}", va="center", fontsize="small")
-        name = _name(run)
+        name = planner_name(run)
         axes.set_title(name, fontsize="medium", parse_math=False)
         axes.spines[["top", "right"]].set_visible(False)
         axes.set_xlabel("scenes")
@@ -289,6 +289,7 @@ def _plain_text(texts: Sequence[Any]) -> None:
         text.set_parse_math(False)
 
 
-def _name(run: RunRecord) -> str:
+def planner_name(run: RunRecord) -> str:
+    """The planner's name with its marks, as pictures can show it."""
     planner = run.run.planner
     return drawable(marked(run.planner, privileged=planner.privileged, miniature=planner.miniature))

@@ -24,7 +24,7 @@ from leaderboard.films.tracks import PlannerTrack, planner_tracks
 WIDTH_PX, HEIGHT_PX = 1280, 720
 TITLE_PX: Final = 44
 _EXTENT_M: Final = 24.0
-_EGO_DOWN: Final = 0.62
+EGO_DOWN: Final = 0.62
 """The road ahead matters more than the road behind."""
 _LATE_S: Final = 1e-6
 
@@ -109,9 +109,9 @@ class Film:
         self._above = SceneFromAbove(stored.sheet)
         self.tracks: tuple[PlannerTrack, ...] = planner_tracks(stored.sheet, records, models, settings.protocol)
         self.layout = _possible_layout(stored, settings.layout)
-        self.frames: tuple[int, ...] = _frames(stored, self._above, settings)
+        self.frames: tuple[int, ...] = film_frames(stored.sheet.scene, self._above, settings)
         self._panel = Panel(stored.sheet, self.tracks, from_above=self.layout is not FilmLayout.CAMERAS)
-        self._cameras = CameraPictures(stored, *_CAMERAS_PX[self.layout]) if self.layout in _CAMERAS_PX else None
+        self._cameras = CameraPictures(stored, *CAMERAS_PX[self.layout]) if self.layout in CAMERAS_PX else None
 
     def __len__(self) -> int:
         """How many frames it has."""
@@ -134,7 +134,7 @@ class Film:
         body_px = HEIGHT_PX - TITLE_PX
         right, below = WIDTH_PX, 0
         if self.layout is not FilmLayout.CAMERAS:
-            width_px = _ABOVE_PX[self.layout]
+            width_px = ABOVE_PX[self.layout]
             body[:, WIDTH_PX - width_px :] = self._from_above(frame, overlays, width_px, body_px)
             right -= width_px
         if self._cameras is not None:
@@ -159,7 +159,7 @@ class Film:
             height_px=height_px,
             extent_m=self.settings.extent_m,
             heading_up=self.settings.heading_up,
-            middle=_EGO_DOWN if self.settings.heading_up else 0.5,
+            middle=EGO_DOWN if self.settings.heading_up else 0.5,
         )
         draw_scale_bar(image, view)
         return image
@@ -191,13 +191,25 @@ def _possible_layout(stored: StoredSheet, layout: FilmLayout) -> FilmLayout:
     return FilmLayout.BIRDSEYE
 
 
-def _frames(stored: StoredSheet, above: SceneFromAbove, settings: FilmSettings) -> tuple[int, ...]:
-    """The frame that is shown at each moment of the film: the last one that has been."""
+def film_frames(scene: str, above: SceneFromAbove, settings: FilmSettings) -> tuple[int, ...]:
+    """The frame that is shown at each moment of a film: the last one that has been.
+
+    Args:
+        scene: Its name.
+        above: The scene.
+        settings: How the film is made.
+
+    Returns:
+        Frame indices.
+
+    Raises:
+        InputError: If the scene ends before the film begins.
+    """
     seconds = above.seconds
     end = float(seconds[-1]) if settings.end_s is None else min(settings.end_s, float(seconds[-1]))
     if settings.begin_s > seconds[-1]:
         raise InputError(
-            f"{stored.sheet.scene} lasts {seconds[-1]:.1f} s, a film from {settings.begin_s} s on has no frames; "
+            f"{scene} lasts {seconds[-1]:.1f} s, a film from {settings.begin_s} s on has no frames; "
             "choose an earlier --from"
         )
     count = int((end - settings.begin_s) * settings.fps + _LATE_S) + 1
@@ -206,5 +218,5 @@ def _frames(stored: StoredSheet, above: SceneFromAbove, settings: FilmSettings) 
     return tuple(int(each) for each in np.clip(np.searchsorted(seconds, moments) - 1, 0, len(seconds) - 1))
 
 
-_ABOVE_PX: Final = {FilmLayout.BOTH: 500, FilmLayout.BIRDSEYE: 820}
-_CAMERAS_PX: Final = {FilmLayout.BOTH: (780, 320), FilmLayout.CAMERAS: (1280, 488)}
+ABOVE_PX: Final = {FilmLayout.BOTH: 500, FilmLayout.BIRDSEYE: 820}
+CAMERAS_PX: Final = {FilmLayout.BOTH: (780, 320), FilmLayout.CAMERAS: (1280, 488)}

@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import Final
 
 from benchmark.drawing.canvas import png
+from benchmark.drawing.driven import DrivenSheet
 from benchmark.drawing.lettering import Picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, write_bytes
+from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.scenes import SCENES_FOLDER, SHEET_FILE, SPLIT_FILE, read_sheet, scene_folder, split_folder
 from benchmark.report.words import split_of
-from leaderboard.films.encoding import animated_webp, require_webm, webm
+from leaderboard.films.drive_film import DriveFilm
+from leaderboard.films.encoding import COMPACT, FINE, animated_webp, require_webm, webm
 from leaderboard.films.film import Film, FilmSettings
 
 LONGEST_WEBP: Final = 400
@@ -149,17 +152,77 @@ def write_film(
         require_webm()
     film = Film(read_sheet(folder), records, models, settings)
     scene = film.stored.sheet.scene
-    frames = watch(film, len(film), f"filming {scene}")
+    return write_frames(film, to / file_name(scene), form, settings.fps, watch=watch, label=f"filming {scene}")
+
+
+def write_drive_film(
+    driven: DrivenSheet,
+    record: DriveRecord,
+    name: str,
+    to: Path,
+    form: FilmFormat,
+    settings: FilmSettings,
+    *,
+    watch: Watch = lambda frames, _total, _label: frames,
+) -> Path:
+    """Write one drive's film.
+
+    Args:
+        driven: The drive.
+        record: The record that it is of.
+        name: The planner, as tables name it.
+        to: Folder to write to.
+        form: What is written.
+        settings: How the film is made.
+        watch: Shows how far the work is.
+
+    Returns:
+        What was written: ``<scene>-<planner>-<engine>-<agents>-<sensor>``, then the latency and the run where there
+        are any, as `write_film` names it.
+
+    Raises:
+        InputError: As of `write_film`, or if there are no pictures for the layout.
+    """
+    film, facts = DriveFilm(driven, record, name, settings), record.facts
+    parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
+    parts += [f"{facts.measured.latency_ms}ms"] if facts.measured.latency_ms else []
+    parts += [driven.row.family] if driven.row.family else []
+    parts += [f"run{driven.row.run}"] if facts.runs > 1 else []
+    target, label = to / file_name("-".join(parts)), f"filming {name} in {driven.row.scene}"
+    return write_frames(film, target, form, settings.fps, watch=watch, label=label)
+
+
+def write_frames(
+    film: Film | DriveFilm, target: Path, form: FilmFormat, fps: float, *, watch: Watch, label: str
+) -> Path:
+    """Write the frames of a film.
+
+    Args:
+        film: The film.
+        target: Where to, without a suffix.
+        form: What is written.
+        fps: Frames a second.
+        watch: Shows how far the work is.
+        label: What is said of it.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: If the film is too long for its format, or a folder of PNG files has other frames.
+    """
+    frames = watch(film, len(film), label)
     if form is FilmFormat.PNG:
-        return _write_frames(to / file_name(scene), frames, len(film))
+        return _write_frames(target, frames, len(film))
     if form is FilmFormat.WEBP and len(film) > LONGEST_WEBP:
         raise InputError(
             f"an animated WebP has {LONGEST_WEBP} frames at most, this one would have {len(film)}; choose a part with "
             "--from and --until, a smaller --fps, or --format webm"
         )
-    encode = webm if form is FilmFormat.WEBM else animated_webp
-    path = to / f"{file_name(scene)}.{form.value}"
-    write_bytes(path, encode(frames, settings.fps))
+    path = target.with_name(f"{target.name}.{form.value}")
+    quality = COMPACT if isinstance(film, DriveFilm) else FINE
+    data = webm(frames, fps, quality) if form is FilmFormat.WEBM else animated_webp(frames, fps)
+    write_bytes(path, data)
     return path
 
 

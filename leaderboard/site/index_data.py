@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 from benchmark.machine.storage import file_name
 from benchmark.metrics.disagreement import EXACT
+from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
 from benchmark.records.scenes import Sheets
@@ -16,6 +17,7 @@ from benchmark.report.table import Table
 from leaderboard.site.key_table import key_table
 from leaderboard.site.model_index import model_index
 from leaderboard.site.scene_index import scene_index, scene_key
+from leaderboard.tables.judgements import DRIVER_HEADS
 
 TITLE: Final = "challenger-bench"
 _FORMATS: Final = (".csv", ".tex", ".json")
@@ -87,6 +89,7 @@ def index_data(
         "keyTables": _key_tables(records, origins, written),
         "figures": [_figure(figure, written) for figure in figures if figure.path in written],
         "models": model_index(records),
+        "drivers": [[name, DRIVER_HEADS[name]] for name in DRIVER_NAMES],
         "scenes": scene_index(records, sheets, quality, written),
         "attempts": _attempts(sheets),
         "origins": origins.found,

@@ -15,6 +15,7 @@ from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, scene_failures
 from benchmark.records.scenes import Sheet, Sheets
 from benchmark.report.words import split_of
+from leaderboard.site.scene_judgements import judgement_entry, severity_entries
 from leaderboard.tables.rows import split_place
 
 SceneName = tuple[str, str, str]
@@ -34,6 +35,8 @@ class _Seen:
     causes: dict[str, dict[str, int]] = field(default_factory=dict)
     colliding: dict[str, int] = field(default_factory=dict)
     failed: dict[str, int] = field(default_factory=dict)
+    judgement: dict[str, Any] | None = None
+    severity: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def scene_key(name: SceneName) -> str:
@@ -99,6 +102,8 @@ def _entry(
         "causes": known.causes,
         "colliding": known.colliding,
         "failed": known.failed,
+        "judgement": known.judgement,
+        "severity": known.severity,
         "quality": quality,
     }
 
@@ -119,6 +124,7 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
         found = seen.setdefault((data_name, split, scene), _Seen(sources.get(scene, scene)))
         if facts is not None:
             found.source, found.manoeuvre = facts.source, facts.manoeuvre
+            found.judgement = found.judgement or judgement_entry(facts.judgement)
     for protocol in sorted(record.summary.protocols):
         # A newer version's protocol cannot be asked what a failed scene is; the tables below it say so.
         if registered_version(protocol) is None:
@@ -127,6 +133,8 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
             seen[data_name, split, scene].verdicts.setdefault(planner, {})[protocol] = failed
     for scene, rows in rows_of.items():
         _add_samples(seen[data_name, split, scene], planner, rows)
+    for scene, severity in severity_entries(record).items():
+        seen[data_name, split, scene].severity[planner] = severity
 
 
 def _add_samples(found: _Seen, planner: str, rows: Sequence[SampleRow]) -> None:

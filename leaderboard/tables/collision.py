@@ -12,6 +12,7 @@ from benchmark.records.run_schema import ProtocolSummary
 from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import UNDEFINED, Cell, Origin, Shown, origin_of, record_name
 from benchmark.report.table import Brief, Table, table_of
+from leaderboard.tables.attacks import success_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.further_columns import further_table
 from leaderboard.tables.longer_plans import longer_table
@@ -102,7 +103,7 @@ def run_tables(
 
     Returns:
         One table for each protocol, one more for its further rates where it has some, and unasked one for plans that go
-        on beyond 3 s; none if there are no runs to show.
+        on beyond 3 s and one for attack success where there are adversaries; none if there are no runs to show.
     """
     shown = records if allow_partial else [record for record in records if record.complete]
     own = any(record.run.planner.native_protocol for record in shown)
@@ -115,8 +116,8 @@ def run_tables(
         for name in names
         if shown
     ]
-    beyond = longer_table(data_name, shown) if protocols is None else None
-    return [table for table in (*(table for both in tables for table in both), beyond) if table is not None]
+    unasked = [longer_table(data_name, shown), success_table(data_name, shown)] if protocols is None else []
+    return [table for table in (*(table for both in tables for table in both), *unasked) if table is not None]
 
 
 def increase_over(baseline: float | None, rate: float | None) -> float | None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from benchmark.errors import InputError
+from benchmark.metrics.attacks import has_adversaries, says_severity
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.scores import require_current
 from benchmark.metrics.transfer import TransferMatrix, transfer
@@ -13,6 +14,7 @@ from benchmark.records.run import NATIVE, RunRecord, protocol_of
 from benchmark.records.scenes import Sheets
 from benchmark.report.table import Table
 from leaderboard.tables.ablation import ablation_tables
+from leaderboard.tables.attacks import attack_tables
 from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.consistency import consistency_table
@@ -21,6 +23,7 @@ from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.drawn_seeds import drawn_seeds_table
 from leaderboard.tables.driving import driving_table
 from leaderboard.tables.further_columns import further_table
+from leaderboard.tables.judgements import judgement_tables
 from leaderboard.tables.longer_plans import longer_table
 from leaderboard.tables.manoeuvres import manoeuvre_tables
 from leaderboard.tables.rows import in_table_order, part_of_split, splits_of
@@ -87,6 +90,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
             matrix, of_transfer = _transfer_tables(data_name, split, name, records)
             front += of_transfer
             matrices |= {} if matrix is None else {of_transfer[0].name: matrix}
+    front += [*attack_tables(data_name, records), *judgement_tables(data_name, records)]
     front += [longer_table(data_name, records), consistency_table(data_name, records)]
     if EXACT in protocols:
         front += diagnosis_tables(data_name, records)
@@ -175,6 +179,11 @@ def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
             notes.append(
                 f"{who}: the record does not say where its samples are, in what light and how fast, so that it is in "
                 "no table by place, light or speed; run challenger-bench rescore."
+            )
+        if has_adversaries(record) and not says_severity(record):
+            notes.append(
+                f"{who}: the record does not say how severe its plans are, so that it is in no table of attack success "
+                "or severity; run challenger-bench rescore."
             )
         if record.run.split == "adv" and not record.run.scene_facts:
             notes.append(

@@ -137,11 +137,8 @@ def recording_of(inputs: Arrays) -> Recording:
 
 
 def cast_of(recording: Recording) -> Cast:
-    """The renderer's actors: the recording's, in single precision."""
-    tracks = {
-        actor.uuid: replace(actor, poses=single(actor.poses), size=single(actor.size)) for actor in recording.actors
-    }
-    return Cast({actor.uuid: actor.kind for actor in recording.actors}, {u: t.size for u, t in tracks.items()}, tracks)
+    """Its own actors, as a renderer has them."""
+    return Cast.of(recording.actors)
 
 
 def single(values: Floats) -> Floats:
@@ -174,7 +171,7 @@ def made_loops() -> tuple[dict[str, Arrays], dict[str, Any]]:
     }
     arrays: Arrays = {}
     runs = [
-        made_run(recording, arrays, f"r{index:03d}", model, run, futures)
+        made_run(recording, arrays, f"r{index:03d}", model, run=run, futures=futures)
         for index, (model, run, futures) in enumerate(
             (("cv", 0, False), ("bend", 1, True), ("brake", 2, False), ("bend", 3, False))
         )
@@ -191,7 +188,7 @@ def made_loops() -> tuple[dict[str, Arrays], dict[str, Any]]:
     return {"loops/made_inputs": inputs, "loops/made": arrays}, {"loops/made": facts, "loops/index": index}
 
 
-def made_run(recording: Recording, arrays: Arrays, key: str, model: str, run: int, futures: bool) -> dict[str, Any]:
+def made_run(recording: Recording, arrays: Arrays, key: str, model: str, *, run: int, futures: bool) -> dict[str, Any]:
     """One run, written down as the published engine's are."""
     scenario = Scenario.of(SCENARIO, "made")
     stage = staged(scenario, run, recording.times, cast_of(recording), CODE)
@@ -219,23 +216,33 @@ def made_run(recording: Recording, arrays: Arrays, key: str, model: str, run: in
     arrays |= {f"{key}_{name}": array for name, array in log.arrays().items()}
     arrays[f"{key}_scenario_actor_times"] = np.array([actor.times for actor in stage.actors])
     arrays[f"{key}_scenario_actor_poses"] = np.array([actor.poses for actor in stage.actors])
+    return {
+        "run": run,
+        "key": key,
+        "model": model,
+        "draws": stage.draws,
+        "error": None,
+        "n_infer_calls": len(log.plans),
+        "evaluate_future_collisions": futures,
+        "start_frame": stage.start_frame,
+        "end_time": stage.end_us,
+        "scenario_actors": [
+            {"uuid": actor.uuid, "dims": actor.size.tolist(), "is_target": actor.is_target} for actor in stage.actors
+        ],
+        **said_of(engine, world),
+    }
+
+
+def said_of(engine: Engine, world: World) -> dict[str, Any]:
+    """Score and contact of a finished run."""
     scores = {
         reading: score_of(replace(engine, switches=replace(CODE, reference_speed=reading)), world)
         for reading in ("code", "paper")
     }
     contact = world.contact
     return {
-        "run": run,
-        "key": key,
-        "model": model,
-        "start_frame": stage.start_frame,
-        "end_time": stage.end_us,
-        "draws": stage.draws,
-        "error": None,
-        "n_infer_calls": len(log.plans),
         "n_states_checked": world.checked,
         "n_engine_actors": len(engine.actors),
-        "evaluate_future_collisions": futures,
         "impact_speed": scores["code"].impact_speed,
         **{f"nns_{reading}": score.score for reading, score in scores.items()},
         **{f"reference_speed_{reading}": score.reference_speed for reading, score in scores.items()},
@@ -251,9 +258,6 @@ def made_run(recording: Recording, arrays: Arrays, key: str, model: str, run: in
             "actor_velocity": contact.actor_velocity.tolist(),
             "is_target": contact.is_target,
         },
-        "scenario_actors": [
-            {"uuid": actor.uuid, "dims": actor.size.tolist(), "is_target": actor.is_target} for actor in stage.actors
-        ],
     }
 
 

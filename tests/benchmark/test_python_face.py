@@ -26,6 +26,7 @@ FUNCTION_OF = {
     "generate": "generate",
     "ablate": "ablate",
     "eval": "evaluate",
+    "drive": "drive_split",
     "models": "known_planners",
     "rescore": "rescore_all",
     "transfer": "transfer_matrices",

@@ -14,6 +14,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, Plan, PlanFrame
 from benchmark.published import TABLE_1
+from benchmark.records.drives import DriveRecord
 from benchmark.records.run import RunRecord, find_records
 from benchmark.records.run_schema import SceneFacts
 from leaderboard.build import leaderboard_files, leaderboard_tables, stale_files, write_leaderboard
@@ -22,6 +23,8 @@ from leaderboard.tables.published import published_table
 from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.planners import Failing, Straight
 from tests.benchmark.records.hand_made_records import HIT, hand_made
+from tests.benchmark.records.test_drives import contact, written
+from tests.benchmark.records.test_drives import row as drive_row
 from tests.leaderboard.csv_rows import csv_rows
 
 FIRST_SCENE = EvalSettings(scenes=("scene-9901",))
@@ -261,3 +264,41 @@ def test_a_note_is_said_once_in_the_readme_and_below_every_table_elsewhere(runs:
     assert files["README.md"].count(legend) == 1
     assert legend in files["tables/fake/transfer-adv-exact.tex"].replace(r"$\dagger$", "†")
     assert files["tables/fake/vad.md"].count(legend) > 3
+
+
+def test_drives_have_tables_beside_open_loop(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
+    driven = driven_beside(runs, tmp_path / "drives")
+    files = leaderboard_files(runs, drives=driven)
+    read = files["README.md"].decode()
+    assert "## fake: closed loop" in read and "closed loop, engine default, agents replay" in read
+    assert "beside open loop" in read and "tables/fake/closed-loop.md" in read
+    page = files["tables/fake/closed-loop.md"].decode()
+    assert "scenes on which open loop and closed loop disagree" in page and "only open" in page
+    for kind in ("drives", "loops", "loops-scenes"):
+        (row, *_) = csv_rows(files[f"tables/fake/{kind}-adv-default-replay.csv"].decode())
+        assert row["planner"].startswith("straight")
+    assert leaderboard_files(runs[::-1], drives=driven[::-1]) == files
+    assert set(leaderboard_files(runs)) < set(files)
+
+
+def test_drives_alone_make_a_leaderboard_and_go_stale(runs: tuple[RunRecord, ...], tmp_path: Path) -> None:
+    driven = driven_beside(runs, tmp_path / "drives")
+    folder = tmp_path / "board"
+    write_leaderboard((), folder, drives=driven)
+    assert stale_files((), folder, drives=driven) == []
+    assert b'"closed loop"' in (folder / "site/data/index.js").read_bytes()
+    fewer = stale_files(runs, folder)
+    assert any("drives-adv-default-replay.csv" in one and "no longer give" in one for one in fewer)
+    scenes = driven[0].facts.scenes
+    hits = [drive_row(scene, end="contact", contact=contact()) for scene in scenes]
+    facts = {"data": driven[0].facts.data.model_dump(), "scenes": scenes, "scenes_in_split": len(scenes)}
+    changed = written(tmp_path / "changed", *hits, **facts)
+    assert any("drives-adv-default-replay.csv differs" in one for one in stale_files((), folder, drives=[changed]))
+
+
+def driven_beside(runs: Sequence[RunRecord], folder: Path) -> list[DriveRecord]:
+    """Drives without a contact of the planner that drives on, on the scenes of its run on adv."""
+    (run,) = [one.run for one in runs if one.planner == "straight" and one.run.split == "adv"]
+    rows = [drive_row(scene) for scene in run.scenes]
+    facts = {"planner": run.planner.model_dump(), "data": run.data.model_dump(), "scenes": run.scenes}
+    return [written(folder, *rows, scenes_in_split=len(rows), **facts)]

@@ -18,11 +18,19 @@ _STILL_M: Final = 0.2
 """Next waypoints nearer than this to the origin give no heading."""
 
 
-def future_hits(
-    time_us: int, pose: Floats, plan: ArrayLike, actors: Sequence[Actor], car: Car, switches: Switches
-) -> tuple[bool, ...]:
-    """Whether a plan touches somebody at 0.5, 1.0 .. 3.0 s; arguments as in `future_moments`."""
-    found = (touched(moment, actors, car, switches) for moment in future_moments(time_us, pose, plan, switches))
+def future_hits(future: Sequence[EgoMoment], actors: Sequence[Actor], car: Car, switches: Switches) -> tuple[bool, ...]:
+    """Whether a plan touches somebody at 0.5, 1.0 .. 3.0 s.
+
+    Args:
+        future: From `future_moments`.
+        actors: In the engine's order.
+        car: The ego's box.
+        switches: Readings.
+
+    Returns:
+        Six verdicts.
+    """
+    found = (touched(moment, actors, car, switches) for moment in future)
     return tuple(contact is not None for contact in found)
 
 

@@ -19,7 +19,7 @@ from benchmark.closed_loop.neuroncap.actors import Actor
 from benchmark.closed_loop.neuroncap.car import Car
 from benchmark.closed_loop.neuroncap.command import command_at
 from benchmark.closed_loop.neuroncap.contact import Contact, EgoMoment, touched
-from benchmark.closed_loop.neuroncap.future import future_hits
+from benchmark.closed_loop.neuroncap.future import future_hits, future_moments
 from benchmark.closed_loop.neuroncap.plan_path import usable_waypoints
 from benchmark.closed_loop.neuroncap.poses import pose_between
 from benchmark.closed_loop.neuroncap.recording import Recording, Singles
@@ -257,7 +257,8 @@ def _checked(engine: Engine, world: World) -> World:
     hits = world.future_hits
     if engine.check_futures and waiting.plan is not None and len(waiting.plan) == PLAN_STEPS:
         state = waiting.state
-        found = future_hits(state.time_us, state.pose, waiting.plan, engine.actors, engine.car, switches)
+        future = future_moments(state.time_us, state.pose, waiting.plan, switches)
+        found = future_hits(future, engine.actors, engine.car, switches)
         hits = tuple(count + hit for count, hit in zip(hits, found))
     return replace(world, waiting=None, checked=world.checked + 1, contact=contact, future_hits=hits)
 

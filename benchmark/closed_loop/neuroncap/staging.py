@@ -1,8 +1,8 @@
 """A scenario on stage: where a run starts, and what its actors do, from the run's index alone."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final, Self
 
 import numpy as np
 
@@ -31,6 +31,18 @@ class Cast:
     kinds: Mapping[str, str]
     sizes: Mapping[str, Floats]
     tracks: Mapping[str, Actor]
+
+    @classmethod
+    def of(cls, actors: Iterable[Actor]) -> Self:
+        """A renderer that was made from a recording: it shows all its actors, in single precision like NeuRAD."""
+        tracks = {actor.uuid: _single(actor) for actor in actors}
+        kinds = {uuid: track.kind for uuid, track in tracks.items()}
+        return cls(kinds, {uuid: track.size for uuid, track in tracks.items()}, tracks)
+
+
+def _single(actor: Actor) -> Actor:
+    size, poses = (np.asarray(values.astype(np.float32), np.float64) for values in (actor.size, actor.poses))
+    return replace(actor, size=size, poses=poses)
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,14 +69,18 @@ class SchematicRenderer:
         require_frames(scene, frames)
         if not len(frames):
             return
-        cv2.setNumThreads(1)
-        stage = _Stage.of(scene, self.cameras(scene), self.style)
+        stage = self.stage(scene)
         for frame in frames:
             yield stage.pictures(int(frame))
 
+    def stage(self, scene: Scene) -> "Stage":
+        """A scene made ready for drawing."""
+        cv2.setNumThreads(1)
+        return Stage.of(scene, self.cameras(scene), self.style)
+
 
 @dataclass(slots=True)
-class _Stage:
+class Stage:
     """A scene made ready for drawing: what does not change from frame to frame."""
 
     scene: Scene
@@ -92,7 +96,8 @@ class _Stage:
     backdrops: dict[str, tuple[bytes, Backdrop]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: Scene, cameras: tuple[Camera, ...], style: Style) -> "_Stage":
+    def of(cls, scene: Scene, cameras: tuple[Camera, ...], style: Style) -> "Stage":
+        """Make a scene ready."""
         air = style.lit(ATMOSPHERES[scene.look])
         return cls(
             scene=scene,
@@ -108,7 +113,16 @@ class _Stage:
             style=style,
         )
 
+    def go_on(self, scene: Scene) -> None:
+        """Draw the frames of another scene from now on, of the same road and the same agents with other tracks.
+
+        Args:
+            scene: For example the world as it was driven so far.
+        """
+        self.scene, self.traffic = scene, self.traffic.in_scene(scene)
+
     def pictures(self, frame: int) -> Images:
+        """What the cameras see at a frame."""
         ego = self.scene.ego
         position, rotation = ego.position[frame], ego.rotation[frame]
         pose = ego.pose[frame]

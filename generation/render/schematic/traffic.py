@@ -75,6 +75,10 @@ class Traffic:
         role = np.concatenate([np.zeros(0, np.int64), *(shape.role for shape in shapes)])
         return cls(scene, bodies, role, _braking(scene))
 
+    def in_scene(self, scene: Scene) -> "Traffic":
+        """The same agents in a scene in which they have other tracks."""
+        return replace(self, scene=scene, braking=_braking(scene))
+
     def near(self, frame: int) -> NDArray[np.int64]:
         """Indices of the agents that exist at a frame and are close enough to be drawn."""
         agents = self.scene.agents

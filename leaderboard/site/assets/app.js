@@ -224,7 +224,7 @@
 
   /** @param {string|undefined} name First part of the address. */
   function markPlace(name) {
-    const place = { model: "models", scene: "scenes", compare: "scenes" }[name ?? ""] ?? name ?? "";
+    const place = { model: "models", scene: "scenes", compare: "scenes", drive: "scenes" }[name ?? ""] ?? name ?? "";
     for (const link of document.querySelectorAll("[data-testid=nav] a")) {
       if (link.getAttribute("href") === `#/${place}`) link.setAttribute("aria-current", "page");
       else link.removeAttribute("aria-current");

@@ -24,7 +24,10 @@
         model, plan: model.at(sample), style: styleOf(place, this.theme),
         verdict: model.verdict(sample, state.protocol),
       })).filter(({ plan }) => plan && plan.failed === undefined);
-      if (state.show.recorded) this.drawWays();
+      if (state.show.recorded) {
+        this.drawRecordedPath();
+        this.drawWays();
+      }
       const age = sample < 0 ? 0 : this.scene.frames[state.frame] - this.scene.samples[sample].t;
       this.context.globalAlpha = Math.max(1 - 0.8 * age, 0.45);
       for (const each of plans) this.drawExpectations(each);
@@ -38,6 +41,7 @@
       /** @type {[number, number, number][]} Left, middle and width of what is written. */
       this.labels = [];
       for (const each of reversed) this.drawContact(each, age);
+      this.drawEnd();
       this.drawScale();
     }
 
@@ -86,6 +90,24 @@
         context.lineTo(...this.pixel(x + reach, y + at));
       }
       context.stroke();
+    }
+
+    /** Of a drive: where the recorded ego went. */
+    drawRecordedPath() {
+      if (!this.scene.recordedPath) return;
+      this.context.globalAlpha = 0.6;
+      this.line(this.scene.recordedPath, this.colours.ego, 2, [5, 6]);
+      this.context.globalAlpha = 1;
+    }
+
+    /** Of a drive: the contact that ended it, from `FUTURE_S` before. */
+    drawEnd() {
+      const { contact, frames } = this.scene;
+      const left = contact ? contact.t - frames[this.state.frame] : Infinity;
+      if (left > FUTURE_S) return;
+      const [x, y] = this.pixel(contact.x, contact.y);
+      this.drawStar(x, y);
+      this.label(left >= 0.1 ? `contact in ${left.toFixed(1)} s` : "contact now", x + 14, y);
     }
 
     /** Ways of ego and adversaries: thin where they were, thick with a dot each half second where they go. */
@@ -339,6 +361,15 @@
         context.setLineDash([]);
       }
       const [x, y] = this.pixel(...(hit ? [(hit.x + box.x) / 2, (hit.y + box.y) / 2] : [box.x, box.y]));
+      this.drawStar(x, y);
+      const left = verdict.contact - age;
+      const when = left >= 0.05 ? `in ${left.toFixed(1)} s` : "now";
+      this.label(`${cut(model.name)} ${when}`, x + 14, y);
+    }
+
+    /** @param {number} x @param {number} y Pixels. */
+    drawStar(x, y) {
+      const { context, colours } = this;
       context.beginPath();
       for (const [at, [dx, dy]] of star(8, 0, 0.5).entries()) {
         if (at) context.lineTo(x + 10 * dx, y + 10 * dy);
@@ -347,11 +378,9 @@
       context.closePath();
       context.fillStyle = colours.contact;
       context.strokeStyle = colours.paper;
+      context.lineWidth = 2;
       context.fill();
       context.stroke();
-      const left = verdict.contact - age;
-      const when = left >= 0.05 ? `in ${left.toFixed(1)} s` : "now";
-      this.label(`${cut(model.name)} ${when}`, x + 14, y);
     }
 
     /** @param {number} number Of the agent. @param {number} seconds Since the scene began. @returns {*} Its box then. */

@@ -199,6 +199,9 @@
         dividers: dividers(raw.road.dividers),
       },
       recorded: (raw.recorded ?? []).map((way) => unpackPath(way, CENTIMETRE)),
+      recordedPath: raw.recordedPath ? unpackPath(raw.recordedPath, CENTIMETRE) : null,
+      contact: raw.contact ?? null,
+      driven: raw.base !== undefined,
       models: raw.models.map((model) => modelOf(model, raw.body)),
       sampleOf: samplesOfFrames(raw),
       pictures: Int32Array.from(raw.pictures),
@@ -213,11 +216,32 @@
    * @param {string} key @returns {Promise<*>} The scene; rejected with a sentence.
    */
   function load(key) {
+    return loadRaw(key).then((raw) => (raw.base
+      // A drive says what is other than in its scene.
+      ? loadRaw(raw.base).then((scene) => decoded({ ...scene, ...raw }, key)) : decoded(raw, key)));
+  }
+
+  /** @param {*} raw @param {string} key @returns {*} The scene; a damaged one is a sentence. */
+  function decoded(raw, key) {
+    try {
+      return decode(raw);
+    } catch (error) {
+      console.error(error);
+      throw new LoadError(missingOf(key));
+    }
+  }
+
+  /** @param {string} key @returns {string} */
+  const missingOf = (key) =>
+    `data/scenes/${key}.js is missing or damaged; write the site again with challenger-bench leaderboard.`;
+
+  /** @param {string} key @returns {Promise<*>} The value of a scene's script. */
+  function loadRaw(key) {
     const store = (window.CHALLENGER_SCENES = window.CHALLENGER_SCENES ?? {});
     if (!KEY.test(key)) return Promise.reject(new LoadError(`“${key}” is not the key of a scene.`));
     const path = `data/scenes/${key}.js`;
-    const missing = `${path} is missing or damaged; write the site again with challenger-bench leaderboard.`;
-    if (Object.hasOwn(store, key)) return Promise.resolve(decode(store[key]));
+    const missing = missingOf(key);
+    if (Object.hasOwn(store, key)) return Promise.resolve(store[key]);
     return new Promise((resolve, reject) => {
       const script = document.createElement("script");
       script.addEventListener("error", () => { script.remove(); reject(new LoadError(missing)); });
@@ -225,12 +249,7 @@
         script.remove();
         if (!Object.hasOwn(store, key)) return reject(new LoadError(missing));
         for (const old of Object.keys(store).slice(0, -SCENES_KEPT)) if (old !== key) delete store[old];
-        try {
-          return resolve(decode(store[key]));
-        } catch (error) {
-          console.error(error);
-          return reject(new LoadError(missing));
-        }
+        return resolve(store[key]);
       });
       script.src = path;
       document.head.append(script);

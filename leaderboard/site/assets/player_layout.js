@@ -92,9 +92,11 @@
       const { scene } = this;
       const there = new Set(["ego", ...scene.agents.map((agent) => (agent.adversary ? "adversary" : agent.kind))]);
       const note = element("div", { class: "cp-legend" }, ...KINDS.filter(([kind]) => there.has(kind))
-        .map(([kind, words]) => element("span", { class: `cp-kind cp-${kind}` }, words)));
+        .map(([kind, words]) => element("span", { class: `cp-kind cp-${kind}` },
+          scene.driven && kind === "ego" ? "ego, as driven" : words)));
       if (!scene.pictures.length || !scene.cameras.length) {
-        const why = scene.hasSheet ? "The sheet of this scene has no pictures of cameras."
+        const why = scene.driven ? "Records of drives hold no pictures; challenger-bench film --drives shows what cameras saw."
+          : scene.hasSheet ? "The sheet of this scene has no pictures of cameras."
           : "Without a sheet, plans stand in the frame of the ego at each sample.";
         return element("div", { class: "cp-side" }, element("p", { class: "cp-note" }, why), note, this.verdicts);
       }

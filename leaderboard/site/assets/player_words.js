@@ -146,6 +146,11 @@
     const command = COMMANDS[scene.samples[sample].command];
     const caption = [`Sample ${sample + 1} of ${scene.samples.length}, ${seconds(scene, sample)}`,
       command ? `, command: ${command}` : "", protocol ? `; verdicts of ${protocol}` : ""].join("");
+    if (scene.driven) {
+      // Plans that were driven are not judged one by one: what came of them is what is seen.
+      const failed = models.map((model) => model.at(sample)?.failed).filter((why) => why !== undefined);
+      return [element("p", { class: "cp-note" }, [`${caption}.`, ...failed.map((why) => `The planner failed: ${why}`)].join(" "))];
+    }
     const notes = compare && models.length === 2 ? [difference(models, entries, sample)] : [];
     if (entries.some(({ cells }) => cells[0].words.endsWith("‡"))) {
       notes.push(element("p", { class: "cp-quiet cp-apart" },

@@ -69,6 +69,7 @@
         element("span", { class: "verdict" }, of
           ? `${bad} of ${counted(of, "planner")} ${bad === 1 ? "fails" : "fail"}${
             colliding ? `; ${counted(colliding, "colliding sample")}` : ""}` : "not judged"),
+        site.judgementLine(scene, model),
         marks(scene, protocol)));
   };
 
@@ -78,23 +79,34 @@
     hardest: ["most fail first", (a, b) => b.bad - a.bad || a.place - b.place],
     easiest: ["fewest fail first", (a, b) => a.bad - b.bad || a.place - b.place],
     split: ["planners disagree most", (a, b) => b.split - a.split || a.place - b.place],
+    ...Object.fromEntries(Object.entries(site.JUDGED_ORDERS).map(([name, [words]]) =>
+      [name, [words, (a, b) => a.value - b.value || a.place - b.place]])),
   };
+
+  /** @returns {string[]} Orders that tell these scenes apart. */
+  const orders = () => Object.keys(ORDERS).filter((name) => !own(site.JUDGED_ORDERS, name)
+    || window.CHALLENGER.scenes.some((scene) => Number.isFinite(site.JUDGED_ORDERS[name][1](scene))));
 
   /** @param {URLSearchParams} params @returns {*[]} Scenes that the address asks for, in its order. */
   function chosenScenes(params) {
     const wanted = (name) => params.get(name) ?? "";
     const protocol = wanted("protocol") || firstProtocol();
     const matches = matcher(wanted("q"));
+    const fits = site.judgementFilter(params);
+    const measure = own(site.JUDGED_ORDERS, wanted("sort"))?.[1] ?? (() => 0);
     const found = window.CHALLENGER.scenes.filter((scene) =>
       (!wanted("data") || scene.data === wanted("data")) && (!wanted("split") || scene.split === wanted("split"))
       && (!wanted("manoeuvre") || scene.manoeuvre === wanted("manoeuvre"))
       && (!wanted("fails") || verdict(scene, wanted("fails"), protocol) === true)
       && (!wanted("passes") || verdict(scene, wanted("passes"), protocol) === false)
+      && fits(scene)
       && matches([scene.scene, scene.source, scene.data, scene.split, scene.manoeuvre, scene.description,
         ...scene.labels].join(" ").toLowerCase()));
     const ranked = found.map((scene, place) => {
       const [bad, of] = [failing(scene, protocol).length, decided(scene, protocol).length];
-      return { scene, place, bad, split: Math.min(bad, of - bad) };
+      // What has no such number comes last, and infinity less infinity would be none.
+      const value = measure(scene, wanted("fails")) ?? Number.MAX_VALUE;
+      return { scene, place, bad, split: Math.min(bad, of - bad), value };
     });
     return ranked.sort((own(ORDERS, wanted("sort")) ?? ORDERS.name)[1]).map(({ scene }) => scene);
   }
@@ -144,7 +156,7 @@
     const of = (name) => unique(scenes.map((scene) => scene[name]).filter(Boolean));
     const names = models.map((model) => model.name);
     requireKnown(here, { data: of("data"), split: of("split"), manoeuvre: of("manoeuvre"), fails: names, passes: names,
-      protocol: protocols, sort: Object.keys(ORDERS) });
+      protocol: protocols, sort: orders(), ...site.judgementKnown() });
     refresh({});
     return {
       title: "Scenes",
@@ -157,10 +169,11 @@
           list("Manoeuvre", "manoeuvre", of("manoeuvre").sort()),
           list("Fails", "fails", names, "any"),
           list("Does not fail", "passes", names, "any"),
+          site.judgementChoices(list),
           protocols.length > 1 ? choice({ label: "Protocol", value: here.params.get("protocol") ?? firstProtocol(),
             choices: protocols, testid: "filter-protocol", change: (protocol) => refresh({ protocol }) }) : null,
           choice({ label: "Order", value: here.params.get("sort") ?? "name", testid: "sort-scenes",
-            choices: Object.entries(ORDERS).map(([name, [words]]) => [name, words]),
+            choices: orders().map((name) => [name, ORDERS[name][0]]),
             change: (sort) => refresh({ sort }) })),
         element("div", { class: "count-line" }, count, element("p", { class: "legend" },
           element("span", { class: "bad" }, "✕"), " fails  ", element("span", { class: "good" }, "○"),
@@ -183,6 +196,7 @@
         { split: scene.split, manoeuvre: scene.manoeuvre }) }, scene.manoeuvre)) : null,
       scene.labels.length ? line(scene.labels.length > 1 ? "adversaries" : "adversary",
         scene.labels.map((label) => element("div", {}, label))) : null,
+      site.judgementFacts(scene, line),
       scene.description ? line("description", scene.description) : null,
       line("length", `${scene.seconds.toFixed(1)} s`),
       scene.source !== scene.scene ? line("made from", scene.source) : null,
@@ -310,7 +324,8 @@
         element("h1", {}, scene.scene, scene.manoeuvre ? element("span", { class: "tag" }, scene.manoeuvre) : null),
         missingSheet(scene), player.node,
         comparison,
-        element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene)), rounds(scene),
+        element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene)), site.severityTable(scene),
+        site.driveLinks(scene), rounds(scene),
       ].filter((node) => node !== null),
       ready: player.ready, destroy: player.destroy,
     };
@@ -337,7 +352,8 @@
     return {
       title: `${a} and ${b} on ${scene.scene}`,
       nodes: [element("h1", {}, "Two planners on ", back), missingSheet(scene), player.node,
-        element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene))].filter((node) => node !== null),
+        element("div", { class: "columns" }, verdictTable(scene), sceneFacts(scene)), site.severityTable(scene),
+      ].filter((node) => node !== null),
       ready: player.ready, destroy: player.destroy,
     };
   };

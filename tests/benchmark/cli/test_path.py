@@ -9,7 +9,7 @@ import pytest
 from tests.benchmark.cli.cli_runs import Run, bytes_below, challenger_bench
 
 SMALL = ("--frames", "keyframes", "--size", "96x54")
-SEARCH = ("--candidates", "64", "--rounds", "3", "--vehicles", "6")
+SEARCH = ("--preset", "near", "--candidates", "64", "--rounds", "3", "--vehicles", "6")
 PLANNERS = ("constant-velocity", "ego-status", "idm", "log-replay")
 
 

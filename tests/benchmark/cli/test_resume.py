@@ -14,7 +14,7 @@ from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.hand_made import scene_on_straight_road
 
-SEARCH = ("--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3")
+SEARCH = ("--preset", "near", "--candidates", "16", "--rounds", "1", "--vehicles", "2", "--seed", "3")
 IMAGES = ("--size", "64x40", "--frames", "keyframes", "--workers", "1")
 
 
@@ -79,6 +79,20 @@ def test_killed_in_every_phase(source: Path, undisturbed: dict[str, bytes], tmp_
     kill_at(evaluating(source, tmp_path), tmp_path, made + 2)
     finish(evaluating(source, tmp_path))
     assert bytes_below(tmp_path) == undisturbed
+
+
+def driving(source: Path, out: Path) -> list[str]:
+    split = ["--split", "val", "--workers", "1"]
+    return ["drive", "--data", str(source), "--out", str(out), *split, "--model", "stop", "--agents", "idm"]
+
+
+def test_drives_that_are_killed_go_on(source: Path, tmp_path: Path) -> None:
+    finish(driving(source, tmp_path / "whole"))
+    whole = bytes_below(tmp_path / "whole")
+    for files in (2, 7):
+        kill_at(driving(source, tmp_path / "cut"), tmp_path / "cut", files)
+    finish(driving(source, tmp_path / "cut"))
+    assert bytes_below(tmp_path / "cut") == whole and len(whole) == 5 * 4
 
 
 def test_two_at_once(source: Path, undisturbed: dict[str, bytes], tmp_path: Path) -> None:

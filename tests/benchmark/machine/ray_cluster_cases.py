@@ -9,17 +9,22 @@ from typing import Any
 
 import pytest
 
+from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.errors import InputError
 from benchmark.machine import ray_cluster
 from benchmark.machine.progress import Count
 from benchmark.machine.ray_cluster import Item, RayCluster, Result
 from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.runs.driving import DriveSettings, drive_split
 from generation.build.settings import BuildSettings
 from generation.build.split import build_split
 from generation.search.definition import PackagedPrior
 from generation.search.hyperparameters import HyperParameters
 from generation.sources.town import town_scene
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.fake_data import town_of_two
 from tests.benchmark.machine import units_of_work
+from tests.benchmark.planners import Factory, Remembering
 from tests.generation.labels.recorded_roads import contents, write_source
 
 # Ray leaves sockets and log files to the collector when its nodes are stopped.
@@ -173,3 +178,10 @@ def test_a_build_that_loses_a_node_has_the_bytes_of_local_processes(
     [(there, total)] = loses.lost
     assert 0 < there < total
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
+
+
+def test_drives_on_a_cluster_are_the_same_bytes(executor: RayCluster, tmp_path: Path) -> None:
+    for name, where in (("here", LocalProcesses(1)), ("cluster", executor)):
+        settings = DriveSettings("default", DefaultRides("idm"), "idm", executor=where)
+        drive_split(town_of_two(), "val", Factory(Remembering), tmp_path / name, settings, reopen=town_of_two)
+    assert bytes_below(tmp_path / "here") == bytes_below(tmp_path / "cluster")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 
 from benchmark.encounters.tracks import Tracks
 from benchmark.geometry import Floats, box_gap
@@ -11,6 +12,7 @@ from benchmark.realism.ctg import Mask, Normalisation, SceneTracks, Version, dev
 from benchmark.realism.divergence import equal_bins, quantile_bins, w1
 from benchmark.realism.features import FEATURES, recorded_runs, runs_of, stretches
 from benchmark.realism.judging import realism_of
+from benchmark.realism.road_edge import RoadEdge
 from benchmark.realism.validity import Faults, faults_of, teleports, validity_rates
 from benchmark.road_map import RoadMap
 from tests.benchmark.encounters.made import SECONDS, along, boxes, ego, scene
@@ -188,3 +190,13 @@ def test_agents_that_appear_late_or_stand_do_not_count() -> None:
 def test_nobody_gives_no_runs() -> None:
     empty = Tracks(SECONDS, ego(3.0), np.empty((0, len(SECONDS), 5)), np.zeros((0, len(SECONDS)), np.bool_), ())
     assert recorded_runs(empty, KEYFRAMES, "vehicle.car") == []
+
+
+def test_how_far_a_body_reaches_over_the_edge_of_the_road() -> None:
+    island = shapely.Polygon([(-50, -50), (50, -50), (50, 50), (-50, 50)], [[(10, -2), (14, -2), (14, 2), (10, 2)]])
+    edge = RoadEdge(shapely.MultiPolygon([island]))
+    boxes = np.array([[0.0, 0.0, 4.0, 2.0, 0.0], [49.0, 20.0, 4.0, 2.0, 0.0], [90.0, 0.0, 4.0, 2.0, 0.0],
+                      [0.0, 0.0, 4.0, 2.0, np.pi / 2], [9.0, 0.0, 4.0, 2.0, 0.0]])  # fmt: skip
+    # 8 m to the island, 1 m over, far outside, 9 m to the island, 1 m inside the island's hole.
+    assert edge.beyond(boxes) == pytest.approx([-8.0, 1.0, 5.0, -9.0, 1.0])
+    assert RoadEdge(shapely.MultiPolygon([shapely.box(-99, -99, 99, 99)])).beyond(boxes[:1]) == pytest.approx([-20.0])

@@ -13,8 +13,9 @@ from benchmark.protocols import PROTOCOLS
 from benchmark.runs.judging import judge, plan_of
 from benchmark.runs.plan_rows import plan_scene
 from benchmark.truth import SampleTruth
-from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.hand_made import Car, scene_on_straight_road
 
 ALL = tuple(PROTOCOLS)
 DATA = town_of_two(slow_leader=True)
@@ -96,6 +97,38 @@ def test_what_is_diagnosed_is_what_exact_calls_a_collision(
     without = judge(rows, truths, ("uniad", "vad"))
     assert all(row.diagnosis is None and row.disagreements == {} for row in without)
     assert all(set(row.outcomes) <= {"uniad", "vad"} for row in without)
+
+
+def test_plans_are_severe_where_they_touch_somebody(
+    rows: list[dict[str, Any]], truths: tuple[SampleTruth, ...]
+) -> None:
+    judged = judge(rows, truths, ("exact",), scene=DATA.scene(SCENE))
+    assert judged[3].severity is None and judged[3].status == "failed"
+    touched = [row for row in judged if row.severity is not None and row.severity.contact is not None]
+    # Later the recorded ego itself is inside the leader: no plan can be blamed for that.
+    diagnosed = [row.index for row in judged if row.diagnosis is not None and row.diagnosis.first_contact_s > 0.1]
+    assert [row.index for row in touched] == diagnosed and diagnosed
+    for row in touched:
+        assert row.severity is not None and row.severity.contact is not None and row.diagnosis is not None
+        assert (row.severity.contact.agent, row.severity.contact.time_s) == (
+            row.diagnosis.hit,
+            row.diagnosis.first_contact_s,
+        )
+        # The ego runs into a slow leader at 8 m/s.
+        assert row.severity.contact.kind == "front" and row.severity.contact.impact_speed_m_s == pytest.approx(6.0)
+        assert row.severity.contact.at_fault is True and row.severity.near is None
+
+
+def test_who_comes_from_the_side_is_nobodys_fault_without_a_map(tmp_path: Any) -> None:
+    """The other changes into the ego's lane from the left while the ego drives in the middle of its own."""
+    data = FakeData({"side": scene_on_straight_road((Car(50.0, 204.25, 9.0, -0.12),), name="side", ego_speed=9.0)})
+    made = plan_scene(Straight(), data, "side", tmp_path / "rows.jsonl", "key", fresh=True).rows
+    found = {}
+    for scene in (None, data.scene("side")):
+        judged = judge(made, data.truth("side"), ("exact",), scene=scene)
+        contacts = [row.severity.contact for row in judged if row.severity is not None and row.severity.contact]
+        found[scene is None] = [contact.at_fault for contact in contacts if contact.kind == "lateral"]
+    assert found[True] and set(found[True]) == {None} and set(found[False]) == {False}
 
 
 def test_forecasts_reach_the_diagnosis_and_the_record(tmp_path: Any, truths: tuple[SampleTruth, ...]) -> None:

@@ -144,6 +144,8 @@ def test_records_of_schema_1_are_rescored(tmp_path: Path) -> None:
     assert new.summary.protocols["exact"] == old.summary.protocols["exact"]
     assert any(row.diagnosis for row in new.rows)
     assert {(row.place, row.speed_m_s) for row in old.rows} == {(None, None)}
+    assert {row.severity for row in old.rows} == {None}
+    assert all((row.severity is not None) == (row.status == "ok") for row in new.rows)
     assert {row.place for row in new.rows} == {"straight"} and all(row.speed_m_s == 8.0 for row in new.rows)
     assert {tuple(facts.light or ()) for facts in new.run.scene_facts.values()} == {("day",)}
     assert rescore(directory, DATA, protocols=ALL) == new

@@ -9,7 +9,7 @@ from benchmark.drivers.reaction import Driver
 from benchmark.drivers.rules import HARDEST_BRAKING
 from benchmark.encounters.contacts import ContactKind
 from benchmark.encounters.tracks import Tracks
-from benchmark.severity.attack import Attack, AttackSuccess, attack_success
+from benchmark.severity.attack import Attack, AttackSuccess, any_known, attack_success
 from benchmark.severity.encounter import severity_of
 from benchmark.severity.impact import impact_of
 from tests.benchmark.encounters.made import CAR, SECONDS, along, boxes, ego, scene
@@ -68,10 +68,23 @@ def test_an_impact_in_numbers() -> None:
 
 def test_attack_success_in_three_readings() -> None:
     attacks = [
-        Attack.of(None, True),
-        Attack.of(False, True),
-        Attack.of(True, False),
-        Attack.of(True, True),
+        Attack.of(False, None, True),
+        Attack.of(True, False, True),
+        Attack.of(True, True, False),
+        Attack.of(True, True, True),
     ]
     assert attack_success(attacks) == AttackSuccess(4, 0.75, 0.5, 0.25)
     assert attack_success([]) == AttackSuccess(0, None, None, None)
+
+
+def test_what_nobody_can_tell_is_in_no_share() -> None:
+    unjudged, side = Attack.of(True, True, None), Attack.of(True, None, True)
+    assert (unjudged.at_fault, unjudged.attributable) == (True, None)
+    assert (side.at_fault, side.attributable) == (None, None)
+    # Nothing can be attributed to a planner in a scene in which the careful human fares no better.
+    assert Attack.of(True, None, False).attributable is False
+    assert Attack.of(False, None, None) == Attack(False, False, None)
+    assert attack_success([unjudged, side]) == AttackSuccess(2, 1.0, 1.0, None)
+    assert attack_success([unjudged, side, Attack.of(False, None, True)]) == AttackSuccess(3, 2 / 3, 0.5, 0.0)
+    assert any_known([False, None, True]) is True and any_known([False, None]) is None
+    assert any_known([False]) is False and any_known([]) is False

@@ -7,11 +7,14 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from benchmark.datasets.judged import JUDGEMENTS_FILE, stored_judgements, stored_realism
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
+from benchmark.judging.realism import OWN_TOWN_REASON
 from benchmark.machine.workers import LocalProcesses
 from benchmark.machine.workspace import is_finished
 from benchmark.protocols.exact import Exact
+from benchmark.records.attempts import read_attempts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 from generation.build.settings import BuildSettings
@@ -270,3 +273,36 @@ def test_without_a_map_there_is_nothing_to_drive_on(source: DataSet, tmp_path: P
         expansion.unlink()
     with pytest.raises(InputError, match=r"no map expansion for scene-9901 \(2 of 2 scenes\)"):
         build(open_data(root), tmp_path / "out")
+
+
+def test_what_is_said_of_each_scene_lies_beside_the_tables_and_in_no_fingerprint(built: Path, tmp_path: Path) -> None:
+    data = open_data(built)
+    names = data.scene_names("adv")
+    stored = stored_judgements(data.root, data.version)
+    assert set(stored) == set(names)
+    rows = {row.written: row for row in read_attempts(built / "attempts.jsonl") if row.written is not None}
+    assert {name: rows[name].judgements for name in names} == stored
+    assert all(facts.judgement is not None for facts in data.scene_facts(names).values())
+    realism = stored_realism(data.root, data.version)
+    # The hand-made road says that it is our own town.
+    assert realism is not None and realism.not_compared == OWN_TOWN_REASON and realism.adversaries == len(names)
+    made = json.loads((built / data.version / "challenger.json").read_text())
+    assert all("judgements" not in entry["report"] for entry in made["scenes"].values())
+    shutil.copytree(built, tmp_path / "copy")
+    (tmp_path / "copy" / data.version / JUDGEMENTS_FILE).unlink()
+    assert open_data(tmp_path / "copy").fingerprint() == data.fingerprint()
+
+
+def test_it_is_said_how_many_scenes_nobody_could_have_avoided(
+    source: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("generation.search.verify.unsolvable", lambda judgements: True)
+    with pytest.raises(NothingSurvivedError) as nothing:
+        build(source, tmp_path / "dropped", scenes=("scene-9901",))
+    report = nothing.value.report
+    assert report.unsolvable == {"dropped": report.discarded["unsolvable"], "written": 0}
+    assert report.discarded["unsolvable"] > 0 and "dropped for it, 0 among those written" in report.summary()
+    monkeypatch.setattr("generation.build.report.unsolvable", lambda judgements: True)
+    settings = replace(CHEAP, out=tmp_path / "kept", hyper=replace(HYPER, solvable=False), scenes=("scene-9901",))
+    kept = build_split(source, "adv", settings)
+    assert kept.unsolvable == {"dropped": 0, "written": len(kept.written)} and kept.written

@@ -10,10 +10,10 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats, boxes_overlap, to_local, wrap_angle
 from benchmark.machine.storage import canonical_json
 from generation.search.adversary import Searched, attempts_together, scene_identity
-from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
 from generation.search.planning import Planning
 from generation.search.recorded_ego import log_replay_contacts
+from generation.search.recorded_motion import in_canvas
 from generation.search.verify import Discard
 from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.generation.search.one_vehicle import attempt
@@ -215,3 +215,28 @@ def slowly(waypoints: Floats, rng: np.random.Generator) -> Floats:
     while time.process_time() < until:
         pass
     return unchanged(waypoints, rng)
+
+
+def test_a_kept_scene_is_judged_on_its_generated_track(kept: Searched) -> None:
+    (judged,) = kept.attempt.judgements
+    assert (judged.adversary, judged.tracks, judged.has_map) == (kept.attempt.agent, "generated", True)
+    assert judged.drivers["recorded"].survives and not judged.unsolvable
+    assert judged.faults is not None and judged.faults.unknown == {} and judged.faults.beyond_limits is False
+    assert judged.encounter is not None and kept.attempt.closest_approach is not None
+    # One looks every 0.1 s, the other at 12 Hz.
+    assert judged.encounter.least_gap_m == pytest.approx(kept.attempt.closest_approach.gap_m, abs=0.3)
+
+
+def test_what_nobody_could_have_avoided_is_dropped_unless_it_is_asked_for(
+    kept: Searched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("generation.search.verify.unsolvable", lambda judgements: len(judgements) == 1)
+    dropped = run(seed=kept.attempt.seed)
+    assert dropped.finding is not None and dropped.finding.reason is Discard.UNSOLVABLE and dropped.scene is None
+    said = dropped.attempt
+    assert (said.kept, said.discard, said.challenge) == (False, "unsolvable", 0.0) and said.labels is not None
+    # There is another chance, and what was judged says why.
+    assert said.tries == HYPER.tries and len(said.judgements) == 1
+    asked = run(seed=kept.attempt.seed, hyper=replace(HYPER, solvable=False))
+    assert asked.kept and asked.attempt == kept.attempt
+    np.testing.assert_array_equal(asked.poses, kept.poses)

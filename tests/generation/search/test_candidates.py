@@ -7,13 +7,12 @@ from benchmark.scene import Scene
 from generation.search.candidates import (
     NotTried,
     draw,
-    drives_forward,
-    initial_state,
     launch_frame,
     unfit,
 )
 from generation.search.eligibility import eligibility_of
 from generation.search.hyperparameters import HyperParameters
+from generation.search.recorded_motion import drives_forward, initial_state
 from tests.generation.search.one_vehicle import choose
 from tests.hand_made import Car, scene_on_straight_road
 

@@ -65,7 +65,7 @@ def test_every_setting_of_the_presets_that_differs_from_ours_is_meant() -> None:
     }
     both = {
         "staying_preference", "tries", "lookahead_frames", "lookahead_challenge_weight", "clearance_m", "headway_s",
-        "raster_ego", "best_of_all_rounds", "motion", "launch", "discards",
+        "raster_ego", "best_of_all_rounds", "motion", "launch", "discards", "solvable",
     }  # fmt: skip
     assert differing["reference"] == both | {"stable_softmax", "init_least", "score", "choice"}
     assert both | {"varied", "parked", "collision_reading"} <= differing["paper"]

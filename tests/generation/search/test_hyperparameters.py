@@ -1,4 +1,5 @@
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,8 +8,25 @@ from benchmark.dynamics.bicycle import MotionModel, VehicleState, simulate
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
 from generation.search.hyperparameters import CANDIDATE_FRAMES, CollisionReading, HyperParameters
+from generation.search.threat_settings import ThreatSettings
 
-YOUNGER = ("timestep_frames", "varied", "init_least", "score", "motion", "choice", "launch", "discards")
+YOUNGER = (
+    "timestep_frames",
+    "varied",
+    "init_least",
+    "score",
+    "motion",
+    "choice",
+    "launch",
+    "discards",
+    "manoeuvre_weight",
+)
+THREAT: dict[str, Any] = asdict(ThreatSettings())
+
+
+def other(value: float | bool) -> str:
+    """Another value of a setting, as text."""
+    return str(not value).lower() if isinstance(value, bool) else str(value + 0.5)
 
 
 def test_settings_change_by_text() -> None:
@@ -35,7 +53,7 @@ def test_settings_change_by_text() -> None:
         ("timestep_frames=0", "at least 1"),
         ("timestep_frames=9", "not be more than 96 together"),
         ("score=mine", "one of appendix, reference"),
-        ("launch=now", "one of near, start, reference"),
+        ("launch=now", "one of near, start, reference, reach"),
         ("stopping_m_s2=0", "must be positive"),
         ("half_extent_m=-50", "must be positive"),
         ("init_scale=-1", "must not be negative"),
@@ -68,18 +86,27 @@ def test_the_reference_scores_every_pose_and_counts_frames_as_seconds() -> None:
     assert (reference.varied, reference.best_of_all_rounds, reference.stable_softmax) == (True, False, False)
 
 
-def test_younger_settings_at_their_defaults_leave_kept_work_where_it_was() -> None:
+def test_younger_settings_that_change_nothing_leave_kept_work_where_it_was() -> None:
     """The key of the settings that were kept before there were any of them."""
-    said = {name: value for name, value in asdict(HyperParameters()).items() if name not in YOUNGER}
-    assert HyperParameters().fingerprint == content_key(said)
+    before = HyperParameters(**THREAT)
+    said = {name: value for name, value in asdict(before).items() if name not in (*YOUNGER, *THREAT, "solvable")}
+    assert before.fingerprint == content_key(said)
     keys = {each.fingerprint for each in (HyperParameters(), HyperParameters.paper(), HyperParameters.reference())}
     assert len(keys) == 3
     for assignment in (
         "timestep_frames=2", "varied=false", "init_least=0.02", "score=reference", "motion=unlimited",
-        "choice=reference", "launch=start", "discards=paper",
+        "choice=reference", "launch=start", "discards=paper", "manoeuvre_weight=1",
     ):  # fmt: skip
         keys.add(HyperParameters().changed([assignment]).fingerprint)
     assert len(keys) == 3 + len(YOUNGER)
+    keys |= {HyperParameters().changed([f"{name}={other(value)}"]).fingerprint for name, value in THREAT.items()}
+    assert len(keys) == 3 + len(YOUNGER) + len(THREAT)
+
+
+def test_what_is_kept_as_solvable_moves_no_track_and_the_presets_do_not_ask() -> None:
+    kept = HyperParameters().changed(["solvable=false"])
+    assert HyperParameters().solvable and kept.fingerprint == HyperParameters().fingerprint
+    assert not HyperParameters.paper().solvable and not HyperParameters.reference().solvable
 
 
 def test_the_longest_look_ahead_is_as_long_as_a_candidate() -> None:

@@ -6,13 +6,14 @@ import pytest
 from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.dynamics.driver_limits import broken_limit
 from benchmark.geometry import Floats, boxes_overlap
+from benchmark.judging.scenes import TracksAtHand, judge_scene
 from benchmark.scene import Scene
 from generation.labels.labelling import Side, closest_approach, side_of, times_to_collision
-from generation.search.candidates import in_canvas
 from generation.search.hyperparameters import HyperParameters
 from generation.search.ranking import challenge_score, ranked
 from generation.search.recorded_ego import log_replay_contacts
-from generation.search.verify import Discard, contacts, verify
+from generation.search.recorded_motion import in_canvas
+from generation.search.verify import Discard, Finding, contacts, unfair, verify
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = HyperParameters()
@@ -183,3 +184,23 @@ def test_ranking_keeps_the_best_of_each_scene_whatever_the_order() -> None:
 
 def test_short_tracks_pass_the_motion_check() -> None:
     assert broken_limit(np.zeros((2, 5)), DriverLimits()) is None
+
+
+def test_a_scene_that_a_careful_human_does_not_survive_is_dropped_where_that_is_asked() -> None:
+    """The careful human brakes for a slow car ahead, and whoever tailgates runs into it; the recorded ego drives on."""
+    slow_ahead = Car(87.0, 198.25, 4.0)
+    scene = with_track(x=50.0 - 0.5 * (4.084 + 4.6) - 0.8, y=198.25, others=(slow_ahead,))
+    asking = replace(HYPER, careful_survives=True)
+    assert verdict(scene) is None
+    finding = judged(scene, asking)
+    assert finding is not None and finding.reason is Discard.CAREFUL_COLLIDES
+    assert finding.other == scene.agents.ids[0]
+    assert finding.frame is not None and scene.seconds[finding.frame] > 7.0
+    beside = with_track(x=52.0, y=194.75, others=(slow_ahead,))
+    assert judged(beside, asking) is None
+    assert judged(scene, HYPER) is None
+
+
+def judged(scene: Scene, hyper: HyperParameters) -> Finding | None:
+    """Whether it asks too much of the ego."""
+    return unfair(scene, judge_scene(scene, TracksAtHand(generated=True, launches={scene.agents.ids[0]: START})), hyper)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmark.datasets.judged import stored_judgements
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.geometry import box_corners
@@ -249,3 +250,31 @@ def test_what_cannot_be_frozen_is_said_before_the_search(source: DataSet, tmp_pa
         with pytest.raises(InputError, match=word):
             build_split(source, split, replace(CHEAP, out=tmp_path / "out", freeze=file))
     assert not (tmp_path / "out").exists() and json.loads(other.read_text()) == {"mine": 1}
+
+
+def test_frozen_scenes_are_judged_where_they_are_written_and_kept_as_frozen(
+    source: DataSet, split: NamedSplit, built: Path, folder: Path, tmp_path: Path
+) -> None:
+    data = open_data(built)
+    judged = stored_judgements(data.root, data.version)
+    searched = stored_judgements(folder / "searched", data.version)
+    assert set(judged) == set(data.scene_names("adv"))
+    for name, (said,) in judged.items():
+        (before,) = searched[name]
+        assert said.tracks == "generated" and said.adversary == before.adversary
+        # A millimetre moves no verdict here, and no limit is broken by it.
+        assert {driver: run.survives for driver, run in said.drivers.items()} == {
+            driver: run.survives for driver, run in before.drivers.items()
+        }
+        assert said.faults == before.faults
+    work = built / ".challenger" / "judgements"
+    assert len(list(work.iterdir())) == len(judged)
+    bare = replace(BUILT, out=tmp_path / "built", renderer=None, executor=LocalProcesses(2))
+    report = build_frozen(source, split, bare)
+    again = open_data(tmp_path / "built")
+    assert stored_judgements(again.root, again.version) == judged and report.unsolvable == ()
+    assert "scenes that nobody could have avoided: 0, kept as frozen" in report.summary()
+    # Judged once: what was judged is kept.
+    for path in (tmp_path / "built" / ".challenger" / "judgements").iterdir():
+        path.write_text(path.read_text().replace('"unsolvable":false', '"unsolvable":true'))
+    assert len(build_frozen(source, split, bare).unsolvable) == len(judged)

@@ -13,10 +13,13 @@ from benchmark.machine.storage import content_key, content_seed
 from benchmark.metrics.disagreement import MISS
 from benchmark.planning import Command, PlanFrame
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
+from benchmark.records.judgement import JudgementSummary
 from benchmark.records.row_schema import DiagnosisRow, DrivingRow, ForecastRow, OutcomeRow, PlanRow, SampleRow
 from benchmark.records.run import write_record
 from benchmark.records.run_schema import DataFacts, SceneFacts
+from benchmark.severity.plans import plan_severities
 from benchmark.truth import SampleTruth
+from tests.benchmark.metrics.made_attacks import judged
 from tests.leaderboard.site.made_scenes import MadeScene
 
 NEAR_M = 30.0
@@ -98,6 +101,7 @@ def _sample(scene: MadeScene, index: int, lidar: Floats, places: Floats, there: 
         annotated=annotated[near],
         has_points=annotated[near],
         has_lidar_points=annotated[near],
+        adversaries=frozenset({scene.agent(len(scene.others.categories) - 1)} if scene.manoeuvre is not None else ()),
     )
 
 
@@ -143,7 +147,15 @@ def run(
         "split": split,
         "scenes": [scene.name for scene in scenes],
         "scenes_in_split": len(scenes),
-        "scene_facts": {scene.name: SceneFacts(source=scene.source, manoeuvre=scene.manoeuvre) for scene in scenes},
+        "scene_facts": {
+            scene.name: SceneFacts(
+                source=scene.source,
+                manoeuvre=scene.manoeuvre,
+                adversaries=int(scene.manoeuvre is not None),
+                judgement=None if scene.manoeuvre is None else _judgement(place),
+            )
+            for place, scene in enumerate(scenes)
+        },
         "config": {"protocols": list(VERSIONS), "seed": 0},
         "environment": {
             "hardware": {"cpu": "made up"},
@@ -152,6 +164,12 @@ def run(
         },
     }
     write_record(folder, facts, rows, VERSIONS, seed=0)
+
+
+def _judgement(place: int) -> JudgementSummary | None:
+    """Every fourth adversarial scene is not judged; of the others the careful human survives every second."""
+    said = None if place % 4 == 3 else judged(place % 2 == 0)
+    return None if said is None else said.model_copy(update={"least_ttc_s": 6.0 - 0.25 * place})
 
 
 def _rows(planner: MadePlanner, found: SceneTruth, seed: int) -> list[SampleRow]:
@@ -166,11 +184,13 @@ def _rows(planner: MadePlanner, found: SceneTruth, seed: int) -> list[SampleRow]
     exact = PROTOCOLS["exact"].evaluate(found.truths, lidar)
     outcomes = {"exact": exact} | {name: _official(name, exact, rng) for name in VERSIONS if name != "exact"}
     by_protocol = {name: each.as_rows() for name, each in outcomes.items()}
+    severe = plan_severities(found.truths, lidar)
     rows = []
     for index, truth in enumerate(found.truths):
-        judged = {name: OutcomeRow(**each[index]) for name, each in by_protocol.items()}
+        verdicts = {name: OutcomeRow(**each[index]) for name, each in by_protocol.items()}
         given = _as_given(planner, waypoints[index], truth)
-        rows.append(_row(truth, None if raises[index] else given, judged, planner, rng))
+        row = _row(truth, None if raises[index] else given, verdicts, planner, rng)
+        rows.append(row if raises[index] else row.model_copy(update={"severity": severe[index]}))
     return rows
 
 

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from benchmark.drawing.palette import ADVERSARY, PLANNERS_ON_DARK, PLANNERS_ON_LIGHT, hexadecimal
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, write_bytes
+from benchmark.metrics.attacks import counted_rows, scene_attacks
+from benchmark.records.judgement import DRIVER_NAMES
 from benchmark.records.run import RunRecord, find_records, scene_failures
 from benchmark.records.scenes import NO_SHEETS, Sheets, StoredSheet, find_sheets
 from benchmark.report.table import Table
@@ -43,7 +45,7 @@ class Made:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     out = tmp_path_factory.mktemp("made")
-    workspace = make_workspace(out, scenes=6, models=3, samples=6)
+    workspace = make_workspace(out, scenes=6, models=3, samples=10)
     return Made(workspace, find_records(out / "runs"), find_sheets(out / "sheets"))
 
 
@@ -52,6 +54,7 @@ def no_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures have tests of their own and take most of the time."""
     monkeypatch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
     monkeypatch.setattr("leaderboard.build.heat_map", lambda *_: b"png")
+    monkeypatch.setattr("leaderboard.build.attack_figures", lambda *_: ())
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +63,7 @@ def folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("leaderboard.build.data_set_figures", lambda name, records: (FIGURE,))
         patch.setattr("leaderboard.build.heat_map", lambda *_: b"png")
+        patch.setattr("leaderboard.build.attack_figures", lambda *_: ())
         found = tmp_path_factory.mktemp("board")
         write_leaderboard(made.records, found, sheets=made.sheets)
         yield found
@@ -102,6 +106,37 @@ def test_scenes_fail_in_the_index_as_in_the_records(made: Made, folder: Path) ->
             assert scenes[record.run.split, scene]["failed"].get(record.planner, 0) == failed_samples
     assert {model["name"] for model in index["models"]} == set(made.workspace.planners)
     assert IMAGE_TAG in made.workspace.planners
+
+
+def test_scenes_are_judged_in_the_index_as_in_the_records(made: Made, folder: Path) -> None:
+    index = value_of((folder / "site" / INDEX_PATH).read_bytes())
+    assert [name for name, _ in index["drivers"]] == list(DRIVER_NAMES)
+    scenes = {(scene["split"], scene["scene"]): scene for scene in index["scenes"]}
+    assert all(scene["judgement"] is None for (split, _), scene in scenes.items() if split == "val")
+    touched = 0
+    for record in made.records:
+        attacks = scene_attacks(record)
+        for scene in record.run.scenes:
+            shown = scenes[record.run.split, scene]
+            judgement = record.run.scene_facts[scene].judgement
+            if judgement is not None:
+                assert shown["judgement"]["survives"] == [name for name in DRIVER_NAMES if judgement.survives[name]]
+                assert shown["judgement"]["ttc"] == judgement.least_ttc_s
+                assert shown["judgement"]["faults"] == [name.replace("_", " ") for name in judgement.faults]
+            else:
+                assert shown["judgement"] is None
+            rows = [row for row in counted_rows(record) if row.scene == scene and row.severity is not None]
+            contacts = [row.severity.contact for row in rows if row.severity and row.severity.contact]
+            severity = shown["severity"].get(record.planner)
+            if not contacts:
+                assert severity is None or (severity["contacts"] == 0 and severity["deltaV"] is None)
+                continue
+            touched += 1
+            assert severity["contacts"] == len(contacts)
+            assert severity["deltaV"] == round(max(each.delta_v_ego_m_s for each in contacts), 3)
+            assert severity["atFault"] is attacks[scene].verdicts["at_fault"]
+            assert severity["attributable"] is attacks[scene].verdicts["attributable"]
+    assert touched and any(scene["judgement"] for scene in scenes.values())
 
 
 def test_every_scene_has_its_files_and_one_without_a_sheet_says_so(made: Made, folder: Path) -> None:

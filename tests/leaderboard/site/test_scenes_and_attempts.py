@@ -5,6 +5,7 @@ from urllib.parse import quote
 
 from selenium.webdriver.common.by import By
 
+from benchmark.records.judgement import JudgementSummary
 from tests.leaderboard.site.big_workspace import EMOJI, HOSTILE_REASON, IMAGE_TAG, RIGHT_TO_LEFT, SCRIPT_TAG
 from tests.leaderboard.site.browser import Browser
 from tests.leaderboard.site.conftest import Site
@@ -52,6 +53,60 @@ def test_filter_by_who_fails(browser: Browser, site: Site) -> None:
         assert shown == keys(site, failing(site, planner))
         seen.append(len(shown))
     assert len(set(seen)) > 1, "all planners fail the same number of scenes, so this shows nothing"
+
+
+def judgements(site: Site) -> dict[str, JudgementSummary]:
+    """Of the adversarial scenes that somebody judged."""
+    facts = record_of(site, site.made.planners[0], "adv").run.scene_facts
+    return {scene: each.judgement for scene, each in facts.items() if each.judgement is not None}
+
+
+def test_filter_by_who_survives_and_by_faults(browser: Browser, site: Site) -> None:
+    said = judgements(site)
+    safe = [scene for scene, each in said.items() if each.survives["cc"]]
+    faulty = [scene for scene, each in said.items() if "off_road" in each.faults]
+    assert safe and faulty and len(said) < len(site.made.adversarial)
+    browser.open("#/scenes")
+    browser.choose("filter-survives", "cc")
+    assert set(shown_scenes(browser)) == keys(site, safe)
+    browser.choose("filter-survives", "")
+    browser.choose("filter-hits", "cc")
+    assert set(shown_scenes(browser)) == keys(site, set(said) - set(safe))
+    assert query_of(browser)["hits"] == ["cc"]
+    browser.open("#/scenes?verdict=fault%3A%20off%20road")
+    assert set(shown_scenes(browser)) == keys(site, faulty) and browser.value("filter-verdict") == "fault: off road"
+    browser.choose("filter-verdict", "unsolvable")
+    assert shown_scenes(browser) == []
+    browser.open("#/scenes?survives=nobody")
+    assert "nobody" in browser.one("error").text
+
+
+def test_cards_say_who_survives_and_the_most_severe_come_first(browser: Browser, site: Site) -> None:
+    said = judgements(site)
+    browser.open("#/scenes?sort=tight&survives=recorded")
+    order = sorted(said, key=lambda scene: said[scene].least_ttc_s or 0.0)
+    assert shown_scenes(browser) == [key_of(scene, "adv") for scene in order]
+    words = [card.text for card in browser.all("judged")]
+    for scene, text in zip(order, words, strict=True):
+        assert ("careful human survives" in text) is said[scene].survives["cc"]
+        assert ("off road" in text) is ("off_road" in said[scene].faults)
+    browser.open("#/scenes?sort=severe&split=adv")
+    shown = browser.js(
+        "return [...document.querySelectorAll('[data-testid=scene-card]')].map((card) =>"
+        " window.CHALLENGER.scenes.find((scene) => scene.key === card.dataset.key)).map((scene) =>"
+        " Math.max(-1, ...Object.values(scene.severity).map((each) => each.deltaV ?? -1)))"
+    )
+    assert (shown == sorted(shown, reverse=True) and shown[0] > 0 > shown[-1]) or shown[0] > shown[-1]
+
+
+def test_a_scene_page_says_who_survives_it_and_how_severe_it_is(browser: Browser, site: Site) -> None:
+    said = judgements(site)
+    scene = next(scene for scene in said if not said[scene].survives["cc"])
+    browser.open(f"#/scene/{key_of(scene, 'adv')}")
+    browser.one("table-severity")
+    facts = browser.js("return document.querySelector('dl.facts').innerText;")
+    assert "not survived by" in facts and "careful human" in facts and "off road" in facts
+    assert "+1.3 s from when somebody could have reacted" in facts
 
 
 def test_text_filter_finds_names_of_any_script(browser: Browser, site: Site) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.records.planner_versions import labelled
-from benchmark.records.row_schema import CAUSES, DiagnosisRow
+from benchmark.records.row_schema import CAUSES, DiagnosisRow, SampleRow
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import SceneFacts
 from benchmark.report.cells import UNDEFINED, Cell, number
@@ -21,6 +21,7 @@ from leaderboard.tables.contents import data_set_tables, generation_tables
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.standing import standing_tables
+from tests.benchmark.metrics.made_attacks import contact, judged, near, with_realism
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, LATE, hand_made
 from tests.leaderboard.made_up import study, workspace_sheets
 from tests.leaderboard.tables.test_quality import made
@@ -35,19 +36,30 @@ SPLITS: dict[str, dict[str, list[str | None]]] = {
 
 def explained(record: RunRecord) -> RunRecord:
     """Its collisions are diagnosed, its scenes have sources and manoeuvres."""
-    rows, turn = [], 0
+    rows: list[SampleRow] = []
+    turn = 0
     for row in record.rows:
         if row.status == "ok" and any(row.outcomes["exact"].collision):
             cause = CAUSES[turn % len(CAUSES)]
             diagnosis = DiagnosisRow(cause=cause, reason="plan hits forecast", hit="a", first_contact_s=1.0)
             row, turn = row.model_copy(update={"diagnosis": diagnosis}), turn + 1
+        if row.status == "ok":
+            touches = any(row.outcomes["exact"].collision)
+            severity = contact("fFrs"[len(rows) % 4]) if touches else near(row.index)
+            row = row.model_copy(update={"severity": severity})
         rows.append(row)
     facts = {
-        name: SceneFacts(source=name.partition("-")[0], manoeuvre="cut-in-left" if "0" in name else "tailgating")
+        name: SceneFacts(
+            source=name.partition("-")[0],
+            manoeuvre="cut-in-left" if "0" in name else "tailgating",
+            adversaries=1,
+            judgement=judged({"s0-1": True, "s0-2": False}.get(name)),
+        )
         for name in record.run.scenes
     }
     run = record.run.model_copy(update={"scene_facts": facts if record.run.split == "adv" else {}})
-    return replace(record, run=run, rows=tuple(rows))
+    whole = replace(record, run=run, rows=tuple(rows))
+    return with_realism(whole, 0.8) if record.run.split == "adv" else whole
 
 
 def with_seed(record: RunRecord, seed: int) -> RunRecord:

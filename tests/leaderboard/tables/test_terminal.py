@@ -67,7 +67,9 @@ def test_every_cell_of_a_table_is_somewhere_in_its_blocks(tmp_path: Path) -> Non
 
 
 def test_what_an_evaluation_prints_is_average_interval_increase_and_failed_scenes() -> None:
-    for table in run_tables("d", runs(("a", "b"))):
+    tables = [table for table in run_tables("d", runs(("a", "b"))) if table.name != "attack-success"]
+    assert tables
+    for table in tables:
         heads = table.plain(width=80).splitlines()[1]
         assert "planner" in heads and "split" in heads
         for head in ("col. avg", "95 % of avg", "increase", "scenes failed"):

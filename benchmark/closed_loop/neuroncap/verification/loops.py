@@ -1,12 +1,9 @@
 """Whole runs: recordings as the engine reads them, then every state, check and contact with the recorded plans."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmark.closed_loop.neuroncap.actors import Actor
 from benchmark.closed_loop.neuroncap.loop import Engine
 from benchmark.closed_loop.neuroncap.recording import (
     CAN_COLUMNS,
@@ -69,7 +66,7 @@ def compare_loops(comparison: Comparison, folder: Path) -> None:
         stored = NcapArrays.read(folder / _inside(facts, "arrays"))
         given = facts.table("scenario") if facts.known("scenario") else None
         scenario = Scenario() if given is None else Scenario.of(given, facts.path.name)
-        cast, knows = _cast(recording), frozenset(facts.texts("renderer_knows"))
+        cast, knows = Cast.of(recording.actors), frozenset(facts.texts("renderer_knows"))
         for run in facts.objects("runs"):
             if run.known("error"):
                 failed += 1
@@ -77,7 +74,7 @@ def compare_loops(comparison: Comparison, folder: Path) -> None:
             number = run.whole("run") if run.known("run") else 0
             where = f"{facts.path.name}, {run.text('key')}"
             stage = staged(scenario, number, recording.times, cast, CODE)
-            _compare_stage(comparison, stage, scenario, run, stored, where)
+            _compare_stage(comparison, stage, run, stored, where, turning_freely=_optimized(scenario))
             engine = Engine.of(
                 recording,
                 stage,
@@ -142,27 +139,19 @@ def _annotations(stored: NcapArrays, frames: int) -> Annotations:
     )
 
 
-def _cast(recording: Recording) -> Cast:
-    """The renderer's actors: the recording's, in single precision."""
-
-    def single(value: Any) -> Any:
-        return value.astype(np.float32).astype(np.float64)
-
-    actors = recording.actors
-    tracks: dict[str, Actor] = {
-        actor.uuid: replace(actor, size=single(actor.size), poses=single(actor.poses)) for actor in actors
-    }
-    sizes = {uuid: actor.size for uuid, actor in tracks.items()}
-    return Cast({actor.uuid: actor.kind for actor in actors}, sizes, tracks)
-
-
 def _optimized(scenario: Scenario) -> frozenset[str]:
     """Actors on the renderer's own track, beyond whose end the published rotation is noise times 1e5."""
     return frozenset(uuid for actor in scenario.actors if actor.mode == "optimized" for uuid in actor.uuids)
 
 
 def _compare_stage(
-    comparison: Comparison, stage: Staged, scenario: Scenario, run: NcapFacts, stored: NcapArrays, where: str
+    comparison: Comparison,
+    stage: Staged,
+    run: NcapFacts,
+    stored: NcapArrays,
+    where: str,
+    *,
+    turning_freely: frozenset[str],
 ) -> None:
     """Draws, start and end, and the actors as they were sent to the renderer."""
     wrong = [list(draw) for draw in stage.draws] != run.rows("draws")
@@ -178,7 +167,6 @@ def _compare_stage(
     if not same:
         return
     poses = stored.floats(f"{key}_scenario_actor_poses", count, times.shape[1], 4, 4)
-    optimized = _optimized(scenario)
     for number, (actor, facts) in enumerate(zip(stage.actors, run.objects("scenario_actors"))):
         other = actor.uuid != facts.text("uuid") or actor.is_target != facts.flag("is_target")
         comparison.verdicts("loops: who is there, in order", np.array([other]), where=where)
@@ -186,7 +174,7 @@ def _compare_stage(
         place = actor.poses[:, :3, 3]
         name = "loops: positions of the scenario's actors (m)"
         comparison.numbers(name, place, poses[number, :, :3, 3], TOLERANCE, where=where)
-        if actor.uuid not in optimized:
+        if actor.uuid not in turning_freely:
             turned = actor.poses[:, :3, :3]
             name = "loops: directions of the scenario's actors"
             comparison.numbers(name, turned, poses[number, :, :3, :3], TOLERANCE, where=where)

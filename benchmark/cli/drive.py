@@ -1,0 +1,229 @@
+"""``drive``: planners in closed loop."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from benchmark import api
+from benchmark.cli.options import (
+    AddressOption,
+    DataOption,
+    DryRunOption,
+    ExecutorName,
+    ExecutorOption,
+    JsonOption,
+    LimitOption,
+    OutOption,
+    ScenesOption,
+    SeedOption,
+    SplitOption,
+    TablesOption,
+    WideOption,
+    WorkersOption,
+    executor_of,
+    name_list,
+    print_json,
+    say_plan,
+)
+from benchmark.cli.what_next import same_place, say_next
+from benchmark.errors import InputError
+
+if TYPE_CHECKING:
+    from benchmark.records.drives import DriveRecord
+
+BASELINES: Final = ("stop", "constant-velocity", "constant-velocity-on-path", "log-replay", "idm")
+"""Planners that every table has: without them no number of closed loop says much."""
+STEP_MS: Final = 100
+LONGEST_LATENCY_MS: Final = 3000
+
+
+class EngineName(StrEnum):
+    """Who drives plans."""
+
+    DEFAULT = "default"
+    CODE = "neuroncap@code"
+    PAPER = "neuroncap@paper"
+
+
+class AgentsName(StrEnum):
+    """How the others behave."""
+
+    REPLAY = "replay"
+    IDM = "idm"
+
+
+class ScenariosName(StrEnum):
+    """What scenes are driven with, in NeuroNCAP's engine."""
+
+    RECORDED = "recorded"
+    OWN = "own"
+    OFFICIAL = "official"
+
+
+class SensorName(StrEnum):
+    """What cameras see of a driven world."""
+
+    NONE = "none"
+    SCHEMATIC = "schematic"
+
+
+def drive_command(
+    model: Annotated[
+        list[str],
+        typer.Option("--model", metavar="<str>", help="Planner name or package.module:Class; may be repeated."),
+    ] = [],  # noqa: B006 - typer reads the default, nothing changes it
+    split: SplitOption = "adv",
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    engine: Annotated[
+        EngineName, typer.Option(help="Who drives the plans (docs/closed-loop.md).")
+    ] = EngineName.DEFAULT,
+    agents: Annotated[
+        AgentsName, typer.Option(help="The others: their tracks, or keeping distance.")
+    ] = AgentsName.REPLAY,
+    sensor: Annotated[SensorName, typer.Option(help="What cameras see; blind planners have none.")] = SensorName.NONE,
+    scenarios: Annotated[
+        ScenariosName, typer.Option(help="neuroncap: scenes as they are, or scenarios put into them.")
+    ] = ScenariosName.RECORDED,
+    runs: Annotated[int, typer.Option(min=1, help="Runs of each scene; one where nothing is drawn.")] = 1,
+    latency: Annotated[int, typer.Option(min=0, help="Milliseconds after which a plan takes effect.")] = 0,
+    timeout: Annotated[float, typer.Option(min=0.001, help="Seconds that a plan may take.")] = 120.0,
+    baselines: Annotated[
+        bool, typer.Option("--baselines/--no-baselines", help="Also the five that every table has.")
+    ] = True,
+    device: Annotated[
+        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
+    ] = None,
+    precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    scenes: ScenesOption = None,
+    limit: LimitOption = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    executor: ExecutorOption = ExecutorName.LOCAL,
+    address: AddressOption = None,
+    wide: WideOption = False,
+    json_output: JsonOption = False,
+    dry_run: DryRunOption = False,
+) -> None:
+    """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
+    from benchmark.cli.beforehand.data_sets import require_data
+    from benchmark.cli.beforehand.names import require_models
+    from benchmark.cli.beforehand.places import require_place
+    from benchmark.closed_loop.drives.sensors import NoSensor
+    from benchmark.runs.driving import drive_split
+
+    _require_engine(engine, agents, latency, scenarios)
+    names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
+    if not names:
+        raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
+    require_models(model, checkpoint, data=data, device=device, precision=precision)
+    for each in model:
+        _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
+    place = executor_of(executor, address, workers)
+    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
+    require_place(out, "--out")
+    if dry_run and ahead.builds:
+        then = f"drive {', '.join(names)} through {ahead.counted()} of {split}"
+        say_plan(ahead.plan(then), json_output=json_output)
+        return
+    # Planners first: a stranger's class may not be importable, and data may take minutes to build.
+    factories = [
+        api.load_planner(
+            each, checkpoint if each in model else None, data=data, seed=seed, device=device, precision=precision
+        )
+        if each in model
+        else api.load_planner(each, data=data)
+        for each in names
+    ]
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    dataset = api.open_split(source, split, out, workers=workers)
+    how = api.drive_settings(
+        split,
+        engine=engine.value,
+        agents=agents.value,
+        sensor=sensor.value,
+        latency_ms=latency,
+        scenarios=scenarios.value,
+        runs=runs,
+        scenes=name_list(scenes),
+        limit=limit,
+        executor=place,
+        timeout_s=timeout,
+        seed=seed,
+    )
+    settings = [how if api.looks_at_images(each.facts.name) else replace(how, sensor=NoSensor()) for each in factories]
+    root = api.workspace(out).drive_root()
+    if dry_run:
+        from benchmark.runs.drive_estimate import estimate
+
+        said = [estimate(dataset, split, *each, root) for each in zip(factories, settings, strict=True)]
+        say_plan(said, json_output=json_output)
+        return
+    records = [
+        drive_split(dataset, split, planner, root, own) for planner, own in zip(factories, settings, strict=True)
+    ]
+    sound = _show(records, wide=wide, json_output=json_output)
+    say_next(
+        f"records: {', '.join(str(record.directory) for record in records)}",
+        (f"eval --split {split}{same_place(data, out, tables)}", "the same planners in open loop"),
+        json_output=json_output,
+    )
+    if not sound:
+        raise typer.Exit(1)
+
+
+def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenarios: ScenariosName) -> None:
+    """Refuse what NeuroNCAP's engine has not, and a latency that no engine has."""
+    if engine is not EngineName.DEFAULT:
+        if agents is not AgentsName.REPLAY:
+            raise InputError(
+                f"actors of {engine.value} never react; leave --agents {agents.value} out or take --engine default"
+            )
+        if latency:
+            raise InputError(f"{engine.value} has no latency; leave --latency out or take --engine default")
+    elif scenarios is not ScenariosName.RECORDED:
+        raise InputError(f"--scenarios {scenarios.value} are of NeuroNCAP's engine; add --engine neuroncap@code")
+    if latency % STEP_MS or latency > LONGEST_LATENCY_MS:
+        raise InputError(
+            f"--latency {latency} is no multiple of {STEP_MS} ms up to {LONGEST_LATENCY_MS}: the engine's steps are "
+            f"{STEP_MS} ms and a plan is 3 s long"
+        )
+
+
+def _require_sight(name: str, sensor: SensorName) -> None:
+    """Refuse to drive a built-in planner blindly that looks at images."""
+    if sensor is SensorName.NONE and api.is_known_to_look(name):
+        raise InputError(f"{name} looks at images, and --sensor none has none; add --sensor schematic")
+
+
+def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) -> bool:
+    """Print the tables; whether no planner failed."""
+    from leaderboard.tables.drives import drive_tables, said_of_failures
+
+    if json_output:
+        print_json(
+            [
+                {
+                    "directory": str(record.directory),
+                    "planner": record.planner,
+                    "status": record.facts.status,
+                    "measured": record.facts.measured.model_dump(mode="json"),
+                    "runs": record.facts.runs,
+                    **record.summary.model_dump(mode="json", by_alias=True),
+                }
+                for record in records
+            ]
+        )
+    else:
+        for table in drive_tables(records):
+            typer.echo(table.plain(wide=wide))
+    partial = [record for record in records if not record.complete]
+    for record in partial:
+        typer.echo(f"{said_of_failures(record)}; no number counts them", err=True)
+    return not partial

@@ -1,0 +1,127 @@
+"""Films of drives: ``film --drives``, which puts engine, renderer and films together."""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmark import api
+from benchmark.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from benchmark.closed_loop.drives.sensors import Sensor
+    from benchmark.records.drive_schema import DriveRow
+    from benchmark.records.drives import DriveRecord
+    from leaderboard.films.film import FilmSettings
+    from leaderboard.films.filming import FilmFormat, Watch
+
+
+@dataclass(frozen=True, slots=True)
+class AskedDrives:
+    """Which drives are filmed.
+
+    Attributes:
+        data: Name or root of the data set.
+        split: The split.
+        out: Output folder.
+        records: Folders of records, if not all drives of the output folder.
+        models: Planners; all by default.
+        scenes: Scenes; all by default.
+        limit: Only so many drives of each record.
+        tables: Folder of tables of the data set.
+    """
+
+    data: str
+    split: str
+    out: Path
+    records: Sequence[Path] | None
+    models: Sequence[str]
+    scenes: Sequence[str] | None
+    limit: int | None
+    tables: str | None = None
+
+
+def drive_films(
+    asked: AskedDrives, to: Path, form: "FilmFormat", settings: "FilmSettings", watch: "Watch"
+) -> Iterator[Path]:
+    """Film drives one after the other.
+
+    Args:
+        asked: Which.
+        to: Folder to write to.
+        form: What is written.
+        settings: How films are made.
+        watch: Shows how far the work is.
+
+    Yields:
+        What was written.
+
+    Raises:
+        InputError: If there is no such drive, the data set is another one, or a film cannot be written.
+    """
+    from benchmark.closed_loop.engines import rides_of
+    from benchmark.runs.drive_sheets import driven_sheet
+    from leaderboard.films.encoding import require_webm
+
+    if form.value == "webm":
+        require_webm()
+    chosen = _chosen(asked)
+    data = api.open_split(api.open_data(asked.data, tables=asked.tables, out=asked.out), asked.split, asked.out)
+    from leaderboard.films.filming import write_drive_film
+
+    for record, name, rows in chosen:
+        measured = record.facts.measured
+        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
+        for row in rows:
+            with tempfile.TemporaryDirectory() as folder:
+                driven = driven_sheet(Path(folder), data, record, row, maker, _sensor(record))
+                yield write_drive_film(driven, record, name, to, form, settings, watch=watch)
+
+
+def _sensor(record: "DriveRecord") -> "Sensor | None":
+    """What drew for the planner; ``None`` where nothing did, or another version of it than there is now."""
+    from generation.render.sensor import SCHEMATIC, SchematicSensor
+
+    measured = record.facts.measured
+    style = measured.sensor_facts.get("style")
+    if measured.sensor != SCHEMATIC or not isinstance(style, str):
+        return None
+    sensor = SchematicSensor(style=style)
+    return sensor if dict(sensor.facts) == measured.sensor_facts else None
+
+
+def _chosen(asked: AskedDrives) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
+    """Records, names of their planners and drives."""
+    from benchmark.records.drives import find_drives
+    from benchmark.records.planner_versions import labels
+    from leaderboard.films.filming import data_set_name
+
+    root = api.workspace(asked.out).drive_root()
+    again = f"make some with: challenger-bench drive --data {asked.data} --split {asked.split} --out {asked.out}"
+    if asked.records is None and not root.is_dir():
+        raise InputError(f"there are no records of drives below {root}; {again}")
+    data = data_set_name(asked.data)
+    here = [
+        record
+        for record in find_drives(*(asked.records or [root]))
+        if (record.facts.data.name, record.facts.split) == (data, asked.split)
+    ]
+    if not here:
+        raise InputError(f"there are no records of drives of {data} {asked.split}; {again}")
+    found = labels([(record.facts.planner, data, asked.split) for record in here])
+    named = [(record, label or record.planner) for record, label in zip(here, found, strict=True)]
+    known = sorted({name for _, name in named} | {record.planner for record in here})
+    for name in asked.models:
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise InputError(f"no record of drives is of {name}; {hint}there are {', '.join(known)}")
+    kept = [each for each in named if not asked.models or {each[1], each[0].planner} & set(asked.models)]
+    driven = sorted({row.scene for record, _ in kept for row in record.rows})
+    for scene in asked.scenes or ():
+        if scene not in driven:
+            hint = did_you_mean(scene, driven)
+            raise InputError(f"scene {scene} was not driven; {hint}there are {', '.join(driven)}")
+    wanted = set(driven if asked.scenes is None else asked.scenes)
+    rows = [(record, name, [row for row in record.rows if row.scene in wanted][: asked.limit]) for record, name in kept]
+    return [each for each in rows if each[2]]

@@ -1,0 +1,139 @@
+"""A planner asked for one plan of a drive: what it raises, answers wrongly or takes too long for is a failure.
+
+A failure has a reason of one word, which tables count, and a text. It is never scored.
+"""
+
+import contextlib
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from types import FrameType
+from typing import Final
+
+import numpy as np
+
+from benchmark.planning import Observation, Plan, Planner, reads_message_after
+from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, traceback_text
+
+DEFAULT_TIMEOUT_S: Final = 120.0
+"""For one plan; nobody drives with so old a plan, so that this ends what hangs."""
+
+
+class Reason(StrEnum):
+    """Why a drive failed."""
+
+    RAISED = "raised"
+    NO_PLAN = "no plan"
+    UNUSABLE = "unusable plan"
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why there is no plan.
+
+    Attributes:
+        reason: In a word.
+        text: What was raised, or what is wrong.
+    """
+
+    reason: Reason
+    text: str
+
+
+class PlanTimeoutError(BaseException):
+    """Raised inside a planner that takes too long; no `Exception`, so that a planner's own ``except`` lets it pass."""
+
+
+@contextlib.contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Interrupt what takes longer.
+
+    Args:
+        seconds: How long it may take. What does not return to Python is not interrupted; it is late all the same.
+
+    Raises:
+        PlanTimeoutError: After so long.
+    """
+    started = time.monotonic()
+    if threading.current_thread() is not threading.main_thread():
+        # Only the main thread is interrupted by signals.
+        yield
+        _require_in_time(started, seconds)
+        return
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise PlanTimeoutError
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    _require_in_time(started, seconds)
+
+
+def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan | Failure:
+    """Ask for a plan.
+
+    Args:
+        planner: The planner.
+        observation: What it sees.
+        timeout_s: How long it may take.
+
+    Returns:
+        The plan, or why there is none.
+
+    Raises:
+        BrokenImageError: If a picture that it looks at cannot be had: not the planner's fault.
+    """
+    views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
+    ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
+    try:
+        # Stdout belongs to the command (--json); what a planner prints goes to stderr.
+        with contextlib.redirect_stdout(sys.stderr), time_limit(timeout_s):
+            plan = planner.plan(replace(observation, views=views, ego=ego))
+    except PlanTimeoutError:
+        return Failure(Reason.TIMEOUT, f"no plan within {timeout_s:g} s")
+    except BrokenImageError:
+        raise
+    except FAILURES:
+        return Failure(Reason.RAISED, traceback_text())
+    if not isinstance(plan, Plan):
+        said = type(plan).__name__
+        return Failure(Reason.NO_PLAN, f"{planner.name} answered {said}, a planner answers benchmark.planning.Plan")
+    # A plan is checked when it is made; its numbers may have been changed since.
+    if not np.isfinite(plan.waypoints).all():
+        return Failure(Reason.UNUSABLE, "a plan's waypoints must be finite numbers, this one has NaN or infinity")
+    return plan
+
+
+def told(tell: Callable[[], None], timeout_s: float) -> Failure | None:
+    """Tell a planner something.
+
+    Args:
+        tell: Calls it.
+        timeout_s: How long it may take.
+
+    Returns:
+        Why the planner failed, if it did.
+    """
+    try:
+        with contextlib.redirect_stdout(sys.stderr), time_limit(timeout_s):
+            tell()
+    except PlanTimeoutError:
+        return Failure(Reason.TIMEOUT, f"it did not return within {timeout_s:g} s")
+    except FAILURES:
+        return Failure(Reason.RAISED, traceback_text())
+    return None
+
+
+def _require_in_time(started: float, seconds: float) -> None:
+    if time.monotonic() - started > seconds:
+        raise PlanTimeoutError

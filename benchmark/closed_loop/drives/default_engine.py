@@ -1,0 +1,181 @@
+"""The `default` engine as a ride: a scene of any split, driven after a second of priming to its end."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.agents.contract import AgentPolicy
+from benchmark.closed_loop.agents.idm import Idm
+from benchmark.closed_loop.courses import course_of, replay_of
+from benchmark.closed_loop.drives.recorded import ego_columns, recorded_motion
+from benchmark.closed_loop.drives.riding import (
+    Motion,
+    NeuroncapScore,
+    RecordedCan,
+    Touch,
+    UndrivablePlanError,
+    require_room,
+)
+from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US, Ego
+from benchmark.closed_loop.stepping import UndrivablePlanError as UndrivableWaypointsError
+from benchmark.closed_loop.stepping import begin, goes_on, step
+from benchmark.closed_loop.world import Course, Trace, World
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.pdm.motion import headed
+from benchmark.planning import Plan
+from benchmark.scene import Scene
+
+PRIMING_STEPS: Final = 2
+"""Steps in which the ego is the recorded one, so that a planner with a memory has one (NeuroNCAP primes as long)."""
+
+
+def _replay(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[Any]:
+    return replay_of(scene, start_us, end_us)
+
+
+def _idm(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[Any]:
+    return Idm.of(replay_of(scene, start_us, end_us), scene.agents.categories, scene.road_map)
+
+
+POLICIES: Final[dict[str, Callable[[Scene, int, int], AgentPolicy[Any]]]] = {"replay": _replay, "idm": _idm}
+"""How the others behave, by the name that ``--agents`` takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class DefaultRides:
+    """Makes rides of the default engine.
+
+    Attributes:
+        agents: Name of the policy.
+        latency_us: So much later than it was made does a plan take effect.
+    """
+
+    agents: str = "replay"
+    latency_us: int = 0
+
+    @property
+    def draws(self) -> bool:
+        """Neither of its policies draws anything."""
+        return False
+
+    def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
+        """A scene is driven as it is."""
+        return ("",)
+
+    def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultRide":
+        """The ride at its first planning instant.
+
+        Raises:
+            InputError: If the scene is too short, or the policy or the latency is none.
+        """
+        require_room(scene, PRIMING_STEPS + 2)
+        if self.agents not in POLICIES:
+            raise InputError(f"there are no agents {self.agents!r}; there are {', '.join(POLICIES)}")
+        start_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (PRIMING_STEPS, -1))
+        course = course_of(
+            scene,
+            policy=POLICIES[self.agents](scene, start_us, end_us),
+            keyframe=PRIMING_STEPS,
+            seed=run,
+            latency_us=self.latency_us,
+        )
+        first = int(scene.keyframes[0])
+        return DefaultRide(scene, course, begin(course), recorded_motion(scene, first, first))
+
+
+@dataclass(frozen=True, slots=True)
+class DefaultRide:
+    """See `benchmark.closed_loop.drives.riding.Ride`.
+
+    Attributes:
+        scene: The scene.
+        course: What does not change.
+        world: The world where driving starts, then now.
+        motion: Everything so far.
+    """
+
+    scene: Scene
+    course: Course
+    world: World
+    motion: Motion
+
+    @property
+    def start(self) -> int:
+        """Keyframe of the first planning instant."""
+        return 0
+
+    @property
+    def primed(self) -> int:
+        """Planning instants at which the ego is the recorded one."""
+        return PRIMING_STEPS + 1
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether a plan is wanted."""
+        return goes_on(self.course, self.world)
+
+    @property
+    def command(self) -> None:
+        """By the route, as data sets have it."""
+        return
+
+    @property
+    def can(self) -> None:
+        """No row of its own."""
+        return
+
+    @property
+    def touch(self) -> Touch | None:
+        """The first contact."""
+        found = self.world.contact
+        if found is None:
+            return None
+        return Touch(found.time_us, found.agent, found.ego, found.ego_speed, found.other, found.other_velocity)
+
+    def after(self, plan: Plan) -> "DefaultRide":
+        """Half a second later; raises `UndrivablePlanError`."""
+        ticks = len(self.motion.ticks)
+        if ticks <= PRIMING_STEPS:
+            frames = self.scene.keyframes
+            later = recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
+            return replace(self, motion=self.motion.then(later))
+        try:
+            world = step(self.course, self.world, rear_axle_waypoints(plan, float(self.scene.lidar.translation[0])))
+        except UndrivableWaypointsError as error:
+            raise UndrivablePlanError(str(error)) from error
+        assert world.trace is not None
+        later = self._traced(self.world.time_us, world.trace)
+        return replace(self, world=world, motion=self.motion.then(later))
+
+    def finished(self) -> "DefaultRide":
+        """The same: every instant has been checked."""
+        return self
+
+    def neuroncap_score(self) -> NeuroncapScore | None:
+        """None: NNS is NeuroNCAP's."""
+        return None
+
+    def _traced(self, before_us: int, trace: Trace) -> Motion:
+        """The sub-steps of a step."""
+        rows = slice(INSTANTS - 1, None, INSTANTS)
+        boxes = trace.boxes[rows].transpose(1, 0, 2)
+        times = before_us + SUBSTEP_US * np.arange(1, boxes.shape[1] + 1)
+        frames = np.clip(np.searchsorted(self.scene.timestamps_us, times), 0, len(self.scene.timestamps_us) - 1)
+        heights = self.scene.agents.position[:, frames, 2:]
+        ego = np.array([ego_columns(Ego.of_row(row)) for row in trace.egos[INSTANTS::INSTANTS]])
+        return Motion(
+            times_us=times,
+            ego=ego,
+            position=np.concatenate([boxes[..., :2], heights], axis=-1),
+            yaw=boxes[..., 4],
+            present=trace.present[rows].T,
+            ticks=np.array([len(times) - 1]),
+        )
+
+
+def rear_axle_waypoints(plan: Plan, lidar_ahead_m: float) -> Floats:
+    """(6, 2) a plan's first 3 s as positions of the rear axle, x forward, y left, metres."""
+    return np.asarray(headed(plan, lidar_ahead_m)[:, :2])

@@ -1,0 +1,188 @@
+"""The route: the path of the recorded ego, which in closed loop is known, as a road is that one was told to take."""
+
+from dataclasses import dataclass
+from typing import Final, Protocol, Self, runtime_checkable
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
+from benchmark.datasets.sample_truth import command_of
+from benchmark.geometry import Floats, to_local
+from benchmark.planning import Command
+from benchmark.scene import Scene
+
+EXTENSION_M: Final = 100.0
+"""Of the path, straight on where the recording ends."""
+_BACK_M: Final = 10.0
+_AHEAD_M: Final = 40.0
+"""Where along the path the ego may be half a second later: paths cross themselves."""
+_SAME_PLACE_M: Final = 0.1
+_SHORTEST_M: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where beside the route a pose is.
+
+    Attributes:
+        station: Metres along the path.
+        aside: Metres from it.
+    """
+
+    station: float
+    aside: float
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """The recorded path with times.
+
+    Attributes:
+        first_us: Time of the first frame.
+        seconds: (T,) since then.
+        poses: (T, 3) x, y, yaw of the recorded rear axle, global.
+        heights: (T,) of the recorded rear axle, metres.
+        station: (T,) metres along it; equal where it stands.
+        lidar_ahead_m: Lidar origin ahead of the rear axle: commands are about its path.
+        step_seconds: (K,) times of the keyframes.
+    """
+
+    first_us: int
+    seconds: Floats
+    poses: Floats
+    heights: Floats
+    station: Floats
+    lidar_ahead_m: float
+    step_seconds: Floats
+
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """The route of a scene."""
+        poses = scene.ego.pose
+        driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+        return cls(
+            first_us=int(scene.timestamps_us[0]),
+            seconds=scene.seconds,
+            poses=poses,
+            heights=scene.ego.position[:, 2],
+            station=driven,
+            lidar_ahead_m=float(scene.lidar.translation[0]),
+            step_seconds=scene.seconds[scene.keyframes],
+        )
+
+    @property
+    def end_m(self) -> float:
+        """Station of the recording's end."""
+        return float(self.station[-1])
+
+    def seconds_of(self, time_us: int) -> float:
+        """Seconds since the first frame of a time."""
+        return (time_us - self.first_us) * 1e-6
+
+    def place(self, point: Floats, near_m: float | None = None) -> Place:
+        """The nearest point of the path, 100 m of extension included.
+
+        Args:
+            point: (2 or more,) x, y, global.
+            near_m: Station half a second ago, around which alone is looked; the whole path without it.
+
+        Returns:
+            The place.
+        """
+        start, step, station = self._pieces()
+        length = np.hypot(*step.T)
+        share = np.clip(((point[:2] - start) * step).sum(axis=1) / np.maximum(length, _SHORTEST_M) ** 2, 0.0, 1.0)
+        away = np.hypot(*(start + share[:, None] * step - point[:2]).T)
+        if near_m is not None:
+            inside = (station + length >= near_m - _BACK_M) & (station <= near_m + _AHEAD_M)
+            away = np.where(inside, away, np.inf)
+        nearest = int(np.argmin(away))
+        return Place(float(station[nearest] + share[nearest] * length[nearest]), float(away[nearest]))
+
+    def at(self, station: Floats) -> Floats:
+        """(..., 2) points of the path after so many metres; straight on before its start and beyond its end."""
+        start, step, begins = self._pieces()
+        points = np.concatenate([start, start[-1:] + step[-1:]])
+        knots = np.append(begins, begins[-1] + EXTENSION_M)
+        on_path = np.stack([np.interp(station, knots, points[:, axis]) for axis in range(2)], axis=-1)
+        past = np.maximum(np.asarray(station) - knots[-1], 0.0)
+        return np.asarray(on_path + past[..., None] * self._straight_on())
+
+    def height(self, point: Floats) -> float:
+        """Height of the road beside a point (2 or more,): engines are planar, hills are not."""
+        return float(self.heights[np.argmin(np.hypot(*(self.poses[:, :2] - point[:2]).T))])
+
+    def recorded_at(self, seconds: Floats) -> Floats:
+        """(..., 2) where the recorded rear axle is at times; past the end it keeps the motion of its last half second.
+
+        Args:
+            seconds: (...) since the first frame.
+        """
+        inside = np.stack([np.interp(seconds, self.seconds, self.poses[:, axis]) for axis in range(2)], axis=-1)
+        before = np.searchsorted(self.seconds, self.seconds[-1] - PLAN_STEP_S)
+        elapsed = max(float(self.seconds[-1] - self.seconds[before]), _SHORTEST_M)
+        velocity = (self.poses[-1, :2] - self.poses[before, :2]) / elapsed
+        past = np.maximum(np.asarray(seconds) - self.seconds[-1], 0.0)
+        return np.asarray(inside + past[..., None] * velocity)
+
+    def recorded_station(self, seconds: float) -> float:
+        """How far along the path the recorded ego is at a time; at most its end."""
+        return float(np.interp(seconds, self.seconds, self.station))
+
+    def command(self, station: float, seconds: float) -> Command:
+        """The driving command: where the recorded ego went within 3 s of the point at a station.
+
+        The rule is that of data sets (`benchmark.datasets.sample_truth.command_of`), seen from the recorded lidar
+        there. Of a place where it stood for a while, the moment nearest to now counts.
+
+        Args:
+            station: From `place`.
+            seconds: Time now, since the first frame.
+
+        Returns:
+            The command; straight on past the end of the recording.
+        """
+        passed = self._passed(station, seconds)
+        steps = passed + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
+        # Half of a frame's time: keyframes are not to the microsecond half a second apart.
+        valid = steps <= self.step_seconds[-1] + 0.04
+        lidar = self._lidar(np.append(steps, passed))
+        local = to_local(lidar[:-1, :2], lidar[-1])
+        return command_of(np.column_stack([-local[:, 1], local[:, 0]]), valid)
+
+    def _passed(self, station: float, seconds: float) -> float:
+        """When the recorded ego was at a station; of a stay there, the moment nearest to a time."""
+        inside = np.clip(station, 0.0, self.station[-1])
+        first = np.searchsorted(self.station, inside - _SAME_PLACE_M)
+        last = np.searchsorted(self.station, inside + _SAME_PLACE_M, side="right") - 1
+        if last <= first:
+            frame = int(np.clip(np.searchsorted(self.station, inside, side="right") - 1, 0, len(self.station) - 2))
+            length = max(float(self.station[frame + 1] - self.station[frame]), _SHORTEST_M)
+            share = min(float(inside - self.station[frame]) / length, 1.0)
+            return float(self.seconds[frame] + share * (self.seconds[frame + 1] - self.seconds[frame]))
+        return float(np.clip(seconds, self.seconds[first], self.seconds[last]))
+
+    def _lidar(self, seconds: Floats) -> Floats:
+        """(M, 3) recorded lidar poses at times."""
+        columns = [self.poses[:, 0], self.poses[:, 1], np.unwrap(self.poses[:, 2])]
+        poses = np.column_stack([np.interp(seconds, self.seconds, column) for column in columns])
+        poses[:, :2] += self.lidar_ahead_m * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        return poses
+
+    def _pieces(self) -> tuple[Floats, Floats, Floats]:
+        """(M, 2) starts of the path's pieces, (M, 2) their steps and (M,) the stations of their starts."""
+        moved = np.append(np.diff(self.station) > _SHORTEST_M, True)
+        start, station = self.poses[moved, :2], self.station[moved]
+        end = start[-1] + EXTENSION_M * self._straight_on()
+        return start, np.diff(np.concatenate([start, end[None]]), axis=0), station
+
+    def _straight_on(self) -> Floats:
+        return np.array([np.cos(self.poses[-1, 2]), np.sin(self.poses[-1, 2])])
+
+
+@runtime_checkable
+class RouteFollower(Protocol):
+    """A baseline that in closed loop is told the recorded path, with times: it is then about that path alone."""
+
+    def follow(self, route: Route) -> None:
+        """Called after `benchmark.planning.Planner.reset`, before the first plan."""

@@ -1,0 +1,203 @@
+"""The `default` engine: (world, plan) -> world, half a second at a time; no clock, no input, no output.
+
+The order inside a step is fixed:
+
+1. the plan joins those in force, `Course.latency_us` after it was made;
+2. the ego moves: five sub-steps of 0.1 s, by the plan in force at each one's beginning (`following`);
+3. the agents move, sub-step by sub-step, each seeing everybody as they are at its beginning (`Course.policy`);
+4. contact is looked for every 0.05 s; the first one is kept.
+
+Many worlds can be stepped together. That is faster, and changes no byte of any.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.agents.contract import Moment
+from benchmark.closed_loop.following import (
+    INSTANT_US,
+    INSTANTS,
+    SUBSTEP_US,
+    SUBSTEPS,
+    Ego,
+    followed,
+)
+from benchmark.closed_loop.plans_in_force import PlanInForce, coasting
+from benchmark.closed_loop.world import STEP_US, Contact, Course, Trace, World, ego_boxes
+from benchmark.constants import EGO_LENGTH_M, FARTHEST_WAYPOINT_M, LONGEST_PLAN_STEPS, PLAN_STEPS
+from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.machine.storage import content_seed
+
+_ROWS: Final = SUBSTEPS * INSTANTS
+"""Instants of a step."""
+
+
+class UndrivablePlanError(ValueError):
+    """A plan that cannot be driven: the planner failed, and nothing is scored."""
+
+
+def begin(course: Course) -> World:
+    """The world at the start.
+
+    Args:
+        course: What does not change.
+
+    Returns:
+        It; who overlaps the ego here is ignored from then on.
+    """
+    memory, moved = course.policy.init(course.start_us, content_seed(course.seed, course.scene, "agents"))
+    own = ego_boxes(np.array(course.start.row))
+    boxes, present = moved.boxes[-1], moved.present[-1]
+    ignored = np.asarray(present & boxes_overlap(own[None], boxes)) if len(boxes) else np.zeros(0, np.bool_)
+    others = Moment(course.start_us, own, course.start.speed, boxes, present, moved.velocity)
+    return World(0, course.start, others, memory, ignored)
+
+
+def goes_on(course: Course, world: World) -> bool:
+    """Whether a plan is wanted."""
+    return world.contact is None and world.time_us < course.end_us
+
+
+def step(course: Course, world: World, waypoints: Floats) -> World:
+    """Half a second.
+
+    Args:
+        course: What does not change.
+        world: Now.
+        waypoints: (6 to 16, 2) x forward and y left of the rear axle now, metres, 0.5 s apart.
+
+    Returns:
+        The world half a second later.
+
+    Raises:
+        UndrivablePlanError: If these are no such waypoints.
+    """
+    return step_together([course], [world], [waypoints])[0]
+
+
+def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[Floats]) -> list[World]:
+    """Half a second of many worlds; arguments and errors as in `step`, the same bytes as one by one.
+
+    Args:
+        courses: S of them.
+        worlds: S of them.
+        plans: S of them.
+
+    Returns:
+        S worlds.
+    """
+    in_force = [_in_force(course, world, _usable(course, plan)) for course, world, plan in zip(courses, worlds, plans)]
+    egos = _driven(courses, worlds, in_force)
+    moved = (
+        _with_others(course, world, plans_now, np.ascontiguousarray(egos[:, :, index]))
+        for index, (course, world, plans_now) in enumerate(zip(courses, worlds, in_force))
+    )
+    return list(moved)
+
+
+def _usable(course: Course, plan: Any) -> Floats:
+    try:
+        waypoints = np.array(plan, np.float64)
+    except (TypeError, ValueError):
+        raise UndrivablePlanError(f"a plan for {course.scene} is no table of numbers") from None
+    if waypoints.ndim != 2 or waypoints.shape[1] != 2 or not PLAN_STEPS <= len(waypoints) <= LONGEST_PLAN_STEPS:
+        raise UndrivablePlanError(
+            f"a plan for {course.scene} is {waypoints.shape}, not {PLAN_STEPS} to {LONGEST_PLAN_STEPS} waypoints"
+        )
+    if not np.isfinite(waypoints).all() or np.abs(waypoints).max() > FARTHEST_WAYPOINT_M:
+        raise UndrivablePlanError(f"a plan for {course.scene} has NaN, infinity or another world's coordinates in it")
+    return waypoints
+
+
+def _in_force(course: Course, world: World, waypoints: Floats) -> tuple[PlanInForce, ...]:
+    """Plans of this step, by when they take effect; the first one is in force at its beginning."""
+    now = world.time_us
+    new = PlanInForce(now, now + course.latency_us, world.ego.pose, waypoints)
+    plans = (*(world.plans or (coasting(world.ego, now),)), new)
+    first = max(index for index, plan in enumerate(plans) if plan.effect_us <= now)
+    return plans[first:]
+
+
+def _driven(courses: Sequence[Course], worlds: Sequence[World], plans: Sequence[tuple[PlanInForce, ...]]) -> Floats:
+    """(11, 6, S) egos every 0.05 s.
+
+    With a latency a plan may change within the step; such worlds are driven in two parts, by themselves.
+    """
+    egos = np.empty((_ROWS + 1, 6, len(worlds)))
+    changes = [course.latency_us // SUBSTEP_US % SUBSTEPS for course in courses]
+    for change in sorted(set(changes)):
+        group = [index for index, own in enumerate(changes) if own == change]
+        now = np.array([worlds[index].ego.row for index in group]).T
+        for start, stop in ((0, change), (change, SUBSTEPS)):
+            if start == stop:
+                continue
+            times = [worlds[index].time_us + start * SUBSTEP_US for index in group]
+            targets = [
+                _active(plans[index], time).targets(time, column[:3])
+                for index, time, column in zip(group, times, now.T)
+            ]
+            rows = followed(np.ascontiguousarray(now), np.ascontiguousarray(np.stack(targets, axis=-1)), stop - start)
+            egos[start * INSTANTS : stop * INSTANTS + 1, :, group] = rows
+            now = rows[-1]
+    return egos
+
+
+def _active(plans: tuple[PlanInForce, ...], time_us: int) -> PlanInForce:
+    return next(plan for plan in reversed(plans) if plan.effect_us <= time_us)
+
+
+def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], egos: Floats) -> World:
+    """The world after a step of which the ego's part is known, (11, 6)."""
+    own, others, memory = ego_boxes(egos), world.others, world.memory
+    boxes, present, velocities = [], [], []
+    for number in range(SUBSTEPS):
+        row = INSTANTS * number
+        # Making a key costs as much as replaying a sub-step.
+        key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
+        memory, moved = course.policy.act(memory, others, key)
+        boxes.append(moved.boxes)
+        present.append(moved.present)
+        velocities.append(moved.velocity)
+        end = row + INSTANTS
+        time = world.time_us + (number + 1) * SUBSTEP_US
+        others = Moment(time, own[end], float(egos[end, 3]), moved.boxes[-1], moved.present[-1], moved.velocity)
+    trace = Trace(egos, np.concatenate(boxes), np.concatenate(present))
+    contact = world.contact
+    if contact is None:
+        contact = _first_contact(course, world, trace, own[1:], velocities)
+    assert others.time_us == world.time_us + STEP_US
+    return World(world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace)
+
+
+def _first_contact(
+    course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats]
+) -> Contact | None:
+    """The first instant at which somebody overlaps the ego; of several, the first of the list."""
+    hits = _overlaps(own, trace.boxes, trace.present & ~world.ignored)
+    if not hits.any():
+        return None
+    row, agent = (int(index) for index in np.argwhere(hits)[0])
+    return Contact(
+        agent=agent,
+        uuid=course.ids[agent],
+        category=course.categories[agent],
+        time_us=world.time_us + (row + 1) * INSTANT_US,
+        ego=own[row],
+        ego_speed=float(trace.egos[row + 1, 3]),
+        other=trace.boxes[row, agent],
+        other_velocity=velocities[row // INSTANTS][agent],
+    )
+
+
+def _overlaps(own: Floats, boxes: Floats, counted: Bools) -> Bools:
+    """(R, N) who overlaps the ego at which instant; boxes whose circles are apart are not looked at further."""
+    offset = boxes[..., :2] - own[:, None, :2]
+    reach = 0.5 * (np.hypot(boxes[..., 2], boxes[..., 3]) + np.hypot(EGO_LENGTH_M, own[0, 3])) + 1e-6
+    near = counted & (offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
+    hits = np.zeros(near.shape, np.bool_)
+    rows, agents = np.nonzero(near)
+    if len(rows):
+        hits[rows, agents] = boxes_overlap(own[rows], boxes[rows, agents])
+    return hits

@@ -1,0 +1,162 @@
+"""A drive as values: what does not change while it lasts, and the world at one instant."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.agents.contract import AgentPolicy, Moment
+from benchmark.closed_loop.following import SUBSTEP_US, SUBSTEPS, Ego
+from benchmark.closed_loop.plans_in_force import PlanInForce
+from benchmark.constants import EGO_BODY_WIDTH_M, EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M
+from benchmark.encounters.contacts import Pairs
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+
+STEP_US: Final = SUBSTEPS * SUBSTEP_US
+ENGINE: Final = "default"
+_NOT_AGENTS: Final = ("movable_object.", "static_object.")
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What does not change during a drive.
+
+    Attributes:
+        scene: Name.
+        start_us: Time of the first state.
+        end_us: No state from here on is planned from.
+        start: The ego at the start.
+        ids: N agents.
+        categories: Their nuScenes categories.
+        policy: How they behave.
+        seed: Of everything that is drawn.
+        latency_us: So much later than it was made for does a plan take effect.
+
+    Raises:
+        InputError: If the latency is negative or no whole number of sub-steps, or the end is not after the start.
+    """
+
+    scene: str
+    start_us: int
+    end_us: int
+    start: Ego
+    ids: tuple[str, ...]
+    categories: tuple[str, ...]
+    policy: AgentPolicy[Any]
+    seed: int = 0
+    latency_us: int = 0
+
+    def __post_init__(self) -> None:
+        if self.latency_us < 0 or self.latency_us % SUBSTEP_US:
+            raise InputError(
+                f"a latency of {self.latency_us / 1000:g} ms does not divide into steps of {SUBSTEP_US // 1000} ms; "
+                "take a multiple of that, or 0"
+            )
+        if self.end_us <= self.start_us:
+            raise InputError(f"a drive of {self.scene} that ends when it starts has nothing in it; let it end later")
+
+    @property
+    def name(self) -> str:
+        """What is measured: engine, agents, and the latency if there is one."""
+        late = f" +{self.latency_us // 1000} ms" if self.latency_us else ""
+        return f"{ENGINE} {self.policy.name}{late}"
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The first touch of a drive.
+
+    Attributes:
+        agent: Index of the agent.
+        uuid: Its identifier.
+        category: Its nuScenes category.
+        time_us: When; at most 0.05 s after it began.
+        ego: (5,) the ego's box.
+        ego_speed: m/s.
+        other: (5,) the agent's box.
+        other_velocity: (2,) m/s.
+    """
+
+    agent: int
+    uuid: str
+    category: str
+    time_us: int
+    ego: Floats
+    ego_speed: float
+    other: Floats
+    other_velocity: Floats
+
+    @property
+    def pair(self) -> Pairs:
+        """As `benchmark.encounters.contacts` judges it: kind, blame, impact speed, change of velocity."""
+        return Pairs(
+            ego=self.ego[None],
+            ego_speed=np.array([self.ego_speed]),
+            other=self.other[None],
+            other_velocity=self.other_velocity[None],
+            is_agent=np.array([not self.category.startswith(_NOT_AGENTS)]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """What happened in the last step, every 0.05 s: for films, terms of comfort, and whoever asks how.
+
+    Attributes:
+        egos: (11, 6) values of `Ego`, from the state before to this one.
+        boxes: (10, N, 5) of the agents.
+        present: (10, N) who was there.
+    """
+
+    egos: Floats
+    boxes: Floats
+    present: Bools
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Everything at one planning instant.
+
+    Attributes:
+        step: Number of the state, from 0.
+        ego: The ego.
+        others: Everybody else, and when it is.
+        memory: The policy's.
+        ignored: (N,) who overlapped the ego at the start, and never counts.
+        plans: Plans that are in force or will be, by when they take effect.
+        contact: The first touch.
+        trace: Of the step that led here.
+    """
+
+    step: int
+    ego: Ego
+    others: Moment
+    memory: Any
+    ignored: Bools
+    plans: tuple[PlanInForce, ...] = ()
+    contact: Contact | None = None
+    trace: Trace | None = None
+
+    @property
+    def time_us(self) -> int:
+        """When it is."""
+        return self.others.time_us
+
+
+def ego_boxes(egos: Floats) -> Floats:
+    """Body of the recording car.
+
+    Args:
+        egos: (..., 6) values of `Ego`.
+
+    Returns:
+        (..., 5) boxes.
+    """
+    egos = np.asarray(egos, np.float64)
+    boxes = np.empty((*egos.shape[:-1], 5))
+    boxes[..., 0] = egos[..., 0] + EGO_CENTER_FROM_REAR_AXLE_M * np.cos(egos[..., 2])
+    boxes[..., 1] = egos[..., 1] + EGO_CENTER_FROM_REAR_AXLE_M * np.sin(egos[..., 2])
+    boxes[..., 2], boxes[..., 3] = EGO_LENGTH_M, EGO_BODY_WIDTH_M
+    boxes[..., 4] = egos[..., 2]
+    return boxes

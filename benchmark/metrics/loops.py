@@ -1,0 +1,227 @@
+"""Open loop beside closed loop: the same planner on the same scenes, judged by both, from records alone.
+
+Open loop fails a scene where any plan touches a recorded future (`benchmark.records.run.scene_failures`, ``exact``);
+closed loop fails it where the driven ego touched anybody in any run. A scene enters only where both can say.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.metrics.rates import Rate, ratios_over_scenes
+from benchmark.metrics.scores import require_current
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord
+from benchmark.records.planner_versions import version_of
+from benchmark.records.run import RunRecord, scene_failures
+
+OPEN_LOOP: Final = "exact"
+"""Who judges in open loop."""
+FEWEST_RANKED: Final = 3
+"""Below this many planners a rank correlation is 1 or -1 whatever they do."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneLoops:
+    """What both loops say of one planner on one scene.
+
+    Attributes:
+        scene: Its name.
+        source: The recording that it was made from.
+        open_fails: Whether any sample collides in open loop.
+        contact: Share of drives with a contact.
+        at_fault: Share of drives with a contact that the ego is at fault for.
+        first: The drive with a contact that has the lowest run, or ``None``.
+    """
+
+    scene: str
+    source: str
+    open_fails: bool
+    contact: float
+    at_fault: float
+    first: DriveRow | None
+
+    @property
+    def closed_fails(self) -> bool:
+        """Whether there was a contact in any drive."""
+        return self.contact > 0.0
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the scene is failed in one loop and not in the other."""
+        return self.open_fails != self.closed_fails
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerLoops:
+    """One planner in both loops.
+
+    Attributes:
+        drives: Its record of drives.
+        run: Its run record.
+        scenes: Scenes of which both say something, by name.
+        without: Scenes that both have and of which one cannot say.
+        open_rate: Share of scenes failed in open loop.
+        contact: Share of drives with a contact, the mean over scenes.
+        at_fault: Likewise, at fault.
+    """
+
+    drives: DriveRecord
+    run: RunRecord
+    scenes: tuple[SceneLoops, ...]
+    without: tuple[str, ...]
+    open_rate: Rate
+    contact: Rate
+    at_fault: Rate
+
+
+@dataclass(frozen=True, slots=True)
+class RankCorrelation:
+    """How alike two rankings of planners are.
+
+    Attributes:
+        tau: Kendall's tau-b; ``None`` of too few planners, or where one loop cannot tell any two of them apart.
+        planners: How many were ranked.
+        scenes: On how many scenes, which all of them have.
+    """
+
+    tau: float | None
+    planners: int
+    scenes: int
+
+
+def is_stale(record: DriveRecord) -> bool:
+    """Whether drives were scored by another version of the scores than the present one."""
+    return record.facts.scoring != VERSION
+
+
+def run_of(drives: DriveRecord, runs: Sequence[RunRecord]) -> RunRecord | None:
+    """The run record of what drove: same version of the planner, same data, same verdicts of inspectors.
+
+    Args:
+        drives: A record of drives.
+        runs: Run records.
+
+    Returns:
+        The one with most of the driven scenes, or ``None`` where none has any, or was judged by the present ``exact``.
+    """
+    found = [run for run in runs if _same_planner(drives, run) and _judged(run)]
+    driven = set(drives.facts.scenes)
+    shared = [(len(driven & set(run.run.scenes)), run.content_id, run) for run in found]
+    best = max((each for each in shared if each[0]), key=lambda each: each[:2], default=None)
+    return None if best is None else best[2]
+
+
+def planner_loops(drives: DriveRecord, run: RunRecord) -> PlannerLoops:
+    """Both loops of one planner.
+
+    Args:
+        drives: Its record of drives.
+        run: Its run record.
+
+    Returns:
+        What they say. A failed drive or sample that could have shown a contact leaves its scene out, unless another of
+        its drives or samples has one.
+    """
+    verdicts = scene_failures(run.rows, OPEN_LOOP)
+    rows: dict[str, list[DriveRow]] = {}
+    for row in drives.rows:
+        rows.setdefault(row.scene, []).append(row)
+    scenes, without = [], []
+    for scene in sorted(verdicts.keys() & rows.keys()):
+        found = _scene_loops(scene, drives, verdicts[scene], rows[scene])
+        if found is None:
+            without.append(scene)
+        else:
+            scenes.append(found)
+    rates = _rates(scenes, drives.facts.seed)
+    return PlannerLoops(drives, run, tuple(scenes), tuple(without), *rates)
+
+
+def rank_correlation(found: Sequence[PlannerLoops], *, at_fault: bool = False) -> RankCorrelation:
+    """Whether closed loop ranks planners as open loop does; miniatures are not ranked.
+
+    Args:
+        found: Planners of one world.
+        at_fault: Whether only contacts count that the ego is at fault for.
+
+    Returns:
+        Kendall's tau-b between shares of failed scenes and of drives with a contact, over the scenes that all ranked
+        planners have.
+    """
+    ranked = [each for each in found if not each.drives.facts.planner.miniature and each.scenes]
+    common = set.intersection(*({each.scene for each in one.scenes} for one in ranked)) if ranked else set()
+    if len(ranked) < FEWEST_RANKED or not common:
+        return RankCorrelation(None, len(ranked), len(common))
+    shares = np.array([_shares(one.scenes, common, at_fault=at_fault) for one in ranked])
+    return RankCorrelation(kendall_tau(shares[:, 0], shares[:, 1]), len(ranked), len(common))
+
+
+def kendall_tau(first: Floats, second: Floats) -> float | None:
+    """Kendall's tau-b (Kendall 1945): pairs in the same order less pairs in opposite order, ties taken out.
+
+    Args:
+        first: (N,) numbers.
+        second: (N,) numbers of the same things.
+
+    Returns:
+        -1 to 1, or ``None`` where all of one side are equal.
+    """
+    pairs = list(combinations(range(len(first)), 2))
+    one = np.array([np.sign(first[a] - first[b]) for a, b in pairs])
+    other = np.array([np.sign(second[a] - second[b]) for a, b in pairs])
+    told = np.count_nonzero(one) * np.count_nonzero(other)
+    return float((one * other).sum() / np.sqrt(told)) if told else None
+
+
+def _same_planner(drives: DriveRecord, run: RunRecord) -> bool:
+    facts, ran = drives.facts, run.run
+    if (facts.planner.name, facts.data.name, facts.split) != (ran.planner.name, ran.data.name, ran.split):
+        return False
+    review = None if facts.review is None else facts.review.content
+    same_version = version_of(facts.planner) == version_of(ran.planner)
+    return same_version and (facts.data.fingerprint, review) == run.judged_content
+
+
+def _judged(run: RunRecord) -> bool:
+    try:
+        require_current(run, OPEN_LOOP)
+    except InputError:
+        return False
+    return True
+
+
+def _scene_loops(
+    scene: str, drives: DriveRecord, open_fails: bool | None, rows: Sequence[DriveRow]
+) -> SceneLoops | None:
+    driven = [row for row in rows if row.status == "ok"]
+    hits = [row for row in driven if row.contact is not None]
+    if open_fails is None or not driven or (len(driven) < len(rows) and not hits):
+        return None
+    facts = drives.facts.scene_facts
+    blamed = sum(row.contact is not None and row.contact.at_fault for row in hits)
+    return SceneLoops(
+        scene=scene,
+        source=facts[scene].source if scene in facts else scene,
+        open_fails=open_fails,
+        contact=len(hits) / len(driven),
+        at_fault=blamed / len(driven),
+        first=min(hits, key=lambda row: row.run, default=None),
+    )
+
+
+def _rates(scenes: Sequence[SceneLoops], seed: int) -> list[Rate]:
+    values = np.array([[each.open_fails, each.contact, each.at_fault] for each in scenes], np.float64).reshape(-1, 3)
+    return ratios_over_scenes(values, np.ones_like(values), [each.source for each in scenes], seed=seed)
+
+
+def _shares(scenes: Sequence[SceneLoops], common: set[str], *, at_fault: bool) -> tuple[float, float]:
+    shown = [each for each in scenes if each.scene in common]
+    closed = [each.at_fault if at_fault else each.contact for each in shown]
+    return float(np.mean([each.open_fails for each in shown])), float(np.mean(closed))

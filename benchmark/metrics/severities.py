@@ -1,0 +1,143 @@
+"""How severe a planner's plans are, from its record: distributions over its samples with a contact, and without."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.metrics.attacks import counted_rows
+from benchmark.records.judgement import KindName
+from benchmark.records.row_schema import PlanContactRow, PlanNearRow
+from benchmark.records.run import RunRecord
+
+CRITICAL_BTN: Final = 1.0
+"""From here on braking alone is not enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A quantity over samples.
+
+    Attributes:
+        samples: Of how many it is known.
+        median: Half of them reach it.
+        worst_tenth: One in ten reaches it, or worse; worse is more, or less where the quantity is a distance or a time
+            that is left. Both are values that samples have.
+    """
+
+    samples: int
+    median: float | None
+    worst_tenth: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """Samples with a contact.
+
+    Attributes:
+        samples: How many.
+        with_adversary: How many first touch an adversary.
+        at_fault: How many are the planner's fault.
+        kinds: How many of each kind.
+        impact_speed: m/s.
+        delta_v_ego: m/s.
+        delta_v_other: m/s.
+        mean_fatal: Mean probability that somebody in the ego dies.
+        most_fatal: The largest.
+    """
+
+    samples: int
+    with_adversary: int
+    at_fault: int
+    kinds: dict[KindName, int]
+    impact_speed: Spread
+    delta_v_ego: Spread
+    delta_v_other: Spread
+    mean_fatal: float | None
+    most_fatal: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class NearPasses:
+    """Samples without a contact at which an adversary is there.
+
+    Attributes:
+        samples: How many.
+        gap: Smallest distance, metres.
+        ttc: Least time to contact, seconds, of those that head for one another.
+        tet: Time exposed, seconds.
+        tit: Time integrated, s^2.
+        pet: Post-encroachment time, seconds, of those whose ways meet.
+        btn: Largest braking threat number.
+        critical: How many have one at which braking alone is not enough.
+    """
+
+    samples: int
+    gap: Spread
+    ttc: Spread
+    tet: Spread
+    tit: Spread
+    pet: Spread
+    btn: Spread
+    critical: int
+
+
+def contacts_of(record: RunRecord) -> Contacts:
+    """The contacts of a record's plans."""
+    rows = [row.severity.contact for row in counted_rows(record) if row.severity is not None]
+    found = [contact for contact in rows if contact is not None]
+    fatal = [contact.fatal_probability for contact in found]
+
+    def spread(value: Callable[[PlanContactRow], float]) -> Spread:
+        return spread_of([value(contact) for contact in found])
+
+    return Contacts(
+        samples=len(found),
+        with_adversary=sum(contact.adversary for contact in found),
+        at_fault=sum(contact.at_fault is True for contact in found),
+        kinds=dict(Counter(contact.kind for contact in found)),
+        impact_speed=spread(lambda contact: contact.impact_speed_m_s),
+        delta_v_ego=spread(lambda contact: contact.delta_v_ego_m_s),
+        delta_v_other=spread(lambda contact: contact.delta_v_other_m_s),
+        mean_fatal=float(np.mean(fatal)) if fatal else None,
+        most_fatal=max(fatal, default=None),
+    )
+
+
+def near_passes_of(record: RunRecord) -> NearPasses:
+    """How near a record's plans without contact come to the adversaries."""
+    rows = [row.severity.near for row in counted_rows(record) if row.severity is not None]
+    found = [near for near in rows if near is not None]
+
+    def spread(value: Callable[[PlanNearRow], float | None], *, less_is_worse: bool = False) -> Spread:
+        known = [one for one in map(value, found) if one is not None]
+        return spread_of(known, less_is_worse=less_is_worse)
+
+    return NearPasses(
+        samples=len(found),
+        gap=spread(lambda near: near.least_gap_m, less_is_worse=True),
+        ttc=spread(lambda near: near.least_ttc_s, less_is_worse=True),
+        tet=spread(lambda near: near.tet_s),
+        tit=spread(lambda near: near.tit_s2),
+        pet=spread(lambda near: near.pet_s, less_is_worse=True),
+        btn=spread(lambda near: near.max_btn),
+        critical=sum(near.max_btn >= CRITICAL_BTN for near in found),
+    )
+
+
+def spread_of(values: Sequence[float], *, less_is_worse: bool = False) -> Spread:
+    """Median and worst tenth.
+
+    Args:
+        values: Of samples or scenes.
+        less_is_worse: Whether a small value is the bad one.
+
+    Returns:
+        Values among them, the worse of two where a middle lies between them; ``None`` of nothing.
+    """
+    if not values:
+        return Spread(0, None, None)
+    order = sorted(values) if less_is_worse else sorted(values, reverse=True)
+    return Spread(len(order), order[(len(order) - 1) // 2], order[(len(order) - 1) // 10])

@@ -1,0 +1,269 @@
+"""The schema of records of drives: ``drive.json``, a line a drive in ``drives.jsonl``, ``summary.json``."""
+
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from benchmark.records.run_schema import (
+    DataFacts,
+    GeneratedFacts,
+    Name,
+    PlannerFacts,
+    RateRow,
+    ReviewFacts,
+    SceneCount,
+    SceneFacts,
+    Seed,
+    Told,
+    Version,
+)
+from benchmark.records.stored import Stored
+
+SCHEMA: Final = 1
+"""Version of the format of records of drives; raised whenever a field changes."""
+MOST_RUNS: Final = 10_000
+REASONS: Final = ("raised", "no plan", "unusable plan", "timeout")
+EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Fraction = Share | None
+
+
+class Measured(Stored):
+    """What was measured, apart from the planner: two records that differ in it never share a table.
+
+    Attributes:
+        engine: Which engine drove.
+        agents: How the others behave; ``replay`` in NeuroNCAP's engine.
+        sensor: What cameras saw.
+        sensor_facts: What else the pictures depend on.
+        latency_ms: So much later than it was made did a plan take effect.
+        scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own.
+    """
+
+    engine: EngineName
+    agents: Name
+    sensor: Name
+    sensor_facts: dict[str, Any] = Field(default_factory=dict)
+    latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
+    scenarios: Literal["recorded", "own", "official"] = "recorded"
+
+    @property
+    def world(self) -> str:
+        """Engine, agents and latency, in words: what records of one table share, whatever their planners look at."""
+        agents = f", agents {self.agents}" if self.engine == "default" else ""
+        scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
+        return f"{self.engine}{scenarios}{agents}{f', latency {self.latency_ms} ms' if self.latency_ms else ''}"
+
+
+class DriveFacts(Stored):
+    """``drive.json``.
+
+    Attributes:
+        schema_version: Version of the record's format.
+        planner: Who drove.
+        data: The data set.
+        split: The split.
+        scenes: Scenes that were driven, in order.
+        scenes_in_split: How many the split has.
+        scene_facts: Where each scene comes from and what is done in it.
+        frozen_split: Name of the frozen split that the data were built from.
+        review: What inspectors said of the split's scenes.
+        generated: Which search the scenes come from.
+        measured: What was measured.
+        runs: Runs of each scene; 1 where nothing is drawn.
+        status: ``partial`` if the planner failed in any drive.
+        scoring: Version of the scores.
+        seed: Of the intervals.
+        config: Resolved settings.
+        environment: Packages, processor, commit.
+        files: SHA-256 of the other files of the record.
+    """
+
+    schema_version: int = Field(alias="schema")
+    planner: PlannerFacts
+    data: DataFacts
+    split: Name
+    scenes: list[Name]
+    scenes_in_split: SceneCount
+    scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
+    frozen_split: str | None = None
+    review: ReviewFacts | None = None
+    generated: GeneratedFacts | None = None
+    measured: Measured
+    runs: Annotated[int, Field(ge=1, le=MOST_RUNS)]
+    status: Literal["complete", "partial"]
+    scoring: Version
+    seed: Seed
+    config: dict[str, Any]
+    environment: dict[str, Told | dict[str, Told]]
+    files: dict[str, str]
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if len(set(self.scenes)) != len(self.scenes) or not self.scenes:
+            raise ValueError("scenes must be names, each once")
+        if not self.scene_facts.keys() <= set(self.scenes):
+            raise ValueError("scene_facts must be of the scenes")
+        return self
+
+
+class DrivePlan(Stored):
+    """A plan as the planner gave it, in its own frame; of what else it said, nothing is driven or kept."""
+
+    frame: Literal["lidar", "ego"]
+    waypoints: list[list[float]]
+
+
+class FailureRow(Stored):
+    """Why a drive failed: in a word, and what was raised."""
+
+    reason: Literal["raised", "no plan", "unusable plan", "timeout"]
+    text: str
+
+
+class ContactRow(Stored):
+    """The first contact (`benchmark.closed_loop.scores.contact.ScoredContact`)."""
+
+    seconds: float
+    agent: str
+    category: Name
+    adversary: bool
+    kind: Literal["stopped_ego", "stopped_track", "front", "rear", "lateral"]
+    at_fault: bool
+    impact_speed: Annotated[float, Field(ge=0.0)]
+    delta_v_ego: Annotated[float, Field(ge=0.0)]
+    delta_v_other: Annotated[float, Field(ge=0.0)]
+
+
+class NuplanRow(Stored):
+    """nuPlan's terms (`benchmark.closed_loop.scores.nuplan.NuplanTerms`) and their score."""
+
+    score: Share
+    nc: Share
+    dac: Share
+    mp: Share
+    ddc: Share
+    p: Share
+    ttc: Share
+    c: Fraction
+    off_road_s: float | None
+    least_ttc_s: float | None
+
+
+class HdRow(Stored):
+    """HD-Score's formula with our terms: mean over plans, share of the route, their product."""
+
+    score: Share
+    plans: Share
+    completed: Share
+
+
+class NeuroncapRow(Stored):
+    """What NeuroNCAP's engine says: NNS, ``None`` of nothing of nothing, and both speeds."""
+
+    score: Annotated[float, Field(ge=0.0, le=5.0)] | None
+    impact_speed: float
+    reference_speed: float
+
+
+class ScoreRow(Stored):
+    """What is said of a drive that did not fail.
+
+    Attributes:
+        progress_m: Along the route while it was driven.
+        recorded_progress_m: The recorded ego's in the same time.
+        route_share: Share of the recorded way to its end; ``None`` where the recorded car hardly moves.
+        comfortable: Within nuPlan's bounds; ``None`` of less than 1.5 s.
+        nuplan: Of the default engine on a map with lanes.
+        hd: Likewise.
+        neuroncap: Of NeuroNCAP's engine.
+    """
+
+    progress_m: float
+    recorded_progress_m: float
+    route_share: Fraction
+    comfortable: Fraction
+    nuplan: NuplanRow | None
+    hd: HdRow | None
+    neuroncap: NeuroncapRow | None
+
+
+class TickRows(Stored):
+    """The planning instants, column by column.
+
+    Attributes:
+        time_us: Microseconds.
+        ego: x, y, yaw, speed, acceleration, yaw rate, angle of the road wheels.
+        command: 0 right, 1 left, 2 straight; one for each instant that was planned from.
+        station: Metres along the route; likewise.
+    """
+
+    time_us: list[int]
+    ego: list[Annotated[list[float], Field(min_length=7, max_length=7)]]
+    command: list[Literal[0, 1, 2]]
+    station: list[float]
+
+
+class DriveRow(Stored):
+    """One line of ``drives.jsonl``: one scene, one run.
+
+    Attributes:
+        scene: Scene name.
+        family: Family of the scenario; empty where the scene was driven as it is.
+        run: Index of the run, which is its seed.
+        status: ``failed`` where the planner failed; such a drive has no scores and is never a zero.
+        end: What ended it.
+        primed: Planning instants at which the ego was the recorded one.
+        ticks: Planning instants.
+        plans: One for each instant that has one.
+        contact: The first contact.
+        scores: Or null.
+        failure: Or null.
+    """
+
+    scene: Name
+    family: Literal["", "stationary", "frontal", "side"] = ""
+    run: Annotated[int, Field(ge=0, lt=MOST_RUNS)]
+    status: Literal["ok", "failed"]
+    end: Literal["contact", "end", "failed"]
+    primed: Annotated[int, Field(ge=1, le=100)]
+    ticks: TickRows
+    plans: list[DrivePlan]
+    contact: ContactRow | None
+    scores: ScoreRow | None
+    failure: FailureRow | None
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        failed = self.status == "failed"
+        if (
+            failed != (self.failure is not None)
+            or failed != (self.end == "failed")
+            or failed == (self.scores is not None)
+        ):
+            raise ValueError("a failed drive has a reason and no scores, any other has scores")
+        if (self.contact is not None) != (self.end == "contact"):
+            raise ValueError("a drive has a contact where one ended it")
+        if len(self.ticks.time_us) != len(self.ticks.ego):
+            raise ValueError("every planning instant has a time and a state")
+        return self
+
+
+class DriveSummary(Stored):
+    """``summary.json``: derived from the rows alone.
+
+    Attributes:
+        schema_version: Version of the record's format.
+        drives: How many.
+        failed: Those in which the planner failed.
+        reasons: How often for which reason.
+        coverage: Share of the others.
+        columns: Means and rates over drives that did not fail, with intervals over recorded scenes, by column.
+    """
+
+    schema_version: int = Field(alias="schema")
+    drives: int
+    failed: int
+    reasons: dict[str, int]
+    coverage: Share
+    columns: dict[str, RateRow]

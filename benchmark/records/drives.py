@@ -1,0 +1,239 @@
+"""Records of drives, beside run records: one directory for one planner, one split and what was measured.
+
+``drive.json`` says what ran, ``drives.jsonl`` holds one row a drive, ``summary.json`` what the rows say together. They
+are replaced together (`benchmark.records.store`); everything is the same bytes on every run.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, TypeVar
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.foreign.limits import RECORD
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines
+from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary
+from benchmark.records.run_schema import RateRow, SceneFacts
+from benchmark.records.store import FileNames, read_each, replace_files, validated
+from benchmark.records.stored import Stored
+
+DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
+DRIVE_FILES: Final = FileNames(DRIVE_FILE, ROWS_FILE, SUMMARY_FILE)
+NNS, COLLISION_RATE = "nns", "collision"
+_Read = TypeVar("_Read", bound=Stored)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveRecord:
+    """A loaded record of drives.
+
+    Attributes:
+        directory: Where it lies.
+        facts: What ran.
+        rows: One for each drive, by scene and run.
+        summary: What they say together.
+    """
+
+    directory: Path
+    facts: DriveFacts
+    rows: tuple[DriveRow, ...]
+    summary: DriveSummary
+
+    @property
+    def planner(self) -> str:
+        """Name of the planner in tables."""
+        return self.facts.planner.name
+
+    @property
+    def content_id(self) -> str:
+        """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config"})
+        return content_key(facts)[:12]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the planner failed in no drive."""
+        return self.facts.status == "complete"
+
+    @property
+    def covers_split(self) -> bool:
+        """Whether all scenes of the split were driven."""
+        return len(self.facts.scenes) == self.facts.scenes_in_split
+
+
+def values_of(row: DriveRow) -> dict[str, float | None]:
+    """What a drive that did not fail adds to each column; ``None`` where it says nothing there.
+
+    Columns of NeuroNCAP's engine and of the default one have different names and are never both there.
+    """
+    scores, contact = row.scores, row.contact
+    assert scores is not None, "a failed drive adds to no column"
+    common: dict[str, float | None] = {
+        "route": scores.route_share,
+        "progress_m": scores.progress_m,
+        "comfortable": scores.comfortable,
+        "seconds": _seconds(row),
+    }
+    if scores.neuroncap is not None:
+        found = scores.neuroncap
+        speed = found.impact_speed if contact is not None else None
+        hit = float(contact is not None)
+        both = {NNS: found.score, COLLISION_RATE: hit}
+        families = {f"{name}_{row.family}": value for name, value in both.items()} if row.family else {}
+        return {**both, "impact_speed": speed, **common, **families}
+    own: dict[str, float | None] = {
+        "contact": float(contact is not None),
+        "at_fault": float(contact is not None and contact.at_fault),
+        "with_adversary": float(contact is not None and contact.adversary),
+        "impact_speed": None if contact is None else contact.impact_speed,
+        "delta_v": None if contact is None else contact.delta_v_ego,
+        **common,
+    }
+    terms, hd = scores.nuplan, scores.hd
+    own["off_road"] = None if terms is None else 1.0 - terms.dac
+    for name in ("score", "nc", "dac", "mp", "ddc", "p", "ttc", "c"):
+        own[f"nuplan_{name}"] = None if terms is None else getattr(terms, name)
+    for name in ("score", "plans", "completed"):
+        own[f"hd_{name}"] = None if hd is None else getattr(hd, name)
+    return own
+
+
+def summarise(rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *, seed: int) -> DriveSummary:
+    """What rows say together.
+
+    Args:
+        rows: One for each drive.
+        scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them.
+        seed: Seed of the intervals.
+
+    Returns:
+        The summary. Failed drives are counted and in no column.
+    """
+    driven = [row for row in rows if row.status == "ok"]
+    columns: dict[str, RateRow] = {}
+    if driven:
+        values = [values_of(row) for row in driven]
+        names = list(dict.fromkeys(name for each in values for name in each))
+        table = np.array([[each.get(name) for name in names] for each in values], np.float64)
+        known = ~np.isnan(table)
+        weights: Floats = np.where(known, _weights(driven)[:, None], 0.0)
+        scenes = [scene_facts[row.scene].source if row.scene in scene_facts else row.scene for row in driven]
+        found = ratios_over_scenes(np.where(known, table, 0.0) * weights, weights, scenes, seed=seed)
+        columns = {name: RateRow(**asdict(rate)) for name, rate in zip(names, found, strict=True)}
+    reasons = Counter(row.failure.reason for row in rows if row.failure is not None)
+    return DriveSummary(
+        schema=SCHEMA,
+        drives=len(rows),
+        failed=len(rows) - len(driven),
+        reasons=dict(sorted(reasons.items())),
+        coverage=len(driven) / len(rows) if rows else 0.0,
+        columns=columns,
+    )
+
+
+def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[DriveRow], *, seed: int) -> DriveRecord:
+    """Write a record in place of the one that is there, if any.
+
+    Args:
+        directory: Its directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
+        facts: `DriveFacts` less schema, status, seed and files.
+        rows: One for each drive.
+        seed: Seed of the intervals.
+
+    Returns:
+        The record as it reads back.
+
+    Raises:
+        InputError: If there are no rows or they cannot be written.
+    """
+    if not rows:
+        raise InputError(f"there are no drives to write to {directory}: no scene was chosen")
+    summary = summarise(rows, facts.get("scene_facts") or {}, seed=seed)
+    status: Literal["complete", "partial"] = "complete" if summary.failed == 0 else "partial"
+    run = DriveFacts(schema=SCHEMA, status=status, seed=seed, files={}, **facts)
+
+    def naming(files: dict[str, str]) -> dict[str, Any]:
+        return {**run.model_dump(mode="json", by_alias=True), "files": files}
+
+    written = replace_files(
+        directory,
+        naming,
+        [row.model_dump(mode="json") for row in rows],
+        summary.model_dump(mode="json", by_alias=True),
+        DRIVE_FILES,
+    )
+    return DriveRecord(directory, run.model_copy(update={"files": written}), tuple(rows), summary)
+
+
+def load_drives(directory: Path) -> DriveRecord:
+    """Read a record of drives.
+
+    Args:
+        directory: Its directory.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
+    """
+    head = read_json(directory / DRIVE_FILE, RECORD)
+    if not isinstance(head, dict) or type(head.get("schema")) is not int or not isinstance(head.get("files"), dict):
+        raise InputError(f"{directory / DRIVE_FILE} is no record of drives: it has no schema number or no hashes")
+    if head["schema"] != SCHEMA:
+        raise InputError(
+            f"{directory} has schema {head['schema']} of drives, this version reads {SCHEMA}; upgrade challenger-bench "
+            "or run the same drive command again"
+        )
+    rows, summary = read_json_lines(directory / ROWS_FILE, RECORD), read_json(directory / SUMMARY_FILE, RECORD)
+    for name in (ROWS_FILE, SUMMARY_FILE):
+        if file_sha256(directory / name) != head["files"].get(name):
+            raise InputError(
+                f"{directory / name} does not belong to the {DRIVE_FILE} beside it (an interrupted or edited record); "
+                "run the same drive command again"
+            )
+    facts = _checked(DriveFacts, head, directory / DRIVE_FILE)
+    read = tuple(_checked(DriveRow, row, directory / ROWS_FILE) for row in rows)
+    return DriveRecord(directory, facts, read, _checked(DriveSummary, summary, directory / SUMMARY_FILE))
+
+
+def find_drives(*roots: Path) -> list[DriveRecord]:
+    """Every record of drives below folders, by their path.
+
+    Raises:
+        InputError: If a folder does not exist or a record in it is damaged.
+    """
+    found = []
+    for root in roots:
+        if not root.is_dir():
+            raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
+        places = (path.parent for path in sorted(root.rglob(DRIVE_FILE)))
+        found += read_each(places, load_drives, instead=" to do without this record")
+    return found
+
+
+def _weights(rows: Sequence[DriveRow]) -> Floats:
+    """(S,) weights with which families of scenarios count alike, however many drives each has; they sum to S."""
+    drives = Counter(row.family for row in rows)
+    return np.array([len(rows) / (len(drives) * drives[row.family]) for row in rows])
+
+
+def _checked(model: type[_Read], stored: Any, path: Path) -> _Read:
+    return validated(
+        model.model_validate,
+        stored,
+        lambda where, wrong: f"{path} is damaged ({where or 'as a whole'}: {wrong}); run the same drive command again",
+    )
+
+
+def _seconds(row: DriveRow) -> float | None:
+    """How long the ego drove, to the contact where one ended it."""
+    if row.contact is not None:
+        return row.contact.seconds
+    times = row.ticks.time_us
+    return (times[-1] - times[row.primed - 1]) * 1e-6 if len(times) >= row.primed else None

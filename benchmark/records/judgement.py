@@ -1,0 +1,383 @@
+"""What is said of an adversarial scene: who could have avoided it, how severe it is, what is wrong with its adversary.
+
+``docs/severity.md`` and ``docs/realism.md`` define every word. A `SceneJudgement` is about one adversary of one scene,
+`JudgementSummary` about a scene as tables, cards and filters need it, `SplitRealism` about the adversaries of a split.
+Times are seconds since the scene's first frame.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Final, Literal, Self, get_args
+
+from pydantic import Field, model_validator
+
+from benchmark.records.stored import Stored
+
+DEFINITION: Final = 1
+"""Version of the definitions; raised whenever one of them gives another answer."""
+DriverName = Literal["recorded", "constant", "idm", "r157", "cc", "fsm", "rss"]
+DRIVER_NAMES: Final[tuple[DriverName, ...]] = get_args(DriverName)
+"""The ladder, from the weakest statement to the most cautious driver."""
+Party = Literal["adversary", "another_adversary", "other"]
+"""Whom something is about: the adversary that is judged, another one of the scene, or anybody else."""
+KindName = Literal["stopped_ego", "stopped_track", "front", "rear", "lateral"]
+FaultName = Literal["beyond_limits", "off_road", "contact", "against_traffic", "hovering", "teleport"]
+FAULT_NAMES: Final[tuple[FaultName, ...]] = get_args(FaultName)
+Chance = Literal["not_threatened", "not_to_blame", "never", "until"]
+Text = Annotated[str, Field(max_length=500)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class DriverContact(Stored):
+    """What a reference driver hits first.
+
+    Attributes:
+        time_s: When.
+        party: Whom.
+        instance: Its instance identifier.
+        category: Its category.
+        kind: What hits what.
+        ego_speed_m_s: Of the driver.
+        other_speed_m_s: Of the other.
+        impact_speed_m_s: Size of the difference of the velocities.
+    """
+
+    time_s: float
+    party: Party
+    instance: Text
+    category: Text
+    kind: KindName
+    ego_speed_m_s: float
+    other_speed_m_s: NotNegative
+    impact_speed_m_s: NotNegative
+
+
+class DriverRun(Stored):
+    """How one reference driver fares.
+
+    Attributes:
+        survives: Whether it hits nobody.
+        contact: Whom it hits, if it does.
+        reacted_s: When it first finds something unsafe; null where it never does, or is no driver that reacts.
+        reacted_to: Who made it react first.
+        reacted_to_instance: The same as an instance identifier.
+        beyond_end: Whether it leaves the recorded path, where no road is known.
+    """
+
+    survives: bool
+    contact: DriverContact | None = None
+    reacted_s: float | None = None
+    reacted_to: Party | None = None
+    reacted_to_instance: Text | None = None
+    beyond_end: bool = False
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if self.survives != (self.contact is None):
+            raise ValueError("a driver survives if it has no contact")
+        if (self.reacted_s is None) != (self.reacted_to is None) or (self.reacted_s is None) != (
+            self.reacted_to_instance is None
+        ):
+            raise ValueError("a driver that reacts does so at a time and to somebody")
+        return self
+
+
+class Impact(Stored):
+    """A contact in numbers (`benchmark.severity.impact`).
+
+    Attributes:
+        time_s: When.
+        kind: What hits what.
+        at_fault: Whether the ego is to blame; null where only a map could tell and there is none.
+        impact_speed_m_s: Size of the difference of the velocities.
+        delta_v_ego_m_s: Change of the ego's velocity.
+        delta_v_other_m_s: Change of the other's velocity.
+        fatal_probability: Of those in the ego.
+    """
+
+    time_s: float
+    kind: KindName
+    at_fault: bool | None
+    impact_speed_m_s: NotNegative
+    delta_v_ego_m_s: NotNegative
+    delta_v_other_m_s: NotNegative
+    fatal_probability: Share
+
+
+class EncounterSeverity(Stored):
+    """How near the recorded ego, or one that follows plans, and one other come to a contact.
+
+    Attributes:
+        least_gap_m: Smallest distance of the bodies; null where they are never there together.
+        least_ttc_s: Least time to contact before a contact; null where they never head for one another.
+        tet_s: How long it is below 1.5 s.
+        tit_s2: By how much it is below, summed over time.
+        pet_s: Post-encroachment time, 0 in contact; null where their ways do not meet within 5 s.
+        pet_first: Who was there first; ``none`` in contact.
+        max_btn: Largest braking threat number.
+        contact: Their first contact, if there is one.
+    """
+
+    least_gap_m: NotNegative | None
+    least_ttc_s: NotNegative | None
+    tet_s: NotNegative
+    tit_s2: NotNegative
+    pet_s: NotNegative | None
+    pet_first: Literal["ego", "other", "none"] | None
+    max_btn: NotNegative | None
+    contact: Impact | None = None
+
+
+class TrackFaults(Stored):
+    """What is wrong with an adversary's track (`benchmark.realism.validity`); null where nobody could tell.
+
+    Attributes:
+        beyond_limits: It asks more than driver and car can do.
+        off_road: A corner is off the drivable area.
+        contact: It touches anybody but the ego.
+        against_traffic: It drives against the lanes below it.
+        hovering: It stays within half a metre of another.
+        teleport: It jumps.
+        unknown: Why each of those that are null is.
+    """
+
+    beyond_limits: bool | None = None
+    off_road: bool | None = None
+    contact: bool | None = None
+    against_traffic: bool | None = None
+    hovering: bool | None = None
+    teleport: bool | None = None
+    unknown: dict[FaultName, Text] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if set(self.unknown) != {name for name in FAULT_NAMES if getattr(self, name) is None}:
+            raise ValueError("exactly the faults that nobody could tell have a reason")
+        return self
+
+    @property
+    def found(self) -> tuple[FaultName, ...]:
+        """Names of those that it has."""
+        return tuple(name for name in FAULT_NAMES if getattr(self, name))
+
+
+class SceneJudgement(Stored):
+    """What is said of one adversary of one scene, or of a scene in which nobody is known to be one.
+
+    Attributes:
+        definition: `DEFINITION` by which it was judged.
+        adversary: Its instance identifier, that of the recording in what this program makes; null where none is known,
+            and then everything that needs one is null as well.
+        category: Its category.
+        tracks: ``generated`` where its 12 Hz track was at hand, ``annotated`` where what a reader interpolates between
+            keyframes was.
+        has_map: Whether manoeuvres had to stay on the drivable area.
+        drivers: How each reference driver fares, against everybody.
+        first_visible_s: When the recorded ego first sees the adversary; null for never.
+        chance: How the contact of the ego at constant speed can be avoided: it has none, it is not to blame, nothing
+            avoids it from the start on, or something does until ``last_chance_s``.
+        last_chance_s: Until when a sampled manoeuvre avoids it.
+        margin_s: From 0.75 s after the adversary is first visible to the last chance.
+        unsolvable: Whether nobody could have avoided it.
+        encounter: How severe the encounter with the recorded ego is.
+        faults: What is wrong with its track.
+    """
+
+    definition: Annotated[int, Field(ge=1)] = DEFINITION
+    adversary: Text | None
+    category: Text | None
+    tracks: Literal["generated", "annotated"]
+    has_map: bool
+    drivers: dict[DriverName, DriverRun]
+    first_visible_s: float | None
+    chance: Chance
+    last_chance_s: float | None
+    margin_s: float | None
+    unsolvable: bool | None
+    encounter: EncounterSeverity | None
+    faults: TrackFaults | None
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if set(self.drivers) != set(DRIVER_NAMES):
+            raise ValueError(f"drivers must be {', '.join(DRIVER_NAMES)}")
+        if (self.chance == "until") != (self.last_chance_s is not None):
+            raise ValueError("a last chance is there if something avoids the contact until then")
+        if self.margin_s is not None and (self.last_chance_s is None or self.first_visible_s is None):
+            raise ValueError("a margin is between a first sight and a last chance")
+        known = [value is not None for value in (self.category, self.unsolvable, self.encounter, self.faults)]
+        if set(known) != {self.adversary is not None}:
+            raise ValueError("category, solvability, encounter and faults are of an adversary")
+        return self
+
+
+class JudgementSummary(Stored):
+    """What tables, cards and filters need of a scene; of several adversaries the most severe values.
+
+    Attributes:
+        definition: `DEFINITION` by which it was judged.
+        tracks: As in `SceneJudgement`.
+        has_map: As in `SceneJudgement`.
+        survives: By reference driver.
+        unsolvable: Whether nobody could have avoided it (`unsolvable`); null where no adversary is known, as are the
+            numbers after it.
+        margin_s: Least time from 0.75 s after an adversary is first visible to the last chance.
+        least_gap_m: As in `EncounterSeverity`, as the next ones.
+        least_ttc_s: Least time to contact.
+        tet_s: Time exposed.
+        tit_s2: Time integrated.
+        pet_s: Post-encroachment time.
+        max_btn: Largest braking threat number.
+        contact: The recorded ego's first contact with an adversary, if it has one.
+        faults: What is wrong with any of the tracks.
+        unknown_faults: What nobody could tell.
+    """
+
+    definition: Annotated[int, Field(ge=1)] = DEFINITION
+    tracks: Literal["generated", "annotated"]
+    has_map: bool
+    survives: dict[DriverName, bool]
+    unsolvable: bool | None
+    margin_s: float | None
+    least_gap_m: NotNegative | None
+    least_ttc_s: NotNegative | None
+    tet_s: NotNegative | None
+    tit_s2: NotNegative | None
+    pet_s: NotNegative | None
+    max_btn: NotNegative | None
+    contact: Impact | None = None
+    faults: list[FaultName] = Field(default_factory=list)
+    unknown_faults: list[FaultName] = Field(default_factory=list)
+
+    @classmethod
+    def of(cls, judgements: Sequence[SceneJudgement]) -> Self:
+        """Sum a scene up.
+
+        Args:
+            judgements: One for each adversary, at least one.
+
+        Returns:
+            The summary.
+        """
+        first = judgements[0]
+        met = [each.encounter for each in judgements if each.encounter is not None]
+        tracks = [each.faults for each in judgements if each.faults is not None]
+        contacts = [each.contact for each in met if each.contact is not None]
+        found = {name for each in tracks for name in each.found}
+        unknown = {name for each in tracks for name in each.unknown} - found
+        return cls(
+            definition=first.definition,
+            tracks=first.tracks,
+            has_map=first.has_map,
+            survives={name: first.drivers[name].survives for name in DRIVER_NAMES},
+            unsolvable=unsolvable(judgements) if met else None,
+            margin_s=_least([each.margin_s for each in judgements]),
+            least_gap_m=_least([each.least_gap_m for each in met]),
+            least_ttc_s=_least([each.least_ttc_s for each in met]),
+            tet_s=max((each.tet_s for each in met), default=None),
+            tit_s2=max((each.tit_s2 for each in met), default=None),
+            pet_s=_least([each.pet_s for each in met]),
+            max_btn=max((each.max_btn for each in met if each.max_btn is not None), default=None),
+            contact=min(contacts, key=lambda contact: contact.time_s, default=None),
+            faults=[name for name in FAULT_NAMES if name in found],
+            unknown_faults=[name for name in FAULT_NAMES if name in unknown],
+        )
+
+
+def unsolvable(judgements: Sequence[SceneJudgement]) -> bool:
+    """Whether nobody could have avoided a scene.
+
+    Args:
+        judgements: One for each adversary.
+
+    Returns:
+        The verdict on the adversary that the ego at constant speed hits; where it hits somebody else, or nobody,
+        whether all verdicts say so. With one adversary that is its verdict.
+    """
+    hits = [each.drivers["constant"].contact for each in judgements]
+    hit = [contact is not None and contact.party == "adversary" for contact in hits]
+    decisive = [each for each, decides in zip(judgements, hit, strict=True) if decides]
+    asked = decisive or judgements
+    return bool(asked) and all(each.unsolvable is True for each in asked)
+
+
+class FeatureRow(Stored):
+    """Realism of one feature (`benchmark.realism.judging.FeatureRealism`).
+
+    Attributes:
+        name: Of the feature.
+        w1: Wasserstein-1 distance to the recordings, in the unit of the feature.
+        w1_of_halves: The same between two halves of the recordings.
+        w1_in_halves: How many times as far as the halves are from one another.
+        realism: 1 - Jensen-Shannon divergence over quantile bins.
+        realism_of_halves: The same between two halves: what zero looks like.
+        interval: 95 % of bootstraps over scenes; null for a single scene.
+    """
+
+    name: Text
+    w1: NotNegative
+    w1_of_halves: NotNegative | None
+    w1_in_halves: NotNegative | None
+    realism: float
+    realism_of_halves: float | None
+    interval: tuple[float, float] | None
+
+
+class CtgRow(Stored):
+    """``ctg-realism@code``, which is quoted and never ranked by.
+
+    Attributes:
+        version: Of the public code.
+        normalisation: How scenes are put together.
+        mask: Which agents count.
+        mean_real_dev: Mean over the agents' histograms.
+        mean_real_dev_int: Mean over the relative ones; null where the code gives none.
+    """
+
+    version: Text
+    normalisation: Text
+    mask: Text
+    mean_real_dev: NotNegative
+    mean_real_dev_int: NotNegative | None
+
+
+class ValidityRow(Stored):
+    """One kind of fault over all adversaries: how many have it, of how many could be asked, why not of the others."""
+
+    fault: FaultName
+    count: Annotated[int, Field(ge=0)]
+    of: Annotated[int, Field(ge=0)]
+    unknown: tuple[Text, ...] = ()
+
+
+class SplitRealism(Stored):
+    """How real the adversaries of a split move.
+
+    Attributes:
+        adversaries: How many there are.
+        validity: What is wrong with their tracks.
+        reference: Which recordings they are compared with; null where they are not.
+        not_compared: Why they are not.
+        samples: Samples of adversaries, and of recordings.
+        features: By the order of their definition.
+        worst: Name of the worst feature, which is the headline.
+        ctg: For comparison with the literature.
+    """
+
+    adversaries: Annotated[int, Field(ge=0)]
+    validity: tuple[ValidityRow, ...]
+    reference: Text | None = None
+    not_compared: Text | None = None
+    samples: tuple[int, int] | None = None
+    features: tuple[FeatureRow, ...] = ()
+    worst: Text | None = None
+    ctg: CtgRow | None = None
+
+    @property
+    def headline(self) -> FeatureRow | None:
+        """The worst feature."""
+        return next((row for row in self.features if row.name == self.worst), None)
+
+
+def _least(values: Sequence[float | None]) -> float | None:
+    return min((value for value in values if value is not None), default=None)

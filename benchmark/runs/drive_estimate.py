@@ -1,0 +1,66 @@
+"""How long driving a split would take: a few instants of one scene are driven, and nothing is kept."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from benchmark.closed_loop.drives.driving import Stage, drive
+from benchmark.machine.progress import clock_time
+from benchmark.machine.workers import LocalProcesses
+from benchmark.report.words import counted
+from benchmark.runs.driving import DriveSettings, job_of, kept_units
+from benchmark.runs.plan_rows import PlannerFactory
+from benchmark.runs.redriving import can_of
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+TICKS: Final = 4
+"""Planning instants that are tried: two of them drive."""
+_SCORING_S: Final = 0.5
+"""Of a drive, about."""
+
+
+def estimate(data: "DataSet", split: str, planner: PlannerFactory, settings: DriveSettings, out: Path) -> str:
+    """How much there is to drive, and about how long it takes at most.
+
+    Args:
+        data: The data set.
+        split: The split.
+        planner: Builds the planner.
+        settings: How it would be driven.
+        out: Folder of all records of drives.
+
+    Returns:
+        A sentence; drives that end in a contact take less.
+
+    Raises:
+        InputError: If the split or a scene is unknown, or a scene cannot be driven.
+    """
+    scenes = settings.chosen(data, split)
+    units = settings.units(data, scenes)
+    job = job_of(data, split, planner.facts, out, settings)
+    kept = kept_units(job, units)
+    left = len(units) - kept
+    seconds = 0.0
+    if left:
+        scene = data.scene(units[0].scene)
+        stage = Stage(
+            scene, can_of(data, scene.name), 0, settings.maker, settings.sensor, settings.timeout_s, units[0].family
+        )
+        ready, started = planner(), time.perf_counter()
+        drive(replace(stage, most_plans=1), ready)
+        begun = time.perf_counter()
+        drive(replace(stage, most_plans=1 + TICKS), ready)
+        first, several = begun - started, time.perf_counter() - begun
+        a_tick = max(several - first, 0.0) / TICKS
+        seconds = left * (first + a_tick * (len(scene.keyframes) - 1) + _SCORING_S)
+    workers = settings.executor.workers if isinstance(settings.executor, LocalProcesses) else 1
+    where = f"{counted(len(scenes), 'scene')} of {split}, {counted(settings.runs_made, 'run')} each"
+    done = f", {kept} of them kept already" if kept else ""
+    return (
+        f"would drive {planner.facts.name} through {where} ({counted(len(units), 'drive')}{done}; engine "
+        f"{settings.measured.world}, sensor {settings.sensor.name}): at most about {clock_time(seconds / workers)} on "
+        f"{counted(workers, 'process', 'processes')}"
+    )

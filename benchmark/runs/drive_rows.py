@@ -1,0 +1,80 @@
+"""A drive as a row of its record."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.drives.driving import Drive, Stage
+from benchmark.closed_loop.scores.scoring import DriveScores
+from benchmark.records.drive_schema import DriveRow
+
+DECIMALS: Final = 6
+"""Of stored states and scores; plans are stored as they were given."""
+
+
+def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
+    """The row of a drive.
+
+    Args:
+        stage: What was driven.
+        drive: The drive.
+        scores: What is said of it; ``None`` of a failed one.
+
+    Returns:
+        The row.
+    """
+    motion, failure = drive.motion, drive.failure
+    contact = None if scores is None or scores.contact is None else _rounded(asdict(scores.contact))
+    return DriveRow.model_validate(
+        {
+            "scene": stage.scene.name,
+            "family": stage.family,
+            "run": stage.run,
+            "status": "ok" if failure is None else "failed",
+            "end": drive.end,
+            "primed": drive.primed,
+            "ticks": {
+                "time_us": motion.times_us[motion.ticks].tolist(),
+                "ego": np.round(motion.ego[motion.ticks], DECIMALS).tolist(),
+                "command": [int(command) for command in drive.commands],
+                "station": np.round(drive.stations, DECIMALS).tolist(),
+            },
+            "plans": [
+                {"frame": plan.frame.value, "waypoints": np.asarray(plan.waypoints, float).tolist()}
+                for plan in drive.plans
+            ],
+            "contact": contact,
+            "scores": None if scores is None else _score_row(drive, scores),
+            "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
+        }
+    )
+
+
+def _score_row(drive: Drive, scores: DriveScores) -> dict[str, Any]:
+    nuplan, hd, own = scores.nuplan, scores.hd, drive.neuroncap
+    return _rounded(
+        {
+            "progress_m": scores.progress.metres,
+            "recorded_progress_m": scores.progress.recorded_m,
+            "route_share": scores.progress.share,
+            "comfortable": scores.comfortable,
+            "nuplan": None if nuplan is None else {**asdict(nuplan), "score": nuplan.score},
+            "hd": None if hd is None else {**asdict(hd), "score": hd.score},
+            "neuroncap": None if own is None else asdict(own),
+        }
+    )
+
+
+def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with every number rounded; never -0.0."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found[name] = _rounded(value)
+        elif isinstance(value, float):
+            found[name] = round(value, DECIMALS) + 0.0
+        else:
+            found[name] = value
+    return found

@@ -1,0 +1,139 @@
+"""Sheets of drives: the world as it was driven, from the stored plans; what films of drives are made from."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benchmark.closed_loop.drives.driven_scene import driven_scene
+from benchmark.closed_loop.drives.driving import Drive
+from benchmark.closed_loop.drives.riding import SPEED, RideMaker
+from benchmark.closed_loop.drives.route import Route
+from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
+from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
+from benchmark.drawing.driven import DrivenContact, DrivenSheet, speeds_along
+from benchmark.drawing.overlays import shared_point
+from benchmark.drawing.placing import ego_pose, placed_waypoints
+from benchmark.errors import InputError
+from benchmark.geometry import Floats
+from benchmark.machine.storage import file_sha256, write_bytes
+from benchmark.planning import CameraView, Observation, Plan
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord
+from benchmark.records.scenes import Sheet, SheetCamera, StoredSheet, picture_name
+from benchmark.runs.redriving import StoredPlans, seen_again
+from benchmark.scene import Scene
+from benchmark.sheets.making import sheet_to_draw
+from benchmark.sheets.pictures import adversary_edges, layout, mosaic
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+CELL_WIDTH_PX: Final = 448
+
+
+class WatchedPlans(StoredPlans):
+    """Stored plans, and what cameras saw when each was asked for."""
+
+    def __init__(self, row: DriveRow) -> None:
+        super().__init__(row)
+        self.seen: list[dict[str, CameraView]] = []
+
+    def plan(self, observation: Observation) -> Plan:
+        """The next plan; the views are kept."""
+        self.seen.append(observation.views)
+        return super().plan(observation)
+
+
+def driven_sheet(
+    folder: Path, data: "DataSet", record: DriveRecord, row: DriveRow, maker: RideMaker, sensor: Sensor | None
+) -> DrivenSheet:
+    """Drive stored plans again and write down what is shown of it.
+
+    Args:
+        folder: Pictures are written here.
+        data: The data set that was driven on.
+        record: The record.
+        row: Which of its drives.
+        maker: The engine that drove it.
+        sensor: What drew for the planner; ``None`` where nothing did, or something else than there is now.
+
+    Returns:
+        The sheet.
+
+    Raises:
+        InputError: If the data set is another one, the plans lead elsewhere than they did, or a picture cannot be
+            written.
+    """
+    if data.fingerprint() != record.facts.data.fingerprint:
+        raise InputError(
+            f"{record.directory} drove on other content than {data.root} holds (the data fingerprints differ); run "
+            "challenger-bench drive again"
+        )
+    scene, plans = data.scene(row.scene), WatchedPlans(row)
+    found = seen_again(maker, sensor or NoSensor(), scene, data, row, plans)
+    driven = driven_scene(scene, Route.of(scene), found.motion)
+    sheet = sheet_to_draw(driven).model_copy(update={"data": record.facts.data, "split": record.facts.split})
+    first = len(driven.timestamps_us) - len(found.motion.times_us)
+    asked_at = [first + int(tick) for tick in found.motion.ticks]
+    if sensor is not None:
+        sheet = _with_pictures(folder, driven, sheet, asked_at, plans.seen)
+    # As many plans as were drawn from: a failed drive has an instant without one.
+    made = {
+        frame: placed_waypoints(
+            np.array(plan.waypoints, np.float64),
+            plan.frame,
+            float(scene.lidar.translation[0]),
+            ego_pose(sheet, frame),
+        )
+        for frame, plan in zip(asked_at, row.plans, strict=False)
+    }
+    recorded, seconds = _recorded(scene, sheet)
+    # Before the drive began the recorded ego is the driven one.
+    speed = np.interp(np.arange(first), np.arange(len(seconds)), speeds_along(recorded, seconds))
+    return DrivenSheet(
+        stored=StoredSheet(folder, sheet, None),
+        row=row,
+        begins=asked_at[min(found.primed, len(asked_at)) - 1],
+        plans=made,
+        recorded=recorded,
+        recorded_speed=speeds_along(recorded, seconds),
+        recorded_seconds=seconds,
+        speed=np.concatenate([speed, found.motion.ego[:, SPEED]]),
+        contact=_contact(found, sheet),
+    )
+
+
+def _with_pictures(
+    folder: Path, driven: Scene, sheet: Sheet, frames: list[int], seen: list[dict[str, CameraView]]
+) -> Sheet:
+    """Write what the planner saw at each instant; returns the sheet that names it."""
+    cells: tuple[SheetCamera, ...] = layout({name: view.camera for name, view in seen[0].items()}, CELL_WIDTH_PX)
+    edges, files = {}, {}
+    # The last instant of a drive was not planned from.
+    for frame, views in zip(frames, seen, strict=False):
+        path = picture_name(frame)
+        write_bytes(folder / path, mosaic(cells, views), durable=False)
+        files[path] = file_sha256(folder / path)
+        found = adversary_edges(driven, cells, views)
+        if found:
+            edges[str(frame)] = found
+    pictured = tuple(frames[: len(seen)])
+    return sheet.model_copy(update={"cameras": cells, "pictures": pictured, "adversary_edges": edges, "files": files})
+
+
+def _recorded(scene: Scene, sheet: Sheet) -> tuple[Floats, Floats]:
+    """Centres of the recorded ego's body in the sheet's metres, and seconds after the sheet's first frame."""
+    pose = scene.ego.pose
+    ahead = EGO_CENTER_FROM_REAR_AXLE_M * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+    seconds = (scene.timestamps_us - sheet.timestamps_us[0]) * 1e-6
+    return np.asarray(pose[:, :2] + ahead - np.array(sheet.origin_m)), np.asarray(seconds, np.float64)
+
+
+def _contact(found: Drive, sheet: Sheet) -> DrivenContact | None:
+    if found.touch is None:
+        return None
+    moved = np.array([*sheet.origin_m, 0.0, 0.0, 0.0])
+    ego, other = found.touch.ego - moved, found.touch.other - moved
+    seconds = (found.touch.time_us - sheet.timestamps_us[0]) * 1e-6
+    return DrivenContact(float(seconds), ego, other, shared_point(ego, other))

@@ -1,0 +1,248 @@
+"""The main path of closed loop: drive every scene and run of a split, write the record.
+
+Read from the top: `drive_split` chooses scenes and runs, hands each unit to `benchmark.runs.drive_work`, and writes
+what comes back. What came of a unit is kept, so the same command goes on where it stopped; the record is the same bytes
+whatever the number of workers.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S
+from benchmark.closed_loop.drives.riding import RideMaker
+from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
+from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.progress import Count
+from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
+from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.planning import Planner, remembers_across_scenes
+from benchmark.records.drive_schema import Measured
+from benchmark.records.drives import DriveRecord, write_drives
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.seed_splits import generated_facts
+from benchmark.runs.drive_work import KEPT, Job, Unit, UnitResult, kept_drive, work_here, work_in_worker
+from benchmark.runs.plan_rows import PlannerFactory, facts_of
+from benchmark.runs.redriving import can_of
+from benchmark.runs.run_directory import run_directory
+from benchmark.runs.scene_work import reopen_root
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """How to drive.
+
+    Attributes:
+        engine: Name of the engine, as tables show it.
+        maker: The engine.
+        agents: How the others behave.
+        sensor: What cameras see.
+        runs: Runs of each scene; one where the engine draws nothing.
+        latency_ms: So much later does a plan take effect.
+        scenarios: What scenes are driven with, in NeuroNCAP's engine.
+        scenes: Only these scenes of the split.
+        limit: Only the first so many.
+        executor: Where units are driven; the result does not depend on it.
+        timeout_s: How long a plan may take.
+        seed: Seed of the intervals.
+        fresh: Drive again even where drives are kept.
+    """
+
+    engine: str
+    maker: RideMaker
+    agents: str = "replay"
+    sensor: Sensor = field(default_factory=NoSensor)
+    runs: int = 1
+    latency_ms: int = 0
+    scenarios: str = "recorded"
+    scenes: tuple[str, ...] | None = None
+    limit: int | None = None
+    executor: Executor = field(default_factory=LocalProcesses)
+    timeout_s: float = DEFAULT_TIMEOUT_S
+    seed: int = 0
+    fresh: bool = False
+
+    @property
+    def measured(self) -> Measured:
+        """What is measured.
+
+        Raises:
+            ValueError: If there is no such engine.
+        """
+        return Measured.model_validate(
+            {
+                "engine": self.engine,
+                "agents": self.agents,
+                "sensor": self.sensor.name,
+                "sensor_facts": dict(self.sensor.facts),
+                "latency_ms": self.latency_ms,
+                "scenarios": self.scenarios,
+            }
+        )
+
+    @property
+    def runs_made(self) -> int:
+        """Runs of each scene: what draws nothing is driven once."""
+        return self.runs if self.maker.draws else 1
+
+    def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
+        """The scenes that are driven; raises `InputError` as for an evaluation."""
+        return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
+
+    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+        """All units, scene after scene.
+
+        Raises:
+            InputError: If no scene has a scenario.
+        """
+        found = []
+        for scene in scenes:
+            families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
+            found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+        if not found:
+            raise InputError(
+                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios; "
+                "take other scenes or other scenarios (docs/closed-loop.md)"
+            )
+        return found
+
+
+def drive_split(
+    data: "DataSet",
+    split: str,
+    planner: Planner | PlannerFactory,
+    out: Path,
+    settings: DriveSettings,
+    *,
+    reopen: Callable[[], "DataSet"] | None = None,
+) -> DriveRecord:
+    """Drive a planner through a split and write the record.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        planner: A planner, or a factory, which is what further processes need.
+        out: Folder of all records of drives.
+        settings: How.
+        reopen: Opens the data set in another process; by default from its root, version and name.
+
+    Returns:
+        The record. Its status is ``partial`` if the planner failed in any drive.
+
+    Raises:
+        InputError: If the split or a scene is unknown, a scene cannot be driven, the data is broken, or another command
+            is writing the same record.
+    """
+    factory = None if hasattr(planner, "plan") else planner
+    ready = cast("Planner", planner) if factory is None else factory()
+    if remembers_across_scenes(ready):
+        raise InputError(f"{ready.name} remembers across scenes, which a drive of single scenes cannot give it")
+    if settings.runs < 1:
+        raise InputError(f"--runs must be at least 1, got {settings.runs}")
+    facts = facts_of(ready) if factory is None else factory.facts
+    job, scenes = job_of(data, split, facts, out, settings), settings.chosen(data, split)
+    units = settings.units(data, scenes)
+    elsewhere = None
+    if factory is not None:
+        elsewhere = partial(
+            work_in_worker, job, reopen or partial(reopen_root, data.root, data.version, data.name), factory
+        )
+    label = f"{facts.name} drives {split}"
+    with only_writer(job.directory):
+        results = list(_results(units, partial(work_here, job, data, ready), elsewhere, settings.executor, label))
+        rows = [result.row for result in results]
+        described = _described(data, split, facts, scenes, settings)
+        record = write_drives(job.directory, described, rows, seed=settings.seed)
+        _tidy(job, units)
+    return record
+
+
+def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings: DriveSettings) -> Job:
+    """What every unit of a record needs to know; arguments as of `drive_split`, ``facts`` being the planner's."""
+    scenes = settings.chosen(data, split)
+    part = () if len(scenes) == len(data.scene_names(split)) else scenes
+    directory = drives_directory(out, data.name, split, facts, settings.measured, part)
+    return Job(
+        directory=directory,
+        fingerprint=data.fingerprint(),
+        planner=facts,
+        measured=settings.measured,
+        maker=settings.maker,
+        sensor=settings.sensor,
+        timeout_s=settings.timeout_s,
+        fresh=settings.fresh,
+    )
+
+
+def drives_directory(
+    out: Path, data_name: str, split: str, planner: PlannerFacts, measured: Measured, part: tuple[str, ...] = ()
+) -> Path:
+    """Directory of a record: ``<out>/<data>/<split>/<what was measured>/<planner>``."""
+    own = run_directory(out, data_name, split, planner, part)
+    parts = [measured.engine, *([measured.agents] if measured.engine == "default" else []), measured.sensor]
+    parts += [measured.scenarios] if measured.scenarios != "recorded" else []
+    parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
+    parts += [content_key(measured.sensor_facts)[:8]] if measured.sensor_facts else []
+    return own.parent / file_name("-".join(parts)) / own.name
+
+
+def kept_units(job: Job, units: list[Unit]) -> int:
+    """How many units are kept already."""
+    return sum(kept_drive(job.path(unit), job.key(unit)) is not None for unit in units)
+
+
+def _results(
+    units: list[Unit],
+    here: Callable[[Unit], UnitResult],
+    elsewhere: Callable[[Unit], UnitResult] | None,
+    executor: Executor,
+    label: str,
+) -> Iterator[UnitResult]:
+    """Results in the order of the units; those of one process are driven here."""
+    count = Count("drive", kept=_was_there)
+    alone = elsewhere is None or (isinstance(executor, LocalProcesses) and executor.workers == 1)
+    work, where = (here, LocalProcesses(1)) if alone or elsewhere is None else (elsewhere, executor)
+    return where.map(work, units, total=len(units), label=label, count=count)
+
+
+def _was_there(result: UnitResult) -> bool:
+    return result.seconds is None
+
+
+def _described(
+    data: "DataSet", split: str, facts: PlannerFacts, scenes: tuple[str, ...], settings: DriveSettings
+) -> dict[str, Any]:
+    return {
+        "planner": facts,
+        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
+        "split": split,
+        "scenes": list(scenes),
+        "scenes_in_split": len(data.scene_names(split)),
+        "scene_facts": data.scene_facts(scenes),
+        "frozen_split": frozen_split_of(data.provenance()),
+        "review": data.review(split).facts,
+        "generated": generated_facts(data.provenance()),
+        "measured": settings.measured,
+        "runs": settings.runs_made,
+        "scoring": VERSION,
+        "config": {"seed": settings.seed, "timeout_s": settings.timeout_s},
+        "environment": environment_facts(),
+    }
+
+
+def _tidy(job: Job, units: list[Unit]) -> None:
+    """Remove kept drives that are none of this record's any more."""
+    wanted, folder = {job.path(unit) for unit in units}, job.directory / KEPT
+    with writing_to(folder):
+        for path in folder.iterdir() if folder.is_dir() else ():
+            if path not in wanted:
+                path.unlink()

@@ -1,0 +1,147 @@
+"""Drives driven again by their stored plans, and scored anew: no planner is asked."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benchmark.closed_loop.drives.driving import Drive, Stage, drive
+from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
+from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
+from benchmark.closed_loop.engines import rides_of
+from benchmark.closed_loop.scores.scoring import VERSION, score_drive
+from benchmark.errors import InputError
+from benchmark.machine.storage import only_writer
+from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord, load_drives, write_drives
+from benchmark.runs.drive_rows import DECIMALS, row_of
+from benchmark.scene import Scene
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+_LONG_S: Final = 3600.0
+"""Nothing that is stored is late."""
+_MADE_BY_WRITING: Final = {"schema_version", "status", "seed", "files"}
+
+
+def rescore_drives(directory: Path, data: "DataSet") -> DriveRecord:
+    """Score a record of drives anew from its stored plans, in its place.
+
+    Args:
+        directory: Of the record.
+        data: The data set that it was driven on.
+
+    Returns:
+        The record with new scores. Failed drives stay as they are.
+
+    Raises:
+        InputError: If the record is damaged, the data set is another one, or the plans lead elsewhere than they did.
+    """
+    with only_writer(directory):
+        record = load_drives(directory)
+        facts, measured = record.facts, record.facts.measured
+        if data.fingerprint() != facts.data.fingerprint:
+            raise InputError(
+                f"{directory} was driven on another version of {facts.data.name} (its fingerprint differs from that of "
+                f"{data.root}); open the data set that it names"
+            )
+        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
+        rows = [driven_again(maker, data.scene(row.scene), data, row) for row in record.rows]
+        described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
+        return write_drives(directory, {**described, "scoring": VERSION}, rows, seed=facts.seed)
+
+
+def can_of(data: "DataSet", name: str) -> RecordedCan:
+    """What the recorded car measured in a scene."""
+    return RecordedCan.of((observation.ego for observation in data.observations(name)), data.root)
+
+
+def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> DriveRow:
+    """Drive the stored plans of a drive and score it anew; its planner is not asked.
+
+    Args:
+        maker: The engine that drove it.
+        scene: Its scene, with its map.
+        data: The data set.
+        row: The drive.
+
+    Returns:
+        The drive with new scores. A failed one stays as it is: it has none.
+
+    Raises:
+        InputError: If the plans lead elsewhere than they did.
+    """
+    if row.status == "failed":
+        return row
+    stage = _stage(maker, NoSensor(), scene, data, row)
+    found = redriven(stage, row, StoredPlans(row))
+    made = row_of(stage, found, None if found.failure is not None else score_drive(scene, found))
+    if made.ticks != row.ticks or made.contact != row.contact:
+        raise InputError(_elsewhere(row))
+    return made
+
+
+def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow) -> Stage:
+    return Stage(scene, can_of(data, row.scene), row.run, maker, sensor, _LONG_S, row.family)
+
+
+def seen_again(
+    maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow, plans: "StoredPlans"
+) -> Drive:
+    """What happened in a stored drive, everybody in it, from its plans.
+
+    Args:
+        maker: The engine that drove it.
+        sensor: What looks again.
+        scene: Its scene, with its map.
+        data: The data set.
+        row: The drive.
+        plans: Of this row.
+
+    Returns:
+        The drive; one in which the planner failed ends where it did.
+
+    Raises:
+        InputError: If the plans lead elsewhere than they did.
+    """
+    return redriven(_stage(maker, sensor, scene, data, row), row, plans)
+
+
+def redriven(stage: Stage, row: DriveRow, plans: "StoredPlans") -> Drive:
+    """Drive stored plans on a stage; arguments and errors as of `seen_again`."""
+    found = drive(stage, plans)
+    ticks = found.motion.ticks
+    states = np.round(found.motion.ego[ticks], DECIMALS).tolist()
+    if (found.motion.times_us[ticks].tolist(), states) != (row.ticks.time_us, row.ticks.ego):
+        raise InputError(_elsewhere(row))
+    return found
+
+
+def _elsewhere(row: DriveRow) -> str:
+    return (
+        f"the stored plans of {row.scene}, run {row.run}, lead elsewhere than they did: the engine or the data set "
+        "has changed since; run the same drive command again"
+    )
+
+
+class StoredPlans:
+    """The planner of a drive that was driven already: its plans, in their order."""
+
+    name = "stored plans"
+
+    def __init__(self, row: DriveRow) -> None:
+        self._plans = [Plan(np.array(plan.waypoints, np.float64), PlanFrame(plan.frame)) for plan in row.plans]
+        self._next = 0
+
+    def reset(self, scene: SceneInfo) -> None:
+        """Begin with the first."""
+        self._next = 0
+
+    def plan(self, observation: Observation) -> Plan:
+        """The next one; raises `LookupError` where there is none."""
+        if self._next >= len(self._plans):
+            raise LookupError("there are no more stored plans")
+        self._next += 1
+        return self._plans[self._next - 1]

@@ -1,0 +1,95 @@
+"""Where a recorded vehicle is around the ego, and how it moves at a frame: what a hand-over starts from."""
+
+import numpy as np
+
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
+from benchmark.dynamics.bicycle import REFERENCE_STEERING_RAD, WHEELBASE, DriverLimits, VehicleState, rear_axle
+from benchmark.geometry import Bools, Floats, to_local, wrap_angle
+from benchmark.scene import Scene
+
+STANDING_M_S = 0.3
+"""Slower than this a recorded vehicle stands; what its annotation drifts is noise."""
+MOST_SLIP_RAD = 0.35
+"""Recorded direction of motion and recorded heading may differ by this at the launch."""
+FIT_HALF_WINDOW = FRAMES_PER_KEYFRAME
+"""Frames on either side from which the motion at the launch is estimated: one keyframe interval."""
+
+
+def in_canvas(scene: Scene, points: Floats, half_extent_m: float, *, first: int = 0) -> Bools:
+    """Whether points lie in the square around the ego, frame by frame.
+
+    Args:
+        scene: The scene.
+        points: (F, 2) metres, global, one a frame.
+        half_extent_m: Half the side of the square.
+        first: Frame of the first point.
+
+    Returns:
+        (F,) verdicts.
+    """
+    local = to_local(points, scene.ego.pose[first : first + len(points)])
+    return np.asarray((np.abs(local) <= half_extent_m).all(axis=-1))
+
+
+def center_distance(scene: Scene, agent: int) -> Floats:
+    """Distance (T,) between the box centres of an agent and of the ego, metres."""
+    return np.asarray(np.linalg.norm(scene.agents.position[agent, :, :2] - scene.ego.boxes[:, :2], axis=-1))
+
+
+def drives_forward(scene: Scene, agent: int, frame: int) -> bool:
+    """Whether recorded motion agrees with recorded heading: standing, or moving where the box points."""
+    velocity, _, _ = _motion(scene, agent, frame)
+    if np.hypot(*velocity) < STANDING_M_S:
+        return True
+    slip = wrap_angle(np.arctan2(velocity[1], velocity[0]) - scene.agents.yaw[agent, frame])
+    return bool(np.abs(slip) <= MOST_SLIP_RAD)
+
+
+def initial_state(scene: Scene, agent: int, frame: int, limits: DriverLimits | None) -> VehicleState:
+    """Motion of a recorded vehicle at the hand-over, so that the new track goes on where the old one stops.
+
+    Speed is signed along the heading and then not negative (the reference lost the sign: reversing cars shot ahead).
+
+    Args:
+        scene: The recorded scene.
+        agent: Index of the agent.
+        frame: Frame of the hand-over.
+        limits: The state is brought inside them; without any, only the steering inside that of the physics.
+
+    Returns:
+        State at the rear axle.
+    """
+    velocity, acceleration, yaw_rate = _motion(scene, agent, frame)
+    yaw = float(scene.agents.yaw[agent, frame])
+    heading = np.array([np.cos(yaw), np.sin(yaw)])
+    length = float(scene.agents.size[agent, 0])
+    pose = rear_axle(np.array([*scene.agents.position[agent, frame, :2], yaw]), length)
+    speed = max(float(velocity @ heading), 0.0)
+    if speed < STANDING_M_S:
+        return VehicleState(pose, 0.0)
+    if limits is None:
+        steering = np.arctan(yaw_rate * WHEELBASE * length / max(speed, 1.0))
+        bounded = np.clip(steering, -REFERENCE_STEERING_RAD, REFERENCE_STEERING_RAD)
+        return VehicleState(pose, speed, float(acceleration @ heading), float(bounded))
+    along = float(np.clip(acceleration @ heading, -limits.braking_m_s2, limits.acceleration_m_s2))
+    most = min(limits.lateral_acceleration_m_s2 / speed, limits.yaw_rate_rad_s)
+    steering = np.arctan(np.clip(yaw_rate, -most, most) * WHEELBASE * length / max(speed, 1.0))
+    return VehicleState(pose, speed, along, float(np.clip(steering, -limits.steering_rad, limits.steering_rad)))
+
+
+def _motion(scene: Scene, agent: int, frame: int) -> tuple[Floats, Floats, float]:
+    """Velocity (2,), acceleration (2,) and yaw rate of the recorded track at a frame, by a local quadratic fit."""
+    valid = scene.agents.valid[agent]
+    first, last = frame, frame
+    while first > max(frame - FIT_HALF_WINDOW, 0) and valid[first - 1]:
+        first -= 1
+    while last < min(frame + FIT_HALF_WINDOW, len(valid) - 1) and valid[last + 1]:
+        last += 1
+    time = (np.arange(first, last + 1) - frame) / FRAME_HZ
+    if len(time) < 3:
+        return np.zeros(2), np.zeros(2), 0.0
+    basis = np.column_stack([np.ones_like(time), time, 0.5 * time**2])
+    yaw = np.unwrap(scene.agents.yaw[agent, first : last + 1])
+    measured = np.column_stack([scene.agents.position[agent, first : last + 1, :2], yaw])
+    fit = np.linalg.lstsq(basis, measured - measured[0], rcond=None)[0]
+    return fit[1, :2], fit[2, :2], float(fit[1, 2])

@@ -1,0 +1,252 @@
+"""Terms that ask a candidate to threaten the ego as traffic does, beside the paper's, which asks for nearness alone.
+
+``docs/generation.md``, "Terms of a threat", has each as an equation. All are means over half seconds of what is
+scored, so that weights compare with those of the paper's terms, and lower is better.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import FRAMES_PER_KEYFRAME
+from benchmark.dynamics.bicycle import WHEELBASE, SimulatedMotion
+from benchmark.geometry import Bools, Floats, to_local
+from benchmark.scene import Scene
+from generation.search.ego_way import EgoWay
+from generation.search.hyperparameters import HyperParameters
+from generation.search.lane_headings import LaneHeadings
+from generation.search.scoring import Surroundings, collisions
+
+FAR_M: Final = 20.0
+"""Distance from the place that is aimed at which counts as 1."""
+OVERRUN_SHARE: Final = 0.6
+"""Of what an ego that does not react would overrun, to be hit for certain and not only touched."""
+OVERLAP_M: Final = 0.6
+"""By how much a body reaches into the ego's strip that is in its way for certain."""
+REACTION_S: Final = 1.1
+"""How long a careful human closes before full braking: 0.8 s of reaction, and half the time in which braking rises."""
+BRAKING_M_S2: Final = 0.774 * 9.81
+MOVING_M_S: Final = 1.0
+"""Nothing beside or behind an ego slower than this presses it."""
+BRISK_M_S: Final = 4.0
+"""Closing speed that earns all of the reward for it."""
+HOVER_M: Final = 0.5
+USUAL_ALONG_M_S2: Final = 1.0
+USUAL_ACROSS_M_S2: Final = 0.7
+"""Scales of the Laplace distributions that stand for what recorded drivers ask for."""
+FREE_SHARE: Final = 0.6
+"""Share of half the area's side within which nothing is said of its edge."""
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """What is known at a planning frame of the S scored frames that count, half a second apart where there are such.
+
+    Attributes:
+        columns: (S,) which of the scored frames they are.
+        offsets: (S,) frames after the planning frame.
+        way: The ego's way.
+        frames: (S,) frames of the scene.
+        ego: (S, 3) poses of the ego's rear axle.
+    """
+
+    columns: tuple[int, ...]
+    offsets: tuple[int, ...]
+    way: EgoWay
+    frames: tuple[int, ...]
+    ego: Floats
+
+    @classmethod
+    def of(cls, scene: Scene, frame: int, offsets: tuple[int, ...]) -> "Ahead":
+        """Look ahead from a planning frame to the scored frames at some offsets from it."""
+        columns = [column for column, offset in enumerate(offsets) if offset % FRAMES_PER_KEYFRAME == 0]
+        columns = columns or [len(offsets) - 1]
+        chosen = tuple(offsets[column] for column in columns)
+        frames = tuple(frame + offset for offset in chosen)
+        return cls(tuple(columns), chosen, EgoWay.of(scene), frames, scene.ego.pose[list(frames)])
+
+    @cached_property
+    def speed(self) -> Floats:
+        """(S,) of the ego, m/s."""
+        return self.way.speed[list(self.frames)]
+
+    def aim_m(self, gap_s: float, least_m: float) -> Floats:
+        """(S,) room ahead of the ego that is aimed at: a time gap, or well within what the ego would overrun."""
+        over = self.way.overrun[list(self.frames)]
+        gap = gap_s * self.speed
+        return np.maximum(least_m, np.where(over >= least_m, np.minimum(gap, OVERRUN_SHARE * over), gap))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """B candidates at S frames, along the ego's way.
+
+    Attributes:
+        room: (B, S) metres from the ego's front to the candidate's rear, negative where they overlap or it is behind.
+        lag: (B, S) metres from the candidate's front to the ego's rear.
+        side: (B, S) metres from the ego's strip to the candidate, negative where it reaches in.
+        closing: (B, S) m/s by which the ego is faster along the way.
+        ego_speed: (S,) m/s.
+    """
+
+    room: Floats
+    lag: Floats
+    side: Floats
+    closing: Floats
+    ego_speed: Floats
+
+    @classmethod
+    def of(cls, ahead: Ahead, center: Floats, speed: Floats, size: Floats) -> "Placed":
+        """Place candidates.
+
+        Args:
+            ahead: The S frames.
+            center: (B, S, 3) poses of box centres.
+            speed: (B, S) m/s.
+            size: (2,) length and width.
+
+        Returns:
+            Their places.
+        """
+        way = ahead.way
+        station, offset, turn = way.places(center, ahead.frames[0], ahead.frames[-1])
+        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+        along, across = 0.5 * (cos * size[0] + sin * size[1]), 0.5 * (sin * size[0] + cos * size[1])
+        lead = station - way.station[list(ahead.frames)]
+        return cls(
+            room=lead - along - 0.5 * way.length_m,
+            lag=-lead - along - 0.5 * way.length_m,
+            side=np.abs(offset) - across - 0.5 * way.width_m,
+            closing=ahead.speed - speed * np.cos(turn),
+            ego_speed=ahead.speed,
+        )
+
+    @cached_property
+    def in_way(self) -> Bools:
+        """(B, S) in the ego's strip ahead of it."""
+        return np.asarray((self.side <= 0.0) & (self.room > 0.0))
+
+    @cached_property
+    def careful_m(self) -> Floats:
+        """(B, S) metres in which a careful human loses the closing speed, 0 where the ego does not close."""
+        closing = np.maximum(self.closing, 0.0)
+        return REACTION_S * closing + closing**2 / (2.0 * BRAKING_M_S2)
+
+    @property
+    def moving(self) -> Bools:
+        """(S,) whether the ego drives."""
+        return np.asarray(self.ego_speed >= MOVING_M_S)
+
+
+def threat(placed: Placed, aim_m: Floats) -> Floats:
+    """(B,) distance to the place ahead of the ego where one that does not react would hit; its root, 1 at 20 m."""
+    away = np.hypot(placed.room - aim_m, np.maximum(placed.side + OVERLAP_M, 0.0))
+    return np.asarray(np.sqrt(away / FAR_M).mean(axis=1))
+
+
+def closing(placed: Placed) -> Floats:
+    """(B,) minus the share of a brisk closing speed, where the ego closes in time for a careful human; at least -1."""
+    timely = placed.in_way & (placed.room >= placed.careful_m) & (placed.room <= 3.0 * placed.careful_m)
+    return np.asarray(-(timely * np.clip(placed.closing / BRISK_M_S, 0.0, 1.0)).mean(axis=1))
+
+
+def careful(placed: Placed) -> Floats:
+    """(B,) share of a careful human's braking distance that is missing in the ego's way."""
+    missing = np.maximum(placed.careful_m - placed.room, 0.0) / np.maximum(placed.careful_m, 1.0)
+    return np.asarray((placed.in_way * missing).mean(axis=1))
+
+
+def side(placed: Placed, least_m: float, per_speed_s: float) -> Floats:
+    """(B,) share of the side clearance that is missing beside a driving ego."""
+    wanted = least_m + per_speed_s * placed.ego_speed
+    abreast = (placed.room <= 0.0) & (placed.lag <= 0.0) & placed.moving
+    return np.asarray((abreast * np.clip(1.0 - placed.side / wanted, 0.0, 1.0)).mean(axis=1))
+
+
+def behind(placed: Placed) -> Floats:
+    """(B,) share of frames at which it is behind a driving ego."""
+    return np.asarray(((placed.lag > 0.0) & placed.moving).mean(axis=1))
+
+
+def unlikely(speed: Floats, acceleration: Floats, steering: Floats, length_m: float) -> Floats:
+    """(B,) minus the logarithm of the Laplace likelihood of (B, S) accelerations, without its constant."""
+    across = speed**2 * np.tan(steering) / (WHEELBASE * length_m)
+    return np.asarray((np.abs(acceleration) / USUAL_ALONG_M_S2 + np.abs(across) / USUAL_ACROSS_M_S2).mean(axis=1))
+
+
+def near_edge(center: Floats, ego: Floats, half_extent_m: float) -> Floats:
+    """(B,) how far beyond the free part of the area, 1 at its edge; squared, so that the edge itself counts most.
+
+    Args:
+        center: (B, S, 3) poses of box centres.
+        ego: (S, 3) poses around which the area lies.
+        half_extent_m: Half its side.
+    """
+    outward = np.stack([np.abs(to_local(center[:, step, :2], pose)).max(axis=-1) for step, pose in enumerate(ego)], 1)
+    free = FREE_SHARE * half_extent_m
+    return np.asarray(((np.maximum(outward - free, 0.0) / (half_extent_m - free)) ** 2).mean(axis=1))
+
+
+def threat_rating(
+    scene: Scene,
+    agent: int,
+    frame: int,
+    offsets: tuple[int, ...],
+    around: Surroundings,
+    hyper: HyperParameters,
+) -> Callable[[SimulatedMotion], Floats]:
+    """What the terms add to the scores of candidates at a planning frame.
+
+    Args:
+        scene: The scene.
+        agent: Index of the vehicle that is planned.
+        frame: The planning frame.
+        offsets: Frames after it that are scored.
+        around: What is there at them.
+        hyper: Weights.
+
+    Returns:
+        A function of the motion of B candidates that gives (B,) weighted sums.
+    """
+    ahead = Ahead.of(scene, frame, offsets)
+    size = scene.agents.size[agent, :2]
+    columns = list(ahead.columns)
+    there = replace(around, boxes=around.boxes[columns], present=around.present[columns])
+    lanes = LaneHeadings.of(scene) if hyper.against_weight else None
+    aim_m = ahead.aim_m(hyper.threat_gap_s, hyper.threat_least_m)
+
+    def rate(motion: SimulatedMotion) -> Floats:
+        ok = motion.finite
+        center = np.where(ok[:, None, None], motion.center[:, list(ahead.offsets)], 0.0)
+        states = np.where(ok[:, None, None], motion.states[:, list(ahead.offsets), 3:], 0.0)
+        speed, acceleration, steering = np.moveaxis(states, -1, 0)
+        placed = Placed.of(ahead, center, speed, size)
+        total = np.zeros(len(center))
+        terms: tuple[tuple[float, Callable[[], Floats]], ...] = (
+            (hyper.threat_weight, lambda: threat(placed, aim_m)),
+            (hyper.closing_weight, lambda: closing(placed)),
+            (hyper.careful_weight, lambda: careful(placed)),
+            (hyper.side_weight, lambda: side(placed, hyper.side_least_m, hyper.side_s)),
+            (hyper.behind_weight, lambda: behind(placed)),
+            (hyper.hover_weight, lambda: hovering(center, size, there)),
+            (hyper.likelihood_weight, lambda: unlikely(speed, acceleration, steering, float(size[0]))),
+            (hyper.area_weight, lambda: near_edge(center, ahead.ego, hyper.half_extent_m)),
+        )
+        for weight, term in terms:
+            if weight:
+                total += weight * term()
+        if lanes is not None:
+            total += hyper.against_weight * lanes.against(center).mean(axis=1)
+        return total
+
+    return rate
+
+
+def hovering(center: Floats, size: Floats, around: Surroundings) -> Floats:
+    """(B,) share of frames with anybody within half a metre."""
+    grown = np.broadcast_to(np.asarray(size) + 2.0 * HOVER_M, (*center.shape[:2], 2))
+    boxes = np.concatenate([center[..., :2], grown, center[..., 2:]], axis=-1)
+    return np.asarray(collisions(boxes, around).mean(axis=1))

@@ -1,0 +1,62 @@
+"""Weights of the terms that ask a candidate to threaten the ego, and not merely to be near it; all 0 in the paper."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+
+@dataclass(frozen=True, slots=True)
+class ThreatSettings:
+    """What `generation.search.threat` adds to a score, equation by equation in ``docs/generation.md``.
+
+    Attributes:
+        threat_weight: Of the distance to where an ego that does not react would run into the candidate.
+        threat_gap_s: Time gap ahead of the ego that is aimed at where the ego does not brake.
+        threat_least_m: Least room ahead of the ego that is aimed at.
+        closing_weight: Reward for a candidate in the ego's way that the ego closes on, in time for a careful human.
+        careful_weight: Of being in the ego's way nearer than a careful human can brake for.
+        side_weight: Of a side clearance that is too small for the ego's speed.
+        side_least_m: Side clearance beside an ego that all but stands.
+        side_s: Further side clearance for each m/s of the ego.
+        behind_weight: Of being behind an ego that moves, where nothing that it does threatens anybody.
+        against_weight: Of heading against the lane below.
+        hover_weight: Of bodies within half a metre, whoever's.
+        likelihood_weight: Of accelerations that recorded drivers rarely ask for.
+        area_weight: Of nearing the edge of the area around the ego.
+        least_overrun_m: With ``launch=reach`` a vehicle is tried only if it can be in the ego's way before an ego that
+            does not react would overrun the recorded one by so much more than the air that is kept. 0 does not ask.
+        careful_survives: Whether a scene is dropped in which a careful and competent human touches anybody.
+    """
+
+    threat_weight: float = 0.0
+    threat_gap_s: float = 0.6
+    threat_least_m: float = 1.0
+    closing_weight: float = 0.0
+    careful_weight: float = 0.0
+    side_weight: float = 0.0
+    side_least_m: float = 0.8
+    side_s: float = 0.05
+    behind_weight: float = 0.0
+    against_weight: float = 0.0
+    hover_weight: float = 0.0
+    likelihood_weight: float = 0.0
+    area_weight: float = 0.0
+    least_overrun_m: float = 0.0
+    careful_survives: bool = False
+
+    @property
+    def threatens(self) -> bool:
+        """Whether any of the terms has a weight."""
+        return any((
+            self.threat_weight, self.closing_weight, self.careful_weight, self.side_weight, self.behind_weight,
+            self.against_weight, self.hover_weight, self.likelihood_weight, self.area_weight,
+        ))  # fmt: skip
+
+    def where_asked(self) -> Self:
+        """Without the terms that say where to be: a manoeuvre that was asked for says that."""
+        return replace(
+            self, threat_weight=0.0, closing_weight=0.0, side_weight=0.0, behind_weight=0.0, hover_weight=0.0
+        )
+
+
+NEUTRAL = ThreatSettings()
+"""All terms off: what searches had before there were any."""

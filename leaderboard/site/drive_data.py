@@ -1,0 +1,252 @@
+"""Drives that the player plays: one script for each, and what the index says of them.
+
+A drive's script has members of a scene's (`leaderboard.site.scene_data`) that take the place of those of its scene,
+whose key is ``base``: ``frames`` to the drive's end, ``ego`` as driven, ``samples`` (the planning instants), ``models``
+(who drove, with the plan of each instant), no protocols and no pictures; ``agents`` is empty where nobody knows where
+they went. Beyond them:
+
+* ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
+* ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null.
+
+The ego is between the stored states, half a second apart, where a cubic through their places and speeds leads.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.constants import LIDAR_FROM_REAR_AXLE_M
+from benchmark.drawing.overlays import shared_point
+from benchmark.drawing.placing import agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
+from benchmark.geometry import Floats
+from benchmark.machine.storage import content_key
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord
+from benchmark.records.scenes import Sheet, Sheets
+from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
+from leaderboard.site.scene_index import scene_key
+from leaderboard.site.scene_plans import ERROR_CHARACTERS
+from leaderboard.site.scripts import data_script
+from leaderboard.tables.worlds import worlds
+
+_SCENES: Final = "window.CHALLENGER_SCENES = window.CHALLENGER_SCENES || {}"
+_X, _Y, _YAW, _SPEED = range(4)
+_LATE_S: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """One drive with the name of its planner."""
+
+    record: DriveRecord
+    name: str
+    row: DriveRow
+
+    @property
+    def key(self) -> str:
+        """In addresses and file names."""
+        return content_key("drive", self.record.content_id, self.row.scene, self.row.family, self.row.run)[:16]
+
+    @property
+    def scene(self) -> tuple[str, str, str]:
+        """Data set, split, scene."""
+        return self.record.facts.data.name, self.record.facts.split, self.row.scene
+
+    @property
+    def everybody(self) -> bool:
+        """Whether the others are where the recording has them: records hold nobody's places but the ego's."""
+        measured = self.record.facts.measured
+        return measured.engine == "default" and measured.agents == "replay"
+
+
+def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, bytes]:
+    """Scripts of the drives whose scene has a sheet of the same content.
+
+    Args:
+        drives: Records of drives.
+        sheets: Scene sheets.
+
+    Returns:
+        ``data/scenes/<key>.js`` by path below the site's folder.
+    """
+    files = {}
+    for one in _shown(drives):
+        if _has_sheet(one, sheets):
+            drive = _drive(one, sheets.scenes[one.scene].sheet)
+            files[f"data/scenes/{one.key}.js"] = data_script(f'({_SCENES})["{one.key}"]', drive)
+    return files
+
+
+def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str, Any]]:
+    """What pages say of drives.
+
+    Args:
+        drives: Records of drives.
+        sheets: Scene sheets.
+
+    Returns:
+        For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
+        ``miniature``, ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``,
+        ``everybody``.
+    """
+    found = []
+    for one in _shown(drives):
+        facts, row = one.record.facts, one.row
+        contact = None if row.contact is None else row.contact.model_dump(mode="json")
+        found.append(
+            {
+                "key": one.key if _has_sheet(one, sheets) else None,
+                "scene": scene_key(one.scene),
+                "planner": one.name,
+                "privileged": facts.planner.privileged,
+                "miniature": facts.planner.miniature,
+                "world": facts.measured.world,
+                "sensor": facts.measured.sensor,
+                "family": row.family,
+                "run": row.run,
+                "runs": facts.runs,
+                "end": row.end,
+                "contact": contact,
+                "failure": None if row.failure is None else row.failure.reason,
+                "everybody": one.everybody,
+            }
+        )
+    return found
+
+
+def _shown(drives: Sequence[DriveRecord]) -> Iterator[_Shown]:
+    """Every drive once, in the order of the tables."""
+    done = set()
+    for world in worlds(drives):
+        for record, name in zip(world.records, world.planners, strict=True):
+            if record.content_id not in done:
+                done.add(record.content_id)
+                yield from (_Shown(record, name, row) for row in record.rows)
+
+
+def _has_sheet(one: _Shown, sheets: Sheets) -> bool:
+    stored = sheets.scenes.get(one.scene)
+    return stored is not None and stored.sheet.data.fingerprint == one.record.facts.data.fingerprint
+
+
+def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
+    row = one.row
+    ticks = (np.array(row.ticks.time_us, np.int64) - sheet.timestamps_us[0]) * 1e-6
+    states = np.array(row.ticks.ego, np.float64)
+    states[:, :2] -= sheet.origin_m
+    contact = _contact(one, sheet, ticks, states)
+    end = ticks[-1] if contact is None else contact["t"]
+    seconds = frame_seconds(sheet)
+    seconds = seconds[: max(int(np.searchsorted(seconds, end + _LATE_S)), 1)]
+    recorded = np.array([ego_pose(sheet, frame) for frame in range(len(seconds))])
+    pose = np.where((seconds < ticks[0])[:, None], recorded, driven_poses(seconds, ticks, states))
+    ego = sheet.ego
+    data = {
+        "base": scene_key(one.scene),
+        "key": one.key,
+        "frames": np.round(seconds, 3).tolist(),
+        "ego": {
+            "x": packed(pose[:, _X].tolist(), CENTIMETRE),
+            "y": packed(pose[:, _Y].tolist(), CENTIMETRE),
+            "yaw": packed(pose[:, _YAW].tolist(), MILLIRADIAN),
+            "length": ego.length_m,
+            "width": ego.width_m,
+            "ahead": ego.centre_ahead_m,
+        },
+        "recordedPath": packed_path(
+            np.array([ego_box(sheet, frame)[:2] for frame in range(len(sheet.timestamps_us))]), CENTIMETRE
+        ),
+        "contact": contact,
+        "protocols": [],
+        "cameras": [],
+        "pictures": [],
+        "edges": {},
+    }
+    return data | ({} if one.everybody else {"agents": []}) | _plans(one, seconds, ticks, states)
+
+
+def _plans(one: _Shown, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
+    """Planning instants of the drive and the plan of each."""
+    row, planner = one.row, one.record.facts.planner
+    samples: list[dict[str, Any]] = []
+    found: list[dict[str, Any] | None] = []
+    # A drive that failed has an instant without a plan; the instant at which a drive ends has none either.
+    plans = [*row.plans, *([None] if row.failure is not None else [])]
+    for number, (plan, t) in enumerate(zip(plans, ticks, strict=False)):
+        if t > seconds[-1] + 0.5:
+            break
+        frame = int(np.argmin(np.abs(seconds - t)))
+        command = row.ticks.command[number] if number < len(row.ticks.command) else None
+        samples.append({"frame": frame, "t": round(float(t), 3), "command": command})
+        if plan is None:
+            assert row.failure is not None
+            lines = row.failure.text.strip().splitlines() or [row.failure.reason]
+            found.append({"failed": lines[-1][:ERROR_CHARACTERS]})
+            continue
+        found.append(_plan(np.array(plan.waypoints, np.float64), plan.frame, states[number, :3]))
+    model = {
+        "name": one.name,
+        "privileged": planner.privileged,
+        "miniature": planner.miniature,
+        "native": None,
+        "samples": found,
+    }
+    return {"samples": samples, "models": [model]}
+
+
+def _plan(waypoints: Floats, frame: str, axle: Floats) -> dict[str, Any] | None:
+    placed = placed_waypoints(waypoints, frame, LIDAR_FROM_REAR_AXLE_M, axle)
+    if placed is None:
+        return None
+    start = axle[:2] + LIDAR_FROM_REAR_AXLE_M * np.array([np.cos(axle[2]), np.sin(axle[2])])
+    return {
+        "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
+        "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
+        "verdicts": [],
+        "contact": [],
+    }
+
+
+def _contact(one: _Shown, sheet: Sheet, ticks: Floats, states: Floats) -> dict[str, float] | None:
+    """When and where the drive ended, by the stored states; between the bodies where the other's place is known."""
+    row = one.row
+    if row.contact is None:
+        return None
+    t = float(ticks[row.primed - 1]) + row.contact.seconds
+    x, y, yaw = driven_poses(np.array([t]), ticks, states)[0]
+    ego, ahead = sheet.ego, sheet.ego.centre_ahead_m
+    box = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), ego.length_m, ego.width_m, yaw])
+    agent = next((each for each in sheet.agents if each.id == row.contact.agent), None)
+    other = None if agent is None or not one.everybody else agent_box_at(sheet, agent, t)
+    point = box[:2] if other is None else shared_point(box, other)
+    return {"t": round(t, 3), "x": round(float(point[0]), 2), "y": round(float(point[1]), 2)}
+
+
+def driven_poses(seconds: Floats, ticks: Floats, states: Floats) -> Floats:
+    """Where the ego is between stored states: a cubic through places and speeds, headings by the shortest turn.
+
+    Args:
+        seconds: (F,) times; those before and after the states are held to them.
+        ticks: (K,) times of the states.
+        states: (K, 4 or more) x, y, yaw, speed along the heading.
+
+    Returns:
+        (F, 3) x, y, yaw.
+    """
+    yaw = np.unwrap(states[:, _YAW])
+    if len(ticks) == 1:
+        return np.repeat(states[:1, :3], len(seconds), axis=0)
+    now = np.clip(seconds, ticks[0], ticks[-1])
+    at = np.clip(np.searchsorted(ticks, now, side="right") - 1, 0, len(ticks) - 2)
+    step = ticks[at + 1] - ticks[at]
+    s = ((now - ticks[at]) / step)[:, None]
+    velocity = states[:, _SPEED, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    first, second = states[at, :2], states[at + 1, :2]
+    out, into = velocity[at] * step[:, None], velocity[at + 1] * step[:, None]
+    # Hermite's basis: at the first state, its speed, at the second, its speed.
+    weights = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2
+    place = weights[0] * first + weights[1] * out + weights[2] * second + weights[3] * into
+    turned = yaw[at] + s[:, 0] * (yaw[at + 1] - yaw[at])
+    return np.column_stack([place, (turned + np.pi) % (2 * np.pi) - np.pi])

@@ -1,0 +1,60 @@
+"""``data stats``: what is said of scenes beside what is counted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.datasets.judged import JUDGEMENTS_FILE, judgements_text
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.records.made_judgements import made_judgement
+from tests.generation.labels.recorded_roads import recorded
+from tests.hand_made import Car
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One scene with an adversary that stays where it was recorded, judged by hand, and its recording."""
+    root = tmp_path_factory.mktemp("stats") / "root"
+    scene = recorded("scene-0001", (Car(90.0, 198.25, 8.0),), seconds=4.0)
+    track = np.column_stack([scene.agents.position[0, :, :2], scene.agents.yaw[0]])
+    made = scene.with_adversary(0, slice(0, len(track)), track)
+    plan = DataSetPlan(root=root, split="adv", version="v1.0-mini")
+    keys = [
+        write_scene(plan, made, name="scene-0001-aa", source_scene="scene-0001", report={"kept": True}),
+        write_scene(plan, recorded("scene-0002"), name="scene-0002", source_scene="scene-0002", report={}),
+    ]
+    finish_data_set(plan, keys)
+    judged = made_judgement(adversary="of-the-recording", unsolvable=True)
+    (root / "v1.0-mini" / JUDGEMENTS_FILE).write_text(judgements_text({"scene-0001-aa": (judged,)}))
+    return root
+
+
+def test_scenes_with_adversaries_are_judged_and_recordings_when_asked(root: Path) -> None:
+    said = run_here("data", "stats", root, "--workers", "1")
+    assert said.code == 0 and "Who survives which scene" in said.out and "scene-0002" not in said.out
+    assert "Nobody could have avoided 1: scene-0001-aa." in said.out and "Realism: not compared" in said.out
+    everything = json.loads(run_here("data", "stats", root, "--judge", "--json", "--workers", "1").out)["judgement"]
+    assert set(everything["scenes"]) == {"scene-0001-aa", "scene-0002"}
+    assert {row["of"] for row in everything["ladder"]} == {2} and everything["unsolvable"] == ["scene-0001-aa"]
+    assert everything["scenes"]["scene-0001-aa"][0]["adversary"] == "of-the-recording"
+
+
+def test_nothing_is_judged_where_nobody_wants_it_or_nobody_is_adversarial(root: Path, tmp_path: Path) -> None:
+    counted = json.loads(run_here("data", "stats", root, "--no-judge", "--json").out)
+    assert counted["judgement"] is None and counted["counts"]["scenes"] == 2
+    plan = DataSetPlan(root=tmp_path / "val", split="val", version="v1.0-mini")
+    scene = recorded("scene-0002")
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    said = run_here("data", "stats", plan.root)
+    assert said.code == 0 and "Who survives" not in said.out
+
+
+def test_recordings_that_are_given_stand_beside(root: Path, tmp_path: Path) -> None:
+    plan = DataSetPlan(root=tmp_path / "val", split="val", version="v1.0-mini")
+    scene = recorded("scene-0001", (Car(90.0, 198.25, 8.0),), seconds=4.0)
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    said = json.loads(run_here("data", "stats", root, "--recordings", plan.root, "--json").out)["judgement"]
+    assert {row["of"] for row in said["ladder_of_recordings"]} == {1}

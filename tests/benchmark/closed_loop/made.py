@@ -1,0 +1,61 @@
+"""Courses of one line, and planners of three."""
+
+from typing import Any
+
+import numpy as np
+
+from benchmark.closed_loop.agents.idm import Idm
+from benchmark.closed_loop.courses import course_of, recorded_poses, replay_of
+from benchmark.closed_loop.stepping import begin, step
+from benchmark.closed_loop.world import STEP_US, Course, World
+from benchmark.constants import PLAN_STEPS
+from benchmark.geometry import Floats, to_local
+from benchmark.scene import Scene
+from tests.hand_made import Car, scene_on_straight_road
+
+
+def course(*cars: Car, ego_speed: float = 8.0, seconds: float = 8.0, idm: bool = False, **changes: Any) -> Course:
+    """The hand-made road; the ego is the recorded one at first."""
+    scene = scene_on_straight_road(cars, ego_speed=ego_speed, seconds=seconds)
+    made = course_of(scene, **changes)
+    return course_of(scene, policy=idm_of(scene, made), **changes) if idm else made
+
+
+def idm_of(scene: Scene, made: Course) -> Idm:
+    replay = replay_of(scene, made.start_us, made.end_us)
+    return Idm.of(replay, scene.agents.categories, scene.road_map)
+
+
+def straight(speed: float, count: int = PLAN_STEPS) -> Floats:
+    return np.column_stack([0.5 * speed * np.arange(1, count + 1), np.zeros(count)])
+
+
+def bend(speed: float, radius: float, count: int = PLAN_STEPS) -> Floats:
+    turned = 0.5 * speed / radius * np.arange(1, count + 1)
+    return radius * np.column_stack([np.sin(turned), 1 - np.cos(turned)])
+
+
+def recorded_plan(scene: Scene, world: World) -> Floats:
+    """The recorded future from where the ego is."""
+    times = world.time_us + STEP_US * np.arange(1, PLAN_STEPS + 1)
+    return to_local(recorded_poses(scene, times)[:, :2], world.ego.pose)
+
+
+def driven(made: Course, plan: Floats, steps: int) -> list[World]:
+    worlds = [begin(made)]
+    for _ in range(steps):
+        worlds.append(step(made, worlds[-1], plan))
+    return worlds
+
+
+def same(first: World, second: World) -> bool:
+    """Whether two worlds are equal to the last bit."""
+    if (first.contact is None) != (second.contact is None) or first.step != second.step:
+        return False
+    egos = first.ego == second.ego and first.time_us == second.time_us
+    traces = all(
+        (a is None and b is None) or (a is not None and b is not None and a.egos.tobytes() == b.egos.tobytes())
+        for a, b in ((first.trace, second.trace),)
+    )
+    others = first.others.boxes.tobytes() == second.others.boxes.tobytes()
+    return egos and traces and others

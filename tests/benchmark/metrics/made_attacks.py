@@ -1,0 +1,145 @@
+"""Records of planners whose plans touch somebody, or nearly do, as letters say; and scenes that somebody judged."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from benchmark.records.judgement import (
+    FAULT_NAMES,
+    CtgRow,
+    FeatureRow,
+    JudgementSummary,
+    KindName,
+    SplitRealism,
+    ValidityRow,
+)
+from benchmark.records.row_schema import PlanContactRow, PlanNearRow, PlanSeverityRow
+from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import SceneFacts
+from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, UNCOUNTED, hand_made
+from tests.benchmark.records.made_judgements import hits, made_judgement
+
+_CONTACTS: dict[str, tuple[KindName, bool | None, float, bool]] = {
+    # kind, at fault, impact speed, adversary
+    "f": ("front", True, 10.0, True),
+    "F": ("front", True, 20.0, False),
+    "r": ("rear", False, 4.0, True),
+    "s": ("lateral", None, 2.0, True),
+}
+_FLAGS = {".": CLEAN, "!": FAILED, "-": UNCOUNTED}
+
+
+def contact(letter: str) -> PlanSeverityRow:
+    """A sample that touches somebody: f and F in front, r from behind, s at the side without a map."""
+    kind, blamed, speed, adversary = _CONTACTS[letter]
+    return PlanSeverityRow(
+        contact=PlanContactRow(
+            time_s=1.3,
+            kind=kind,
+            at_fault=blamed,
+            impact_speed_m_s=speed,
+            delta_v_ego_m_s=0.5 * speed,
+            delta_v_other_m_s=0.4 * speed,
+            fatal_probability=min((0.5 * speed / 31.74) ** 4, 1.0),
+            agent="a" if adversary else "b",
+            adversary=adversary,
+        )
+    )
+
+
+def near(index: int) -> PlanSeverityRow:
+    """A sample without contact: later ones come nearer; the first does not head for the adversary."""
+    return PlanSeverityRow(
+        near=PlanNearRow(
+            least_gap_m=5.0 - index,
+            least_ttc_s=None if index == 0 else 3.0 / index,
+            tet_s=0.1 * index,
+            tit_s2=0.01 * index,
+            pet_s=None if index == 0 else 2.0,
+            max_btn=0.5 * index,
+        )
+    )
+
+
+def attacked(
+    planner: str,
+    scenes: Mapping[str, str],
+    careful: Mapping[str, bool | None],
+    *,
+    split: str = "adv",
+    sources: Mapping[str, str] | None = None,
+    data: str = "d",
+    privileged: bool = False,
+) -> RunRecord:
+    """A record; in ``scenes`` a letter a sample (see `contact`), ``.`` near, ``!`` failed, ``-`` too late.
+
+    ``careful``: whether the careful human survives each scene, ``None`` where nobody judged it.
+    """
+    flags = {scene: [_FLAGS.get(letter, HIT) for letter in letters] for scene, letters in scenes.items()}
+    record = hand_made(planner, flags, split=split, data=data, privileged=privileged)
+    rows = []
+    for row in record.rows:
+        letter = scenes[row.scene][row.index]
+        severity = None if letter == "!" else contact(letter) if letter in _CONTACTS else near(row.index)
+        rows.append(row.model_copy(update={"severity": severity, "complete": letter != "-"}))
+    facts = {
+        scene: SceneFacts(
+            source=(sources or {}).get(scene, scene),
+            manoeuvre="cut-in-left",
+            adversaries=1,
+            judgement=judged(survives),
+        )
+        for scene, survives in careful.items()
+    }
+    return replace(record, rows=tuple(rows), run=record.run.model_copy(update={"scene_facts": facts}))
+
+
+def judged(survives: bool | None) -> JudgementSummary | None:
+    """What was said of a scene; where the careful human does not survive, its adversary leaves the road."""
+    if survives is None:
+        return None
+    judgement = made_judgement()
+    drivers = {name: run.model_dump() for name, run in judgement.drivers.items()}
+    drivers |= {} if survives else {name: hits() for name in ("constant", "idm", "r157", "cc", "fsm", "rss")}
+    chance = {} if survives else {"chance": "until", "last_chance_s": 2.0, "margin_s": 1.25}
+    faults = {name: name == "off_road" and not survives for name in FAULT_NAMES}
+    return JudgementSummary.of([made_judgement(drivers=drivers, faults=faults, **chance)])
+
+
+def with_realism(record: RunRecord, worst: float | None) -> RunRecord:
+    """The record of a split whose adversaries were looked at; compared with recordings if a worst value is given."""
+    count = len(record.run.scenes)
+    validity = (
+        ValidityRow(fault="off_road", count=1, of=count),
+        ValidityRow(fault="teleport", count=0, of=0, unknown=("the generated 12 Hz track is not in the data set",)),
+    )
+    if worst is None:
+        said = SplitRealism(adversaries=count, validity=validity, not_compared="the recordings are our own town")
+    else:
+        features = tuple(
+            FeatureRow(
+                name=name,
+                w1=0.4,
+                w1_of_halves=0.2,
+                w1_in_halves=2.0,
+                realism=realism,
+                realism_of_halves=0.94,
+                interval=(realism - 0.05, realism + 0.02),
+            )
+            for name, realism in (("speed", 0.95), ("jerk_along", worst))
+        )
+        said = SplitRealism(
+            adversaries=count,
+            validity=validity,
+            reference="vehicle.car of 3 scenes",
+            samples=(120, 900),
+            features=features,
+            worst="jerk_along",
+            ctg=CtgRow(
+                version="ctg",
+                normalisation="scene",
+                mask="current_speed",
+                mean_real_dev=0.05,
+                mean_real_dev_int=None,
+            ),
+        )
+    return replace(record, run=record.run.model_copy(update={"realism": said}))

@@ -1,0 +1,115 @@
+"""Drives on the site: scripts that say where the ego was, and a page that plays them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmark.records.drives import DriveRecord
+from benchmark.records.scenes import Sheet, Sheets
+from leaderboard.build import write_leaderboard
+from leaderboard.site.drive_data import drive_files, drive_index, driven_poses
+from leaderboard.site.scene_index import scene_key
+from tests.benchmark.records.test_drives import contact, row, written
+from tests.leaderboard.site.browser import Browser
+from tests.leaderboard.site.conftest import Site
+from tests.leaderboard.site.test_index import value_of
+
+
+def drive_of(folder: Path, sheet: Sheet, agents: str = "replay", **changes: Any) -> DriveRecord:
+    """Three seconds at 4 m/s, 2 m beside where the recorded ego began, on a sheet's scene, to a contact at 2.3 s."""
+    times = [sheet.timestamps_us[0] + 500_000 * tick for tick in range(7)]
+    x, y = (place + at for place, at in zip(sheet.origin_m, (sheet.ego.x_m[0], sheet.ego.y_m[0])))
+    ego = [[x + 2.0 * tick, y + 2.0, 0.0, 4.0, 0.0, 0.0, 0.0] for tick in range(7)]
+    end = {"end": "contact", "contact": {**contact(), "seconds": 1.3}}
+    one = row(
+        sheet.scene,
+        primed=3,
+        ticks={"time_us": times, "ego": ego, "command": [2] * 6, "station": [0.0] * 6},
+        plans=[{"frame": "ego", "waypoints": [[2.0 * step, 0.0] for step in range(1, 7)]}] * 6,
+        **{**end, **changes},
+    )
+    measured = {"engine": "default", "agents": agents, "sensor": "none"}
+    data = sheet.data.model_dump()
+    return written(folder, one, data=data, split=sheet.split, scenes=[sheet.scene], measured=measured)
+
+
+def first_sheet(site: Site) -> Sheet:
+    return min(site.sheets.scenes.values(), key=lambda stored: stored.sheet.scene).sheet
+
+
+def steps(values: Sequence[int]) -> list[float]:
+    return [0.01 * value for value in np.cumsum(values)]
+
+
+def test_between_states_the_ego_is_on_a_cubic() -> None:
+    ticks = np.array([0.0, 0.5, 1.0])
+    even = np.array([[0.0, 0.0, 0.0, 4.0], [2.0, 0.0, 0.0, 4.0], [4.0, 0.0, 0.0, 4.0]])
+    found = driven_poses(np.array([-1.0, 0.0, 0.125, 0.75, 1.0, 9.0]), ticks, even)
+    np.testing.assert_allclose(found[:, 0], [0.0, 0.0, 0.5, 3.0, 4.0, 4.0])
+    # From rest to 4 m/s at constant acceleration: the cubic is that parabola.
+    begins = np.array([[0.0, 0.0, 3.1, 0.0], [-1.0, 0.0, -3.1, 4.0]])
+    halfway = driven_poses(np.array([0.25]), ticks[:2], begins)[0]
+    assert halfway[0] == pytest.approx(-0.25, abs=0.01) and abs(halfway[2]) > 3.1
+    assert driven_poses(np.array([0.0, 1.0]), ticks[:1], even[:1]).tolist() == [[0.0, 0.0, 0.0]] * 2
+
+
+def test_a_script_holds_the_drive_and_nothing_of_others_that_answered(site: Site, tmp_path: Path) -> None:
+    sheet = first_sheet(site)
+    replayed, answered = (drive_of(tmp_path / name, sheet, name) for name in ("replay", "idm"))
+    files, index = drive_files([replayed, answered], site.sheets), drive_index([replayed, answered], site.sheets)
+    assert {f"data/scenes/{one['key']}.js" for one in index} == set(files) and len(files) == 2
+    assert {one["scene"] for one in index} == {scene_key((sheet.data.name, sheet.split, sheet.scene))}
+    of = {one["world"]: value_of(files[f"data/scenes/{one['key']}.js"]) for one in index}
+    drive = of["default, agents replay"]
+    assert drive["base"] == index[0]["scene"] and "agents" not in drive
+    assert of["default, agents idm"]["agents"] == [] and {one["everybody"] for one in index} == {True, False}
+    # The contact is 1.3 s after the last primed instant, at 1 s.
+    assert drive["frames"][-1] <= 2.3 < drive["frames"][-1] + 0.09 and drive["contact"]["t"] == pytest.approx(2.3)
+    x = steps(drive["ego"]["x"])
+    assert x[-1] - x[0] == pytest.approx(4.0 * drive["frames"][-1], abs=0.02)
+    assert [sample["t"] for sample in drive["samples"]] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5][: len(drive["samples"])]
+    (model,) = drive["models"]
+    assert len(model["samples"]) == len(drive["samples"]) >= 5 and model["name"] == "made"
+
+
+def test_other_content_is_listed_and_not_played(site: Site, tmp_path: Path) -> None:
+    sheet = first_sheet(site)
+    other = sheet.model_copy(update={"data": sheet.data.model_copy(update={"fingerprint": "e"})})
+    driven = [drive_of(tmp_path, other)]
+    assert drive_files(driven, site.sheets) == {} and drive_index(driven, site.sheets)[0]["key"] is None
+    assert drive_files(driven, Sheets({}, {})) == {}
+
+
+def test_a_failed_drive_says_why(site: Site, tmp_path: Path) -> None:
+    failure = {"reason": "raised", "text": "Traceback\nValueError: no"}
+    failed: dict[str, Any] = {"status": "failed", "end": "failed", "scores": None, "failure": failure, "contact": None}
+    driven = drive_of(tmp_path, first_sheet(site), **failed)
+    (script,) = drive_files([driven], site.sheets).values()
+    samples = value_of(script)["models"][0]["samples"]
+    assert samples[-1] == {"failed": "ValueError: no"} and "path" in samples[0]
+
+
+def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) -> None:
+    sheet = first_sheet(site)
+    driven = [drive_of(tmp_path / name, sheet, name) for name in ("replay", "idm")]
+    folder = tmp_path / "board"
+    write_leaderboard(site.records, folder, sheets=site.sheets, drives=driven)
+    index = (folder / "site" / "index.html").as_uri()
+    keys = {one["everybody"]: one["key"] for one in drive_index(driven, site.sheets)}
+    text = opened(browser, index, f"#/drive/{keys[True]}?t=2")
+    assert "contact after 1.3 s" in text and "where the recording has them" in text and "ego, as driven" in text
+    assert "not judged" not in text and "Sample 5" in text
+    assert "Only the ego is shown as driven" in opened(browser, index, f"#/drive/{keys[False]}")
+    scene = scene_key((sheet.data.name, sheet.split, sheet.scene))
+    assert "Driven in closed loop" in opened(browser, index, f"#/scene/{scene}")
+
+
+def opened(browser: Browser, index: str, route: str) -> str:
+    """What a page with a player says."""
+    browser.open(route, start=index)
+    browser.one("player-scrub")
+    browser.frames()
+    return str(browser.js("return document.querySelector('main').innerText"))

@@ -1,0 +1,128 @@
+"""Tables of attack success, severity, the ladder and realism: the numbers of the metrics, and what nobody can tell."""
+
+from pathlib import Path
+
+from benchmark.metrics.attacks import attack_rates
+from benchmark.records.run import RunRecord, load_record
+from benchmark.report.table import Table
+from leaderboard.build import leaderboard_files
+from leaderboard.tables.attacks import attack_tables, success_table
+from leaderboard.tables.collision import run_tables
+from leaderboard.tables.contents import data_set_tables
+from leaderboard.tables.judgements import judgement_tables
+from tests.benchmark.metrics.made_attacks import attacked, with_realism
+from tests.benchmark.records.hand_made_records import CLEAN, hand_made
+
+SCENES = {"a": "f.r.", "b": "F...", "c": "f...", "d": "s!.."}
+CAREFUL = {"a": True, "b": False, "c": None, "d": True}
+GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "records"
+
+
+def records() -> list[RunRecord]:
+    calm = dict.fromkeys(SCENES, "....")
+    return [attacked("bold", SCENES, CAREFUL), attacked("calm", calm, CAREFUL)]
+
+
+def row_of(table: Table, name: str) -> dict[str, str]:
+    (row,) = [row for row in table.rows if row[0].startswith(name)]
+    return dict(zip(table.columns, row, strict=True))
+
+
+def named(tables: list[Table]) -> dict[str, Table]:
+    return {table.name: table for table in tables}
+
+
+def test_attack_success_is_that_of_the_metric_with_its_counts() -> None:
+    runs = records()
+    table = named(attack_tables("d", runs))["attack-success"]
+    bold, calm = row_of(table, "bold"), row_of(table, "calm")
+    rates = attack_rates(runs[0])
+    assert bold["attributable"] == f"{100 * (rates.samples['attributable'].value or 0):.1f}"
+    # Nobody judged scene c, and whose fault the contact in d is nobody can tell.
+    assert bold["attributable, scenes"] == "50.0" and bold["at fault, scenes"] == "100.0"
+    assert (bold["judged"], bold["careful survives"], bold["scenes"]) == ("3", "2", "4")
+    assert calm["contact, scenes"] == calm["attributable, scenes"] == "0.0"
+    assert any("3 of 4 scenes were judged: attributable is of these alone" in note for note in table.notes)
+    assert any(note.startswith("bold on adv: 1 contact at the ego's sides") for note in table.notes)
+
+
+def test_without_judgements_attributable_is_a_dash_and_never_a_zero() -> None:
+    table = success_table("d", [attacked("p", SCENES, dict.fromkeys(SCENES))])
+    assert table is not None
+    row = row_of(table, "p")
+    assert row["attributable"] == row["attributable, scenes"] == "–" and row["judged"] == "0"
+    assert row["contact, scenes"] == "100.0"
+    assert any("nobody judged its scenes: attributable is unknown" in note for note in table.notes)
+
+
+def test_severity_tables_show_distributions() -> None:
+    tables = named(attack_tables("d", records()))
+    bold, calm = (row_of(tables["severity-contacts"], name) for name in ("bold", "calm"))
+    assert bold["samples"] == "5" and bold["impact speed"] == "10.0" and bold["impact speed, worst tenth"] == "20.0"
+    assert bold["at fault %"] == "60.0" and bold["P(fatal) most"] == f"{100 * (10 / 31.74) ** 4:.2f}"
+    assert calm["samples"] == "0" and calm["impact speed"] == calm["adversary %"] == calm["P(fatal) mean"] == "–"
+    passes = row_of(tables["severity-near"], "calm")
+    assert passes["samples"] == "16" and passes["TTC, worst tenth"] == "1.00" and passes["BTN >= 1, %"] == "50.0"
+
+
+def test_the_terminal_shows_the_three_readings_shortly() -> None:
+    (table,) = [table for table in run_tables("d", records(), allow_partial=True) if table.name == "attack-success"]
+    text = table.plain(width=100)
+    assert "attributable" in text and "50.0" in text and "95 %" not in text
+    assert len([line for line in text.splitlines() if line.startswith(("bold  ", "calm  "))]) == 2
+    assert all(table.name != "attack-success" for table in run_tables("d", records(), ["exact"], allow_partial=True))
+    recorded = [hand_made("p", {"a": [CLEAN]}, split="val")]
+    assert all(table.name != "attack-success" for table in run_tables("d", recorded))
+
+
+def test_the_ladder_stands_once_for_a_split() -> None:
+    runs = records()
+    tables = named(judgement_tables("d", runs))
+    assert list(tables) == ["ladder", "validity"]
+    # Nobody counted adversaries: of the three scenes that were judged one has an adversary off the road.
+    assert ("adv", "off road", "1", "3", "33.3") in tables["validity"].rows
+    (row,) = tables["ladder"].rows
+    shown = dict(zip(tables["ladder"].columns, row, strict=True))
+    assert shown["recorded"] == "100.0" and shown["careful human"] == "66.7" and shown["unsolvable"] == "0"
+    assert shown["margin, s"] == "1.2" and shown["judged"] == "3" and shown["no fault"] == "66.7"
+    assert any("3 of 4 scenes were judged" in note for note in tables["ladder"].notes)
+    assert judgement_tables("d", [attacked("p", SCENES, dict.fromkeys(SCENES))]) == []
+
+
+def test_realism_is_shown_by_its_worst_feature_and_beside_the_halves() -> None:
+    tables = named(judgement_tables("d", [with_realism(run, 0.8) for run in records()]))
+    assert list(tables) == ["ladder", "validity", "realism", "realism-adv"]
+    (row,) = tables["realism"].rows
+    shown = dict(zip(tables["realism"].columns, row, strict=True))
+    assert shown["worst feature"] == "jerk along" and shown["realism"] == "0.800" and shown["halves"] == "0.940"
+    assert shown["ctg-realism@code"] == "0.0500" and shown["ctg, relative"] == "–"
+    assert any("version ctg, normalised by scene, mask current_speed" in note for note in tables["realism"].notes)
+    assert [row[0] for row in tables["realism-adv"].rows] == ["speed", "jerk along (worst)"]
+    assert not any("mean" in head for head in tables["realism-adv"].columns)
+
+
+def test_our_own_town_has_validity_alone_and_says_why() -> None:
+    tables = named(judgement_tables("d", [with_realism(run, None) for run in records()]))
+    assert list(tables) == ["ladder", "validity"]
+    off_road, teleport = tables["validity"].rows
+    assert off_road[1:] == ("off road", "1", "4", "25.0") and teleport[3:] == ("0", "–")
+    assert any(
+        "not compared with recordings: the recordings are our own town." in note for note in tables["validity"].notes
+    )
+    assert any("adv: teleport: the generated 12 Hz track" in note for note in tables["validity"].notes)
+
+
+def test_old_records_are_named_and_in_no_table() -> None:
+    tables = data_set_tables("mini", [load_record(GOLDEN / "schema-3-adv")])
+    assert not [table for table in tables.tables if table.name.startswith(("attack", "severity", "ladder"))]
+    assert any("does not say how severe its plans are" in note and "rescore" in note for note in tables.notes)
+
+
+def test_a_leaderboard_has_the_tables_and_the_figure() -> None:
+    files = leaderboard_files([with_realism(run, None) for run in records()])
+    for name in ("attack-success", "severity-contacts", "severity-near", "ladder", "validity"):
+        assert f"tables/d/{name}.csv" in files and f"tables/d/{name}.tex" in files
+    assert "figures/d/attack-realism.png" in files and "attack success" in files["README.md"].decode()
+    unjudged = leaderboard_files([attacked("p", SCENES, dict.fromkeys(SCENES))])
+    assert "figures/d/attack-realism.png" not in unjudged
+    assert "No figure of attack success against realism: nobody said" in unjudged["README.md"].decode()
