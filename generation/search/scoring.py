@@ -52,7 +52,7 @@ class Terms:
         challenge: (B,) ACScore' of the appendix, not yet normalised.
         finite: (B,) False for candidates that must never be chosen.
         asked: (B,) metres that are missing to the manoeuvre that was asked for, if one was
-            (`generation.search.asked_manoeuvres`), not yet normalised.
+            (`generation.search.manoeuvre_conditions`), not yet normalised.
         further: (B,) weighted sum of the terms of `generation.search.threat`; ``None`` where none has a weight.
     """
 

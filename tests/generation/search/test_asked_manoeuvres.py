@@ -12,8 +12,9 @@ from generation.labels.encounters import encounter
 from generation.labels.labelling import agent_boxes, describe
 from generation.labels.manoeuvres import Manoeuvre
 from generation.labels.path_frame import REACH_M, PathFrame
-from generation.search.asked_manoeuvres import ASKABLE, EgoThen, Placed, Wish, able, askable, missing
+from generation.search.asked_manoeuvres import ASKABLE, Wish, able, askable
 from generation.search.hyperparameters import HyperParameters
+from generation.search.manoeuvre_conditions import EgoThen, Placed, missing
 from tests.generation.labels.recorded_roads import HYPER, recorded
 from tests.generation.labels.test_manoeuvres import CASES, CURVATURES, Case, scene_of
 from tests.generation.search.driving_prior import DrivingPrior
