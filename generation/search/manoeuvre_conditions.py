@@ -1,0 +1,357 @@
+"""How far a candidate is from what the label of a manoeuvre asks for (docs/manoeuvres.md), condition by condition.
+
+Every kind is a few conditions in the frame of the ego's driven path. Each condition is turned into metres that are
+missing until it holds, so that candidates that do not do it yet can be told apart; docs/generation.md has the table.
+Bodies are rectangles of the straight path here, where labels project every corner: the label decides in the end.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Self
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.scene import Scene
+from generation.labels.encounters import MOVING_M_S
+from generation.labels.manoeuvres import (
+    ALONG_RAD,
+    BESIDE_M,
+    BLIND_SPOT_M,
+    BLOCKING_S,
+    BRAKING_M_S2,
+    CLOSING_M_S,
+    HORIZON_S,
+    OVERTAKEN_M,
+    SQUEEZING_M,
+    TAILGATING_S,
+    Manoeuvre,
+)
+from generation.search.ego_way import EgoWay
+
+MOST_MISSING_M: Final = 30.0
+"""What is farther away than this is as far as anything else."""
+RADIAN_M: Final = 5.0
+"""Metres that a radian of heading counts for, about the length of a car."""
+SPEED_S: Final = 1.0
+"""Seconds by which missing speed, and missing deceleration times a second, become metres."""
+BEYOND_M: Final = 0.3
+"""A candidate aims so far beyond the edge of a condition, because labels ask that it lasts."""
+BEYOND_M_S2: Final = 1.0
+"""Likewise for braking, whose label looks at a whole second."""
+BESIDE_AIM_M: Final = 1.0
+"""Free space to the ego's strip that a vehicle keeps while it gets into position."""
+PAST_M: Final = 1.0
+"""Free space along the path with which a vehicle that has passed another may come in."""
+_PREPARING_M: Final = 5.0
+"""What is missing at least while a vehicle is not in position, so that being in position is always better."""
+_SIDES: Final = {"left": 1.0, "right": -1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class EgoThen:
+    """The ego at the S frames that count.
+
+    Attributes:
+        way: Its whole way.
+        frames: (S,) of the scene.
+        seconds: (S,) their times.
+        station: (S,) of its centre.
+        speed: (S,) m/s.
+        soon: (S,) station of its front 3 s later; beyond the scene's end it goes on as fast as at the end.
+        recent: (S,) station of its rear 3 s before, not before the scene's first frame.
+        half_length: Of the ego.
+        half_width: Of the ego, and of the strip that it sweeps.
+    """
+
+    way: EgoWay
+    frames: tuple[int, ...]
+    seconds: Floats
+    station: Floats
+    speed: Floats
+    soon: Floats
+    recent: Floats
+    half_length: float
+    half_width: float
+
+    @classmethod
+    def of(cls, scene: Scene, frames: tuple[int, ...], way: EgoWay | None = None) -> Self:
+        """The ego of a scene.
+
+        Args:
+            scene: The scene.
+            frames: S frame indices.
+            way: Of its ego, where it is known.
+
+        Returns:
+            Its motion.
+        """
+        way = way or EgoWay.of(scene)
+        seconds, at = scene.seconds, np.asarray(frames)
+        half_length = 0.5 * way.length_m
+        later, before = seconds[at] + HORIZON_S, seconds[at] - HORIZON_S
+        after_end = np.maximum(later - seconds[-1], 0.0) * max(float(way.speed[-1]), 0.0)
+        return cls(
+            way=way,
+            frames=frames,
+            seconds=seconds[at],
+            station=way.station[at],
+            speed=way.speed[at],
+            soon=np.interp(later, seconds, way.station) + after_end + half_length,
+            recent=np.interp(before, seconds, way.station) - half_length,
+            half_length=half_length,
+            half_width=0.5 * way.width_m,
+        )
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Candidates beside the ego, (B, S) each.
+
+    Attributes:
+        ego: The ego.
+        station: Of the centre.
+        offset: Of the centre, left of the path is positive.
+        turn: Heading relative to the path's.
+        speed: Of the vehicle, m/s.
+        along: The part of it along the path.
+        braking: Deceleration along the path over the second around each frame, m/s^2.
+        half_length: Half the extent along the path.
+        half_width: Half the extent across it.
+    """
+
+    ego: EgoThen
+    station: Floats
+    offset: Floats
+    turn: Floats
+    speed: Floats
+    along: Floats
+    braking: Floats
+    half_length: Floats
+    half_width: Floats
+
+    @classmethod
+    def of(cls, ego: EgoThen, center: Floats, speed: Floats, size: Floats) -> "Placed":
+        """Place candidates.
+
+        Args:
+            ego: The ego at S frames.
+            center: (B, S, 3) poses of the box centres.
+            speed: (B, S) m/s.
+            size: (2,) length and width.
+
+        Returns:
+            The placement.
+        """
+        station, offset, turn = ego.way.places(center, ego.frames[0], ego.frames[-1])
+        cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+        along = speed * np.cos(turn)
+        return cls(
+            ego=ego,
+            station=station,
+            offset=offset,
+            turn=turn,
+            speed=speed,
+            along=along,
+            braking=_braking(along, ego.seconds),
+            half_length=0.5 * (size[0] * cos + size[1] * sin),
+            half_width=0.5 * (size[0] * sin + size[1] * cos),
+        )
+
+    @cached_property
+    def side_gap(self) -> Floats:
+        """Free space to the ego's strip, negative inside."""
+        return np.abs(self.offset) - self.half_width - self.ego.half_width
+
+    @cached_property
+    def room(self) -> Floats:
+        """Metres between the ego's front and the vehicle's rear."""
+        return self.station - self.half_length - (self.ego.station + self.ego.half_length)
+
+    @cached_property
+    def distance_behind(self) -> Floats:
+        """Metres between the vehicle's front and the ego's rear."""
+        return self.ego.station - self.ego.half_length - (self.station + self.half_length)
+
+    @cached_property
+    def closing(self) -> Floats:
+        """How much faster the ego is along the path, m/s."""
+        return self.ego.speed - self.along
+
+    def inside(self) -> Floats:
+        """What is missing to reach into the strip."""
+        return _short(BEYOND_M + self.side_gap)
+
+    def outside(self, side: float) -> Floats:
+        """What is missing to be beside the strip, clear of it: on a side, or on the nearer one (0)."""
+        to_side = np.abs(self.offset) if side == 0.0 else side * self.offset
+        return _short(BESIDE_AIM_M - (to_side - self.half_width - self.ego.half_width))
+
+    def overtaken(self) -> Floats:
+        """What is missing for its rear to be clear of the ego's front."""
+        return _short(PAST_M - self.room)
+
+    def fallen_back(self) -> Floats:
+        """What is missing for its front to be clear of the ego's rear."""
+        return _short(PAST_M - self.distance_behind)
+
+    def near_side(self, side: float, gap_m: float) -> Floats:
+        """What is missing to be outside the strip on a side and at most so far from it."""
+        own = side * self.offset - self.half_width - self.ego.half_width
+        return _short(own - gap_m + BEYOND_M) + _short(-own)
+
+    def ahead(self) -> Floats:
+        """What is missing to have the centre ahead of the ego's."""
+        return _short(BEYOND_M + self.ego.station - self.station)
+
+    def behind(self) -> Floats:
+        """What is missing to have it behind."""
+        return _short(BEYOND_M + self.station - self.ego.station)
+
+    def reached(self) -> Floats:
+        """What is missing for the ego to be at the vehicle's place within 3 s."""
+        return _short(self.station - self.half_length - self.ego.soon + BEYOND_M)
+
+    def abreast(self) -> Floats:
+        """What is missing for the bodies to overlap along the path."""
+        return _short(np.maximum(self.room, self.distance_behind) + BEYOND_M)
+
+    def headed(self, toward_rad: float) -> Floats:
+        """What is missing to head along, across or against the path, to either side."""
+        off = np.abs(np.abs(self.turn) - toward_rad)
+        return RADIAN_M * _short(off - ALONG_RAD)
+
+
+def _short(value: Floats) -> Floats:
+    return np.maximum(value, 0.0)
+
+
+def _braking(along: Floats, seconds: Floats) -> Floats:
+    """(B, S) deceleration over the second around each frame, or what there is of it."""
+    if len(seconds) < 2:
+        return np.zeros_like(along)
+    frames = np.arange(len(seconds))
+    before, after = (np.interp(seconds + step, seconds, frames).round().astype(int) for step in (-0.5, 0.5))
+    return np.asarray((along[:, before] - along[:, after]) / np.maximum(seconds[after] - seconds[before], 1e-9))
+
+
+def _cut_in(placed: Placed, side: float) -> Floats:
+    """From outside on one side into the strip, ahead, reached within 3 s; `asked_manoeuvres.Wish` says when."""
+    return placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
+
+
+def _into_position(placed: Placed, side: float) -> Floats:
+    """Past the ego on the outside: who is behind it or abreast cannot come in."""
+    return _PREPARING_M + placed.outside(side) + placed.overtaken() + 0.5 * placed.reached() + placed.headed(0.0)
+
+
+def _out_of_the_way(placed: Placed) -> Floats:
+    """Likewise the other way round: let the ego pass."""
+    return _PREPARING_M + placed.outside(0.0) + placed.fallen_back() + placed.headed(0.0)
+
+
+def _braking_ahead(placed: Placed, side: float) -> Floats:
+    there = placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
+    return there + SPEED_S**2 * _short(BRAKING_M_S2 + BEYOND_M_S2 - placed.braking)
+
+
+def _blocking(placed: Placed, side: float) -> Floats:
+    late = _short(placed.room - BLOCKING_S * np.maximum(placed.closing, CLOSING_M_S))
+    slow = SPEED_S * _short(CLOSING_M_S + BEYOND_M - placed.closing)
+    turned = np.minimum(placed.headed(0.0), SPEED_S * _short(placed.speed - MOVING_M_S))
+    return np.asarray(placed.inside() + placed.ahead() + turned + slow + late)
+
+
+def _oncoming(placed: Placed, side: float) -> Floats:
+    facing = placed.ahead() + _short(placed.side_gap - SQUEEZING_M + BEYOND_M)
+    late = _short(placed.room - HORIZON_S * np.maximum(placed.closing, MOVING_M_S))
+    passing = placed.abreast() + _short(placed.side_gap - SQUEEZING_M)
+    return np.asarray(placed.headed(np.pi) + np.minimum(facing + late, passing))
+
+
+def _crossing(placed: Placed, side: float) -> Floats:
+    rear, front = placed.station - placed.half_length, placed.station + placed.half_length
+    apart = _short(rear - placed.ego.soon) + _short(placed.ego.recent - front)
+    return placed.headed(0.5 * np.pi) + placed.inside() + apart
+
+
+def _squeezing(placed: Placed, side: float) -> Floats:
+    return placed.abreast() + placed.near_side(side, SQUEEZING_M)
+
+
+def _overtaking(placed: Placed, side: float) -> Floats:
+    gained = _short(OVERTAKEN_M + 2.0 * BEYOND_M - (placed.station - placed.ego.station))
+    return gained + placed.near_side(side, BESIDE_M) + placed.headed(0.0)
+
+
+def _blind_spot(placed: Placed, side: float) -> Floats:
+    front = placed.station + placed.half_length
+    early = _short(placed.ego.station - placed.ego.half_length - BLIND_SPOT_M + BEYOND_M - front)
+    late = _short(front - placed.ego.station + BEYOND_M)
+    return early + late + placed.near_side(side, BLIND_SPOT_M) + placed.headed(0.0)
+
+
+def _trailing(placed: Placed, gap_s: float) -> Floats:
+    late = _short(placed.distance_behind - gap_s * np.maximum(placed.along, MOVING_M_S) + BEYOND_M)
+    return placed.inside() + placed.behind() + late + placed.headed(0.0)
+
+
+def _tailgating(placed: Placed, side: float) -> Floats:
+    return _trailing(placed, TAILGATING_S)
+
+
+def _following(placed: Placed, side: float) -> Floats:
+    return _trailing(placed, HORIZON_S)
+
+
+def _leading(placed: Placed, side: float) -> Floats:
+    return placed.inside() + placed.ahead() + placed.reached() + placed.headed(0.0)
+
+
+_MISSING: Final[dict[str, Callable[[Placed, float], Floats]]] = {
+    "oncoming": _oncoming,
+    "crossing": _crossing,
+    "cut-in": _cut_in,
+    "braking-ahead": _braking_ahead,
+    "blocking": _blocking,
+    "squeezing": _squeezing,
+    "overtaking": _overtaking,
+    "tailgating": _tailgating,
+    "blind-spot": _blind_spot,
+    "leading": _leading,
+    "following": _following,
+}
+
+
+IN_FRONT: Final = frozenset(("cut-in", "braking-ahead", "blocking", "leading"))
+"""Families for which a vehicle must have got past the ego."""
+BEHIND: Final = frozenset(("tailgating", "following"))
+"""Families for which the ego must have got past the vehicle."""
+
+
+def family_and_side(kind: Manoeuvre) -> tuple[str, float]:
+    """What a kind is called without its side, and the side: 1 left, -1 right, 0 for kinds without."""
+    family, _, side = kind.value.rpartition("-")
+    return (family, _SIDES[side]) if side in _SIDES else (kind.value, 0.0)
+
+
+def missing(kind: Manoeuvre, placed: Placed, *, ready: bool = True) -> Floats:
+    """Metres that are missing until the conditions of a kind hold, frame by frame.
+
+    Args:
+        kind: One of `asked_manoeuvres.ASKABLE`.
+        placed: B candidates at S frames.
+        ready: For cut-ins: whether the vehicle was outside on that side just now, and may come in.
+
+    Returns:
+        (B, S) metres, at most `MOST_MISSING_M`.
+    """
+    family, side = family_and_side(kind)
+    found = _MISSING[family](placed, side)
+    if family in IN_FRONT:
+        in_position = (placed.overtaken() == 0.0) & (ready or family != "cut-in")
+        found = np.where(in_position, found, _into_position(placed, side))
+    elif family in BEHIND:
+        found = np.where(placed.fallen_back() == 0.0, found, _out_of_the_way(placed))
+    return np.asarray(np.minimum(found, MOST_MISSING_M))
