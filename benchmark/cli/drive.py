@@ -157,7 +157,8 @@ def drive_command(
         timeout_s=timeout,
         seed=seed,
     )
-    settings = [how if api.looks_at_images(each.facts.name) else replace(how, sensor=NoSensor()) for each in factories]
+    blind = replace(how, sensor=NoSensor())
+    settings = [blind if api.looks_at_images(each.facts.name) is False else how for each in factories]
     root = api.workspace(out).drive_root()
     if dry_run:
         from benchmark.runs.drive_estimate import estimate
@@ -198,7 +199,7 @@ def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenar
 
 def _require_sight(name: str, sensor: SensorName) -> None:
     """Refuse to drive a built-in planner blindly that looks at images."""
-    if sensor is SensorName.NONE and api.is_known_to_look(name):
+    if sensor is SensorName.NONE and api.looks_at_images(name):
         raise InputError(f"{name} looks at images, and --sensor none has none; add --sensor schematic")
 
 

@@ -255,6 +255,7 @@ def film_command(
     from benchmark.cli.beforehand.names import planners_shown
     from benchmark.cli.beforehand.places import require_folder, require_place
     from benchmark.cli.drive_films import AskedDrives, drive_films
+    from benchmark.constants import FRAME_HZ
     from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
     from leaderboard.films.drive_film import DRIVE_FPS
@@ -266,9 +267,8 @@ def film_command(
     for place in records or ():
         require_folder(place, "--records")
     require_place(to, "--to")
-    settings = FilmSettings(
-        shown, judge, begin_s, end_s, fps or (DRIVE_FPS if drives else 12.0), width, extent, not north_up, candidates
-    )
+    frame_rate = (DRIVE_FPS if drives else float(FRAME_HZ)) if fps is None else fps
+    settings = FilmSettings(shown, judge, begin_s, end_s, frame_rate, width, extent, not north_up, candidates)
 
     def watch(frames: "Iterable[Picture]", total: int, label: str) -> "Iterable[Picture]":
         return progress(frames, total=total, label=label, count=Count("frame"))

@@ -5,16 +5,9 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from benchmark.records.run_schema import (
-    DataFacts,
-    GeneratedFacts,
     Name,
-    PlannerFacts,
     RateRow,
-    ReviewFacts,
-    SceneCount,
-    SceneFacts,
-    Seed,
-    Told,
+    RecordFacts,
     Version,
 )
 from benchmark.records.stored import Stored
@@ -55,56 +48,18 @@ class Measured(Stored):
         return f"{self.engine}{scenarios}{agents}{f', latency {self.latency_ms} ms' if self.latency_ms else ''}"
 
 
-class DriveFacts(Stored):
+class DriveFacts(RecordFacts):
     """``drive.json``.
 
     Attributes:
-        schema_version: Version of the record's format.
-        planner: Who drove.
-        data: The data set.
-        split: The split.
-        scenes: Scenes that were driven, in order.
-        scenes_in_split: How many the split has.
-        scene_facts: Where each scene comes from and what is done in it.
-        frozen_split: Name of the frozen split that the data were built from.
-        review: What inspectors said of the split's scenes.
-        generated: Which search the scenes come from.
         measured: What was measured.
         runs: Runs of each scene; 1 where nothing is drawn.
-        status: ``partial`` if the planner failed in any drive.
         scoring: Version of the scores.
-        seed: Of the intervals.
-        config: Resolved settings.
-        environment: Packages, processor, commit.
-        files: SHA-256 of the other files of the record.
     """
 
-    schema_version: int = Field(alias="schema")
-    planner: PlannerFacts
-    data: DataFacts
-    split: Name
-    scenes: list[Name]
-    scenes_in_split: SceneCount
-    scene_facts: dict[str, SceneFacts] = Field(default_factory=dict)
-    frozen_split: str | None = None
-    review: ReviewFacts | None = None
-    generated: GeneratedFacts | None = None
     measured: Measured
     runs: Annotated[int, Field(ge=1, le=MOST_RUNS)]
-    status: Literal["complete", "partial"]
     scoring: Version
-    seed: Seed
-    config: dict[str, Any]
-    environment: dict[str, Told | dict[str, Told]]
-    files: dict[str, str]
-
-    @model_validator(mode="after")
-    def _agree(self) -> Self:
-        if len(set(self.scenes)) != len(self.scenes) or not self.scenes:
-            raise ValueError("scenes must be names, each once")
-        if not self.scene_facts.keys() <= set(self.scenes):
-            raise ValueError("scene_facts must be of the scenes")
-        return self
 
 
 class DrivePlan(Stored):

@@ -15,11 +15,11 @@ import numpy as np
 from benchmark.errors import InputError
 from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Floats
-from benchmark.machine.storage import content_key, file_sha256, read_json, read_json_lines
+from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary
 from benchmark.records.run_schema import RateRow, SceneFacts
-from benchmark.records.store import FileNames, read_each, replace_files, validated
+from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
 
 DRIVE_FILE, ROWS_FILE, SUMMARY_FILE = "drive.json", "drives.jsonl", "summary.json"
@@ -190,13 +190,7 @@ def load_drives(directory: Path) -> DriveRecord:
             f"{directory} has schema {head['schema']} of drives, this version reads {SCHEMA}; upgrade challenger-bench "
             "or run the same drive command again"
         )
-    rows, summary = read_json_lines(directory / ROWS_FILE, RECORD), read_json(directory / SUMMARY_FILE, RECORD)
-    for name in (ROWS_FILE, SUMMARY_FILE):
-        if file_sha256(directory / name) != head["files"].get(name):
-            raise InputError(
-                f"{directory / name} does not belong to the {DRIVE_FILE} beside it (an interrupted or edited record); "
-                "run the same drive command again"
-            )
+    rows, summary = read_own(directory, head, DRIVE_FILES, "drive")
     facts = _checked(DriveFacts, head, directory / DRIVE_FILE)
     read = tuple(_checked(DriveRow, row, directory / ROWS_FILE) for row in rows)
     return DriveRecord(directory, facts, read, _checked(DriveSummary, summary, directory / SUMMARY_FILE))

@@ -145,26 +145,24 @@ class PlansFrom(Stored):
     lacks: list[str] = Field(default_factory=list)
 
 
-class RunFacts(Stored):
-    """``run.json``.
+class RecordFacts(Stored):
+    """What the first file of a record says, of planning and of driving alike.
 
     Attributes:
         schema_version: Version of the record's format.
+        planner: Who ran.
+        data: The data set.
+        split: The split.
         scenes: Scenes that ran, in order.
         scenes_in_split: How many scenes the split has; more than ``scenes`` means that a part was asked for.
-        scene_facts: Where each scene comes from and what is done in it; empty in records of schema 1.
+        scene_facts: Where each scene comes from and what is done in it; empty in run records of schema 1.
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
         review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
-        realism: How real the split's adversaries move; null where nobody looked, and in older records.
-        plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
-            environment is then that of the import.
-        status: ``partial`` if the planner failed on any sample.
-        protocols: Versions by name.
+        status: ``partial`` if the planner failed on any sample, or in any drive.
         seed: Seed of the intervals.
-        config: Resolved settings of the run.
+        config: Resolved settings.
         environment: Packages, processor, commit: where the planner ran.
-        rescored: The same of the last `challenger-bench rescore`, if the plans were judged anew since.
         files: SHA-256 of the other files of the record.
     """
 
@@ -178,23 +176,40 @@ class RunFacts(Stored):
     frozen_split: str | None = None
     review: ReviewFacts | None = None
     generated: GeneratedFacts | None = None
-    realism: SplitRealism | None = None
-    plans_from: PlansFrom | None = None
     status: Literal["complete", "partial"]
-    protocols: dict[str, Version]
     seed: Seed
     config: dict[str, Any]
     environment: dict[str, Told | dict[str, Told]]
-    rescored: dict[str, Any] | None = None
     files: dict[str, str]
 
     @model_validator(mode="after")
-    def _agree(self) -> Self:
+    def _scenes_agree(self) -> Self:
         """Judging anew replaces much of this, so that damage in it would be gone without a word."""
         if len(set(self.scenes)) != len(self.scenes) or not self.scenes:
             raise ValueError("scenes must be names, each once")
         if not self.scene_facts.keys() <= set(self.scenes):
             raise ValueError("scene_facts must be of the scenes")
+        return self
+
+
+class RunFacts(RecordFacts):
+    """``run.json``.
+
+    Attributes:
+        realism: How real the split's adversaries move; null where nobody looked, and in older records.
+        plans_from: Where the plans come from, if from the result files of a repository; null in older records. The
+            environment is then that of the import.
+        protocols: Versions by name.
+        rescored: The environment of the last `challenger-bench rescore`, if the plans were judged anew since.
+    """
+
+    realism: SplitRealism | None = None
+    plans_from: PlansFrom | None = None
+    protocols: dict[str, Version]
+    rescored: dict[str, Any] | None = None
+
+    @model_validator(mode="after")
+    def _protocols_agree(self) -> Self:
         named = self.config.get("protocols", list(self.protocols))
         if not isinstance(named, list) or Counter(map(str, named)) != Counter(self.protocols.keys()):
             raise ValueError("the protocols of config must be those that judged")

@@ -26,8 +26,6 @@ from benchmark.machine.storage import (
 from benchmark.records.run_schema import SCHEMA
 
 RUN_FILE, ROWS_FILE, SUMMARY_FILE = "run.json", "samples.jsonl", "summary.json"
-_HASHED = (ROWS_FILE, SUMMARY_FILE)
-"""Files whose hashes ``run.json`` names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +180,28 @@ def stored_schema(directory: Path) -> int:
     return int(_run(directory)["schema"])
 
 
+def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str) -> tuple[list[Any], Any]:
+    """Read the rows and the summary that the head of a record names.
+
+    Args:
+        directory: Of the record.
+        head: Contents of its first file, with the SHA-256 of the other two.
+        names: What the files are called.
+        again: The command that makes such records.
+
+    Returns:
+        Rows and summary; nothing but the hashes and the form of JSON is checked.
+
+    Raises:
+        InputError: If a file is absent, damaged, or does not belong to the head.
+    """
+    rows, summary = read_json_lines(directory / names.rows, RECORD), read_json(directory / names.summary, RECORD)
+    for name in (names.rows, names.summary):
+        if file_sha256(directory / name) != head["files"].get(name):
+            raise InputError(_does_not_belong(directory, name, names, again))
+    return rows, summary
+
+
 def read_files(directory: Path) -> RecordFiles:
     """Read the files of a record and bring them to the present schema.
 
@@ -195,10 +215,7 @@ def read_files(directory: Path) -> RecordFiles:
         InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
     """
     run = _run(directory)
-    rows, summary = read_json_lines(directory / ROWS_FILE, RECORD), read_json(directory / SUMMARY_FILE, RECORD)
-    for name in _HASHED:
-        if file_sha256(directory / name) != run["files"].get(name):
-            raise InputError(_does_not_belong(directory, name))
+    rows, summary = read_own(directory, run, RUN_FILES, "eval")
     for schema in range(run["schema"], SCHEMA):
         run, rows, summary = UPGRADES[schema](run, rows, summary)
     return run, rows, summary
@@ -218,12 +235,13 @@ def _run(directory: Path) -> dict[str, Any]:
     return run
 
 
-def _does_not_belong(directory: Path, name: str) -> str:
-    if pending(directory, RUN_FILE).is_file():
-        return f"{directory} was being replaced when its command was stopped; run challenger-bench rescore again"
+def _does_not_belong(directory: Path, name: str, names: FileNames, again: str) -> str:
+    if pending(directory, names.head).is_file():
+        what = "challenger-bench rescore" if names is RUN_FILES else f"the same {again} command"
+        return f"{directory} was being replaced when its command was stopped; run {what} again"
     return (
-        f"{directory / name} does not belong to the {RUN_FILE} beside it (an interrupted or edited run); run the same "
-        "eval command again"
+        f"{directory / name} does not belong to the {names.head} beside it (an interrupted or edited run); run the "
+        f"same {again} command again"
     )
 
 

@@ -14,6 +14,7 @@ from benchmark.dynamics.reference_path import WAYPOINTS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
+from generation.search.setting_values import parsed
 from generation.search.threat_settings import NEUTRAL, ThreatSettings
 
 CANDIDATE_FRAMES = WAYPOINTS * FRAMES_PER_KEYFRAME
@@ -304,7 +305,7 @@ class HyperParameters(ThreatSettings):
                     f"did you mean {near[0]}?" if near else "names are the fields of generation.search.hyperparameters"
                 )
                 raise InputError(f"{assignment!r} is not NAME=VALUE of a hyper-parameter; {hint}")
-            values[name] = _parsed(name, text, kinds[name])
+            values[name] = parsed(name, text, kinds[name])
         return replace(self, **values)
 
     def __post_init__(self) -> None:
@@ -386,19 +387,3 @@ _ADDED: Final[dict[str, Any]] = {
     **asdict(NEUTRAL),
 }  # fmt: skip
 """Settings that came when searches had been kept already, as searches had them then: so they are no part of the key."""
-
-
-def _parsed(name: str, text: str, kind: type) -> Any:
-    """A value of the type that the hyper-parameter has."""
-    if kind is bool:
-        if text not in ("true", "false"):
-            raise InputError(f"hyper-parameter {name} is a switch, true or false, not {text!r}")
-        return text == "true"
-    try:
-        value = kind(text)
-    except ValueError as error:
-        choices = f"one of {', '.join(kind)}" if issubclass(kind, StrEnum) else f"a number ({kind.__name__})"
-        raise InputError(f"hyper-parameter {name} must be {choices}, not {text!r}") from error
-    if isinstance(value, float) and not np.isfinite(value):
-        raise InputError(f"hyper-parameter {name} must be finite, not {text!r}")
-    return value

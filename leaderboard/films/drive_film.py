@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmark.drawing.birdseye import SceneFromAbove
 from benchmark.drawing.canvas import SHIFT
-from benchmark.drawing.captions import LegendEntry, draw_entry, draw_scale_bar, draw_swatch
+from benchmark.drawing.captions import LegendEntry, draw_entry, draw_swatch
 from benchmark.drawing.driven import DrivenSheet
 from benchmark.drawing.lettering import Picture, drawable, fitted, text_width, write_text
 from benchmark.drawing.overlays import Overlay
@@ -34,15 +34,15 @@ from benchmark.records.drives import DriveRecord
 from benchmark.report.cells import MINIATURE_WORDS
 from leaderboard.films.cameras import CameraPictures
 from leaderboard.films.film import (
-    ABOVE_PX,
     CAMERAS_PX,
-    EGO_DOWN,
     HEIGHT_PX,
     TITLE_PX,
     WIDTH_PX,
     FilmLayout,
     FilmSettings,
+    composed,
     film_frames,
+    from_above,
 )
 from leaderboard.tables.rows import marked
 
@@ -103,36 +103,15 @@ class DriveFilm:
             yield drawn[1]
 
     def _frame(self, frame: int) -> Picture:
-        image: Picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
-        cv2.rectangle(image, (0, 0), (WIDTH_PX, HEIGHT_PX), PANEL, -1)
-        self._draw_title(image[:TITLE_PX], frame)
-        body, body_px = image[TITLE_PX:], HEIGHT_PX - TITLE_PX
-        right, below = WIDTH_PX, 0
-        if self.layout is not FilmLayout.CAMERAS:
-            width_px = ABOVE_PX[self.layout]
-            body[:, WIDTH_PX - width_px :] = self._from_above(frame, width_px, body_px)
-            right -= width_px
-        if self._cameras is not None:
-            width_px, below = self._cameras.size_px
-            left = (right - width_px) // 2
-            body[:below, left : left + width_px] = self._cameras.at(frame)
-        self._draw_panel(body[below:, :right], frame)
-        return image
-
-    def _from_above(self, frame: int, width_px: int, height_px: int) -> Picture:
         plan = self.driven.plan_at(frame, self.name, self._style)
         overlays: list[Overlay] = [self.driven.path(), *([] if plan is None else [plan])]
-        image, view = self._above.draw(
-            frame,
-            overlays,
-            width_px=width_px,
-            height_px=height_px,
-            extent_m=self.settings.extent_m,
-            heading_up=self.settings.heading_up,
-            middle=EGO_DOWN if self.settings.heading_up else 0.5,
+        return composed(
+            self.layout,
+            None if self._cameras is None else self._cameras.at(frame),
+            lambda image: self._draw_title(image, frame),
+            lambda width_px, height_px: from_above(self._above, frame, overlays, self.settings, width_px, height_px),
+            lambda image: self._draw_panel(image, frame),
         )
-        draw_scale_bar(image, view)
-        return image
 
     def _draw_title(self, image: Picture, frame: int) -> None:
         cv2.rectangle(image, (0, 0), (image.shape[1], image.shape[0]), TITLE, -1)

@@ -1,6 +1,6 @@
 """Films of scenes, frame by frame: cameras, view from above, and each planner's samples so far."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -83,6 +83,63 @@ class FilmSettings:
         return self.width_px * HEIGHT_PX // WIDTH_PX
 
 
+def composed(
+    layout: FilmLayout,
+    cameras: Picture | None,
+    title: Callable[[Picture], None],
+    above: Callable[[int, int], Picture],
+    panel: Callable[[Picture], None],
+) -> Picture:
+    """One frame: a title, cameras and below them a panel on the left, the view from above on the right.
+
+    Args:
+        layout: What is shown.
+        cameras: Pictures of the cameras; ``None`` where the layout has none.
+        title: Draws into the title's part.
+        above: Gives the view from above at a width and a height, pixels.
+        panel: Draws into what is left.
+
+    Returns:
+        (height, width, 3) RGB.
+    """
+    image: Picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
+    cv2.rectangle(image, (0, 0), (WIDTH_PX, HEIGHT_PX), PANEL, -1)
+    title(image[:TITLE_PX])
+    body, right, below = image[TITLE_PX:], WIDTH_PX, 0
+    if layout is not FilmLayout.CAMERAS:
+        width_px = ABOVE_PX[layout]
+        body[:, WIDTH_PX - width_px :] = above(width_px, HEIGHT_PX - TITLE_PX)
+        right -= width_px
+    if cameras is not None:
+        below, width_px = cameras.shape[:2]
+        left = (right - width_px) // 2
+        body[:below, left : left + width_px] = cameras
+    panel(body[below:, :right])
+    return image
+
+
+def from_above(
+    above: SceneFromAbove,
+    frame: int,
+    overlays: Sequence[Overlay],
+    settings: FilmSettings,
+    width_px: int,
+    height_px: int,
+) -> Picture:
+    """The view from above of a frame, with its scale."""
+    image, view = above.draw(
+        frame,
+        overlays,
+        width_px=width_px,
+        height_px=height_px,
+        extent_m=settings.extent_m,
+        heading_up=settings.heading_up,
+        middle=EGO_DOWN if settings.heading_up else 0.5,
+    )
+    draw_scale_bar(image, view)
+    return image
+
+
 class Film:
     """One scene's film."""
 
@@ -126,23 +183,19 @@ class Film:
             yield np.asarray(small, np.uint8)
 
     def _frame(self, frame: int) -> Picture:
-        image: Picture = np.empty((HEIGHT_PX, WIDTH_PX, 3), np.uint8)
-        cv2.rectangle(image, (0, 0), (WIDTH_PX, HEIGHT_PX), PANEL, -1)
-        self._draw_title(image[:TITLE_PX], frame)
         overlays = self._overlays(frame)
-        body = image[TITLE_PX:]
-        body_px = HEIGHT_PX - TITLE_PX
-        right, below = WIDTH_PX, 0
-        if self.layout is not FilmLayout.CAMERAS:
-            width_px = ABOVE_PX[self.layout]
-            body[:, WIDTH_PX - width_px :] = self._from_above(frame, overlays, width_px, body_px)
-            right -= width_px
-        if self._cameras is not None:
-            width_px, below = self._cameras.size_px
-            left = (right - width_px) // 2
-            body[:below, left : left + width_px] = self._cameras.at(frame)
-        body[below:, :right] = self._panel.draw(right, body_px - below, overlays, frame)
-        return image
+
+        def panel(image: Picture) -> None:
+            height_px, width_px = image.shape[:2]
+            image[:] = self._panel.draw(width_px, height_px, overlays, frame)
+
+        return composed(
+            self.layout,
+            None if self._cameras is None else self._cameras.at(frame),
+            lambda image: self._draw_title(image, frame),
+            lambda width_px, height_px: from_above(self._above, frame, overlays, self.settings, width_px, height_px),
+            panel,
+        )
 
     def _overlays(self, frame: int) -> list[Overlay]:
         overlays: list[Overlay] = [plan for track in self.tracks if (plan := track.at(frame)) is not None]
@@ -150,19 +203,6 @@ class Film:
             candidates = candidates_overlay(self.stored.sheet, self.stored.rounds, frame)
             overlays.extend([] if candidates is None else [candidates])
         return overlays
-
-    def _from_above(self, frame: int, overlays: Sequence[Overlay], width_px: int, height_px: int) -> Picture:
-        image, view = self._above.draw(
-            frame,
-            overlays,
-            width_px=width_px,
-            height_px=height_px,
-            extent_m=self.settings.extent_m,
-            heading_up=self.settings.heading_up,
-            middle=EGO_DOWN if self.settings.heading_up else 0.5,
-        )
-        draw_scale_bar(image, view)
-        return image
 
     def _draw_title(self, image: Picture, frame: int) -> None:
         sheet = self.stored.sheet

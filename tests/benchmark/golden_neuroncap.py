@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.closed_loop.neuroncap.contact import EgoMoment, touched
-from benchmark.closed_loop.neuroncap.future import future_moments
 from benchmark.closed_loop.neuroncap.loop import (
     Engine,
     Waiting,
@@ -23,7 +21,6 @@ from benchmark.closed_loop.neuroncap.loop import (
     command_of,
     finished,
     goes_on,
-    moments,
     step,
 )
 from benchmark.closed_loop.neuroncap.poses import heading_of
@@ -33,6 +30,7 @@ from benchmark.closed_loop.neuroncap.score import score_of
 from benchmark.closed_loop.neuroncap.staging import Cast, staged
 from benchmark.closed_loop.neuroncap.switches import CODE
 from benchmark.closed_loop.neuroncap.verification import BUILT_IN
+from benchmark.closed_loop.neuroncap.verification.checked_moments import CheckRow, checks_of
 from benchmark.constants import PLAN_STEPS
 from benchmark.geometry import Floats, quaternion_from_yaw, transform_matrix
 
@@ -269,7 +267,7 @@ class _Log:
         self.plans: list[Floats] = []
         self._states: list[World] = []
         self._steps: list[World] = []
-        self._checks: list[tuple[float, ...]] = []
+        self._checks: list[CheckRow] = []
 
     def state(self, world: World, plan: Floats) -> None:
         self._states.append(world)
@@ -279,24 +277,7 @@ class _Log:
         self._steps.append(world)
 
     def checks(self, waiting: Waiting | None, number: int) -> None:
-        if waiting is None:
-            return
-        engine = self._engine
-        for moment in moments(waiting.before, waiting.state, engine.switches):
-            if self._check(moment, number):
-                break
-        if engine.check_futures and waiting.plan is not None:
-            state = waiting.state
-            for moment in future_moments(state.time_us, state.pose, waiting.plan, engine.switches):
-                self._check(moment, number)
-
-    def _check(self, moment: EgoMoment, number: int) -> bool:
-        engine = self._engine
-        hit = touched(moment, engine.actors, engine.car, engine.switches) is not None
-        since = moment.time_us - int(engine.recording.times[0])
-        place = (*moment.pose[:2, 3].tolist(), heading_of(moment.pose))
-        self._checks.append((number, since, *place, moment.speed, hit))
-        return hit
+        self._checks += checks_of(self._engine, waiting, number)
 
     def arrays(self) -> Arrays:
         states, steps = [world.state for world in self._states], [world.state for world in self._steps]

@@ -92,7 +92,7 @@ def test_no_name_is_that_of_a_submodule() -> None:
 def test_type_checkers_know_where_every_name_is_defined() -> None:
     typed = imported_for_types(ROOT / "benchmark" / "__init__.py")
     assert set(typed) == set(NAMES) - {"__version__"}
-    handed_on = imported_for_types(ROOT / "benchmark" / "api.py")
+    handed_on = imported_for_types(ROOT / "benchmark" / "api" / "__init__.py")
     for name, place in typed.items():
         module, original = handed_on.get(place[1], place) if place[0] == "benchmark.api" else place
         assert getattr(benchmark, name) is getattr(importlib.import_module(module), original)

@@ -1,8 +1,6 @@
 """Records of data sets that bring no judgements have them all the same; they are made once."""
 
-from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
 
@@ -11,28 +9,10 @@ from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.judging.kept import KEPT_FOLDER, judged_facts
-from benchmark.machine.progress import Count
 from benchmark.machine.workers import LocalProcesses
 from tests.benchmark.judging.test_data_sets import SCENES, adversarial_scenes, recorded_scenes, written
 from tests.benchmark.planners import Straight
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-
-class NobodyWorks:
-    """An executor that must not be asked."""
-
-    def map(
-        self,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        *,
-        total: int,
-        label: str,
-        count: Count | None = None,
-    ) -> Iterator[Result]:
-        raise AssertionError(f"{label}: {total} again")
+from tests.executors import Forbidden
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +23,7 @@ def adversarial(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 def test_scenes_are_judged_once_for_all_planners(adversarial: DataSet, tmp_path: Path) -> None:
     first = judged_facts(adversarial, SCENES, tmp_path, LocalProcesses(1))
     assert all(facts.judgement is not None for facts in first.values())
-    assert first == judged_facts(adversarial, SCENES, tmp_path, NobodyWorks())
+    assert first == judged_facts(adversarial, SCENES, tmp_path, Forbidden())
     part = judged_facts(adversarial, SCENES[:1], tmp_path / "elsewhere", LocalProcesses(1))
     assert part[SCENES[0]] == first[SCENES[0]]
     whole = judged_facts(adversarial, SCENES, tmp_path / "elsewhere", LocalProcesses(1))
@@ -52,7 +32,7 @@ def test_scenes_are_judged_once_for_all_planners(adversarial: DataSet, tmp_path:
 
 def test_recordings_are_not_judged(tmp_path: Path) -> None:
     data = written(tmp_path / "val", recorded_scenes("n008"), made_from=False)
-    facts = judged_facts(data, data.scene_names("val"), tmp_path, NobodyWorks())
+    facts = judged_facts(data, data.scene_names("val"), tmp_path, Forbidden())
     assert all(each.judgement is None for each in facts.values()) and not (tmp_path / KEPT_FOLDER).exists()
 
 

@@ -1,46 +1,24 @@
 """Attempts as units of work: found by content key, computed where missing."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.machine.progress import Count
 from benchmark.machine.workers import LocalProcesses
 from benchmark.scene import Scene
 from generation.build.profile import runtime_table
 from generation.search.attempts import attempts, eligibility, kept_attempt
 from generation.search.definition import Earlier, PackagedPrior, Search, Unit
 from generation.search.presets import SampleSource, trajectory_model
+from tests.executors import Forbidden
 from tests.generation.labels.recorded_roads import HYPER, recorded
 from tests.generation.search.driving_prior import DrivingPrior
 from tests.generation.search.one_vehicle import choose
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 SCENE = recorded("scene-9901")
-
-
-@dataclass(frozen=True)
-class Forbidden:
-    """An executor that must not be given anything."""
-
-    def map(
-        self,
-        function: Callable[[Item], Result],
-        items: Iterable[Item],
-        *,
-        total: int,
-        label: str,
-        count: Count | None = None,
-    ) -> Iterator[Result]:
-        assert total == 0
-        assert list(items) == []
-        return iter(())
 
 
 def search_in(folder: Path, seed: int = 0) -> Search:

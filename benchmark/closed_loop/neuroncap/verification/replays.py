@@ -5,23 +5,20 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.closed_loop.neuroncap.contact import EgoMoment, touched
-from benchmark.closed_loop.neuroncap.future import future_moments
 from benchmark.closed_loop.neuroncap.loop import (
     Engine,
-    Waiting,
     World,
     begin,
     command_of,
     finished,
     goes_on,
-    moments,
     step,
 )
 from benchmark.closed_loop.neuroncap.poses import heading_of
 from benchmark.closed_loop.neuroncap.recording import CAN_COLUMNS
 from benchmark.closed_loop.neuroncap.score import score_of
 from benchmark.closed_loop.neuroncap.vehicle import SUBSTEPS
+from benchmark.closed_loop.neuroncap.verification.checked_moments import CHECK_COLUMNS, CheckRow, checks_of
 from benchmark.closed_loop.neuroncap.verification.driving import COMMAND_COLUMNS, STATE_COLUMNS
 from benchmark.closed_loop.neuroncap.verification.golden_set import (
     CODE_TOLERANCE,
@@ -36,7 +33,6 @@ from benchmark.verification.checks import Comparison
 SCORE_TOLERANCE: Final = 1e-6
 _HEADING: Final = STATE_COLUMNS.index("heading")
 _BOX_COLUMNS: Final = 8
-_CHECK_COLUMNS: Final = 7
 _YAW: Final = 3
 
 
@@ -97,9 +93,9 @@ class _Replay:
         driven = int(np.count_nonzero(self._post_driven))
         self._states = stored.floats(f"{key}_substep_state", driven, SUBSTEPS, len(STATE_COLUMNS))
         self._asked = stored.floats(f"{key}_substep_command", driven, SUBSTEPS, len(COMMAND_COLUMNS))
-        self._checks = stored.floats(f"{key}_check", None, _CHECK_COLUMNS)
+        self._checks = stored.floats(f"{key}_check", None, CHECK_COLUMNS)
         self._boxes = stored.floats(f"{key}_actor_box", None, _BOX_COLUMNS)
-        self._found: list[tuple[float, ...]] = []
+        self._found: list[CheckRow] = []
 
     def drive(self) -> World:
         """From the start to the end, as long as there are plans."""
@@ -109,7 +105,7 @@ class _Replay:
             self._compare_state(world, number)
             waiting = world.waiting
             world = step(engine, world, self.plans[number])
-            self._note_checks(waiting, number - 1)
+            self._found += checks_of(self._engine, waiting, number - 1)
             self.asked += 1
             if world.contact is not None:
                 break
@@ -117,7 +113,7 @@ class _Replay:
             driven += int(world.state.is_driven)
         last = world.waiting
         world = finished(engine, world)
-        self._note_checks(last, self.asked - 1)
+        self._found += checks_of(self._engine, last, self.asked - 1)
         self._verdicts("loops: steps", [driven != len(self._states)])
         self._compare_checks()
         return world
@@ -165,30 +161,8 @@ class _Replay:
             self._comparison.errors("loops: states of sub-steps", error, CODE_TOLERANCE, where=self._where)
             self._numbers("loops: commands of sub-steps", world.last.commands, self._asked[driven])
 
-    def _note_checks(self, waiting: Waiting | None, number: int) -> None:
-        """What was looked at when a state was checked: as the engine does it, written down."""
-        if waiting is None:
-            return
-        engine = self._engine
-        for moment in moments(waiting.before, waiting.state, engine.switches):
-            contact = self._note(moment, number)
-            if contact:
-                break
-        if engine.check_futures and waiting.plan is not None:
-            state = waiting.state
-            for moment in future_moments(state.time_us, state.pose, waiting.plan, engine.switches):
-                self._note(moment, number)
-
-    def _note(self, moment: EgoMoment, number: int) -> bool:
-        engine = self._engine
-        contact = touched(moment, engine.actors, engine.car, engine.switches) is not None
-        since = moment.time_us - int(engine.recording.times[0])
-        place = (*moment.pose[:2, 3].tolist(), heading_of(moment.pose))
-        self._found.append((number, since, *place, moment.speed, contact))
-        return contact
-
     def _compare_checks(self) -> None:
-        ours, golden = np.array(self._found).reshape(-1, _CHECK_COLUMNS), self._checks
+        ours, golden = np.array(self._found).reshape(-1, CHECK_COLUMNS), self._checks
         self._verdicts("loops: number of checks", [len(ours) != len(golden)])
         if len(ours) != len(golden):
             return

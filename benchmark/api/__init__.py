@@ -4,11 +4,12 @@ Everything is imported inside the functions, so that ``import benchmark`` and ``
 and a missing extra breaks only what needs it.
 """
 
-import importlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
+from benchmark.api.driving import drive_settings as drive_settings, looks_at_images as looks_at_images
+from benchmark.api.verifying import verify as verify
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -24,9 +25,7 @@ if TYPE_CHECKING:
     from benchmark.records.quality import QualityRecord
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
-    from benchmark.runs.driving import DriveSettings
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
-    from benchmark.verification.checks import Check
     from generation.build.surrogate import PlannerUnderTest
     from generation.render.contract import Renderer
 
@@ -301,84 +300,6 @@ def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Pa
     return chosen
 
 
-def looks_at_images(name: str) -> bool:
-    """Whether a planner may look at images: built-in ones say so, of others nobody knows."""
-    from adapters.models import MODELS
-
-    return name not in MODELS or not MODELS[name].blind
-
-
-def is_known_to_look(name: str) -> bool:
-    """Whether a planner is a built-in one that looks at images."""
-    from adapters.models import MODELS
-
-    return name in MODELS and not MODELS[name].blind
-
-
-def drive_settings(
-    split: str,
-    *,
-    engine: str = "default",
-    agents: str = "replay",
-    sensor: str = "none",
-    latency_ms: int = 0,
-    scenarios: str = "recorded",
-    runs: int = 1,
-    scenes: "Sequence[str] | None" = None,
-    limit: int | None = None,
-    executor: "Executor | None" = None,
-    timeout_s: float = 120.0,
-    seed: int = 0,
-) -> "DriveSettings":
-    """How planners are driven, for `benchmark.drive_split` (docs/closed-loop.md).
-
-    Args:
-        split: The split; generated ones have pictures in a style of their own.
-        engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
-        agents: ``replay`` or ``idm``; NeuroNCAP's never react.
-        sensor: ``none`` or ``schematic``.
-        latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
-        scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.
-        runs: Runs of each scene; one where nothing is drawn.
-        scenes: Only these scenes.
-        limit: Only the first so many.
-        executor: Where drives are made; this process by default.
-        timeout_s: How long a plan may take.
-        seed: Of the intervals.
-
-    Returns:
-        The settings.
-
-    Raises:
-        InputError: If there is no such engine, policy or sensor, or they do not go together.
-    """
-    from benchmark.closed_loop.engines import rides_of
-    from benchmark.closed_loop.drives.sensors import NO_SENSOR, NoSensor
-    from benchmark.machine.workers import LocalProcesses
-    from benchmark.machine.workspace import is_generated
-    from benchmark.runs.driving import DriveSettings
-    from generation.render.sensor import SCHEMATIC, SchematicSensor
-
-    if sensor not in (NO_SENSOR, SCHEMATIC):
-        raise InputError(f"there is no sensor {sensor!r}; there are {NO_SENSOR} and {SCHEMATIC}")
-    # Generated splits are drawn in the second style, what they are made from in the first.
-    style = "second" if is_generated(split) else "first"
-    return DriveSettings(
-        engine=engine,
-        maker=rides_of(engine, agents, latency_ms, scenarios),
-        agents=agents,
-        sensor=NoSensor() if sensor == NO_SENSOR else SchematicSensor(style),
-        runs=runs,
-        latency_ms=latency_ms,
-        scenarios=scenarios,
-        scenes=None if scenes is None else tuple(scenes),
-        limit=limit,
-        executor=executor or LocalProcesses(),
-        timeout_s=timeout_s,
-        seed=seed,
-    )
-
-
 def planner_under_test(
     name: str, checkpoint: Path | None = None, *, data: str | Path = "mini", seed: int = 0, workers: int = 0
 ) -> "PlannerUnderTest":
@@ -400,7 +321,7 @@ def planner_under_test(
     from generation.build.surrogate import PlannerUnderTest
 
     factory = load_planner(name, checkpoint, data=data, seed=seed)
-    return PlannerUnderTest(factory, images=looks_at_images(name), workers=worker_count(workers))
+    return PlannerUnderTest(factory, images=looks_at_images(name) is not False, workers=worker_count(workers))
 
 
 def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
@@ -483,65 +404,3 @@ def _shown(
     roots = folders or [space.run_root()]
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
     return records, quality, sheets, ablations, drives
-
-
-_VERIFIED: Final = {
-    "physics": "generation.verification.physics",
-    "scoring": "generation.verification.scoring",
-    "denoiser": "generation.verification.denoiser",
-    "protocols": "benchmark.protocols.verification",
-    "pdm": "benchmark.pdm.verification",
-    "results": "adapters.verification.result_files",
-    "drivers": "benchmark.drivers.verification",
-    "severity": "benchmark.severity.verification",
-    "realism": "benchmark.realism.verification",
-    "infos": "benchmark.datasets.infos.verification",
-    "neuroncap": "benchmark.closed_loop.neuroncap.verification",
-}
-"""What `verify` compares, and where its ``verify_NAME`` is: imported when it is asked for, since some need torch."""
-
-
-def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
-    """Compare numerics with golden numbers (docs/verify.md).
-
-    Args:
-        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
-            ``neuroncap``, ``infos``, ``results`` or ``model``.
-        golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
-        model: With ``model``: which one.
-        noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
-
-    Returns:
-        One check for each quantity.
-
-    Raises:
-        InputError: If there is nothing of that name to compare, or the golden numbers cannot be used.
-    """
-    if what == "model":
-        return _verify_model(model, golden, noise=noise)
-    if noise:
-        raise InputError("--noise belongs to verify model; leave it out")
-    if model is not None:
-        raise InputError("--model belongs to verify model; leave it out")
-    if what not in _VERIFIED:
-        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(_VERIFIED)} and model")
-    verified = getattr(importlib.import_module(_VERIFIED[what]), f"verify_{what}")
-    return cast("list[Check]", verified(golden))
-
-
-def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
-    from adapters.verification.models import verified_models, verify_model
-
-    known = (*verified_models(), "magicdrive")
-    if model not in known:
-        missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
-        raise InputError(f"{missing}; {did_you_mean(model or '', known)}known are {', '.join(known)}")
-    if golden is None:
-        raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
-    if model != "magicdrive":
-        return verify_model(model, golden, noise=noise)
-    if noise:
-        raise InputError("--noise is for driving models; leave it out for magicdrive")
-    from generation.verification.magicdrive import verify_magicdrive
-
-    return verify_magicdrive(golden)

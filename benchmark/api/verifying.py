@@ -1,0 +1,71 @@
+"""What stands behind ``verify``: comparisons with golden numbers, wherever the numerics are."""
+
+import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, cast
+
+from benchmark.errors import InputError, did_you_mean
+
+if TYPE_CHECKING:
+    from benchmark.verification.checks import Check
+
+_VERIFIED: Final = {
+    "physics": "generation.verification.physics",
+    "scoring": "generation.verification.scoring",
+    "denoiser": "generation.verification.denoiser",
+    "protocols": "benchmark.protocols.verification",
+    "pdm": "benchmark.pdm.verification",
+    "results": "adapters.verification.result_files",
+    "drivers": "benchmark.drivers.verification",
+    "severity": "benchmark.severity.verification",
+    "realism": "benchmark.realism.verification",
+    "infos": "benchmark.datasets.infos.verification",
+    "neuroncap": "benchmark.closed_loop.neuroncap.verification",
+}
+"""What `verify` compares, and where its ``verify_NAME`` is: imported when it is asked for, since some need torch."""
+
+
+def verify(what: str, golden: Path | None = None, model: str | None = None, *, noise: bool = False) -> "list[Check]":
+    """Compare numerics with golden numbers (docs/verify.md).
+
+    Args:
+        what: ``physics``, ``scoring``, ``denoiser``, ``protocols``, ``pdm``, ``drivers``, ``severity``, ``realism``,
+            ``neuroncap``, ``infos``, ``results`` or ``model``.
+        golden: Folder of golden numbers; the built-in set by default, which ``infos`` and ``model`` do not have.
+        model: With ``model``: which one.
+        noise: With ``model``: also how far our own rounding moves each quantity, for which our network runs twice more.
+
+    Returns:
+        One check for each quantity.
+
+    Raises:
+        InputError: If there is nothing of that name to compare, or the golden numbers cannot be used.
+    """
+    if what == "model":
+        return _verify_model(model, golden, noise=noise)
+    if noise:
+        raise InputError("--noise belongs to verify model; leave it out")
+    if model is not None:
+        raise InputError("--model belongs to verify model; leave it out")
+    if what not in _VERIFIED:
+        raise InputError(f"cannot verify {what!r}; what has golden numbers is {', '.join(_VERIFIED)} and model")
+    verified = getattr(importlib.import_module(_VERIFIED[what]), f"verify_{what}")
+    return cast("list[Check]", verified(golden))
+
+
+def _verify_model(model: str | None, golden: Path | None, *, noise: bool) -> "list[Check]":
+    from adapters.verification.models import verified_models, verify_model
+
+    known = (*verified_models(), "magicdrive")
+    if model not in known:
+        missing = "verify model needs --model" if model is None else f"no model {model!r} can be verified"
+        raise InputError(f"{missing}; {did_you_mean(model or '', known)}known are {', '.join(known)}")
+    if golden is None:
+        raise InputError("verify model needs --golden, a directory of numbers of the official code; none is built in")
+    if model != "magicdrive":
+        return verify_model(model, golden, noise=noise)
+    if noise:
+        raise InputError("--noise is for driving models; leave it out for magicdrive")
+    from generation.verification.magicdrive import verify_magicdrive
+
+    return verify_magicdrive(golden)
