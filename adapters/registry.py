@@ -1,10 +1,10 @@
-"""Planners by name: those of the table (`adapters.models`), of installed packages, and ``package.module:Class``."""
+"""Planners by name: of the table (`adapters.models`), of installed packages, ``module:Class``, ``http://HOST:PORT``."""
 
 import contextlib
 import importlib
 import inspect
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from adapters.models import MODELS, published_as
+from benchmark.closed_loop.wire.address import Address, is_address
 from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
@@ -20,6 +21,7 @@ from benchmark.runs.plan_rows import facts_of
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
+_MAKER_OVER_HTTP = "benchmark.closed_loop.wire.model:http_planner"
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
 _STRANGERS_ERRORS = (Exception, SystemExit)
@@ -38,6 +40,7 @@ class NamedPlanner:
         device: Passed to planners that take one.
         precision: Passed to planners that take one.
         as_published: Passed to planners that take it.
+        over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``.
     """
 
     name: str
@@ -47,6 +50,7 @@ class NamedPlanner:
     device: str | None = None
     precision: str | None = None
     as_published: tuple[str, ...] = ()
+    over_http: Mapping[str, Any] | None = None
 
     def __call__(self) -> Planner:
         """Build it."""
@@ -57,6 +61,7 @@ class NamedPlanner:
             device=self.device,
             precision=self.precision,
             as_published=self.as_published,
+            over_http=self.over_http,
         )
 
 
@@ -69,6 +74,7 @@ def planner_factory(
     device: str | None = None,
     precision: str | None = None,
     as_published: Sequence[str] = (),
+    over_http: Mapping[str, Any] | None = None,
 ) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
 
@@ -80,6 +86,7 @@ def planner_factory(
         device: cpu, cuda, cuda:1.
         precision: float32, bfloat16.
         as_published: What networks do as in their published runs (`adapters.as_published`).
+        over_http: How planners behind HTTP are asked.
 
     Returns:
         The factory with the planner's identity.
@@ -96,6 +103,7 @@ def planner_factory(
         device=device,
         precision=precision,
         as_published=published,
+        over_http=over_http,
     )
     facts = facts_of(built, made_by=made_by(name))
     settings = dict(facts.settings)
@@ -108,7 +116,7 @@ def planner_factory(
         known["code_sha256"] = content_key(facts.code_sha256, model.identity)
         known["miniature"] = model.miniature is not None
     facts = facts.model_copy(update=known)
-    return NamedPlanner(name, checkpoint, seed, facts, device, precision, published)
+    return NamedPlanner(name, checkpoint, seed, facts, device, precision, published, over_http)
 
 
 def planner(
@@ -120,17 +128,20 @@ def planner(
     device: str | None = None,
     precision: str | None = None,
     as_published: Sequence[str] = (),
+    over_http: Mapping[str, Any] | None = None,
 ) -> Planner:
     """Build a planner.
 
     Args:
-        name: Built in, from the entry-point group ``challenger_bench.adapters``, or ``package.module:Class``.
+        name: Built in, from the entry-point group ``challenger_bench.adapters``, ``package.module:Class``, or the
+            address of a model server.
         checkpoint: Weights file for planners that take ``checkpoint``.
         data: The data set, for planners that take ``data``.
         seed: For planners that take ``seed``.
         device: For planners that take ``device``: cpu, cuda, cuda:1.
         precision: For planners that take ``precision``: float32, bfloat16.
         as_published: For planners that take ``as_published``.
+        over_http: For planners behind HTTP (`benchmark.closed_loop.wire.model.http_planner`).
 
     Returns:
         The planner.
@@ -146,6 +157,8 @@ def planner(
         made = _import(MODELS[name].planner, name)
     elif name in installed:
         made = _load(installed[name])
+    elif is_address(name):
+        made = partial(_import(_MAKER_OVER_HTTP, name), name)
     else:
         _look_here()
         made = _import(name, name)
@@ -154,12 +167,18 @@ def planner(
     offered = {"checkpoint": checkpoint, "data": data, "seed": seed, "device": device, "precision": precision}
     if as_published:
         offered["as_published"] = tuple(as_published)
+    if is_address(name):
+        offered |= over_http or {}
     return _checked(_build(made, name, offered), name)
 
 
 def require_known(name: str) -> None:
     """Raise `InputError` for what names no planner; nothing of it is imported."""
     known = (*MODELS, *installed_planners())
+    if name not in known and is_address(name):
+        if (called := Address.of(name, "--model").name) in known:
+            raise InputError(f"{called} is a planner of its own here; call what answers at {name} otherwise")
+        return
     if name not in known and ":" not in name:
         raise InputError(
             f"unknown model {name!r}; {did_you_mean(name, known)}known are {', '.join(known)}; your own is --model "
@@ -170,6 +189,8 @@ def require_known(name: str) -> None:
 def made_by(name: str) -> str:
     """What makes a planner that there is, as ``package.module:name``."""
     installed = installed_planners()
+    if name not in installed and is_address(name):
+        return _MAKER_OVER_HTTP
     if name in MODELS:
         return MODELS[name].planner if MODELS[name].network is None else _MAKER_OF_NETWORKS
     return f"{installed[name].module}:{installed[name].attr}" if name in installed else name

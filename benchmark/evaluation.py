@@ -22,7 +22,7 @@ from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import LocalProcesses, map_ordered
-from benchmark.planning import Planner, remembers_across_scenes
+from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
@@ -158,7 +158,7 @@ def evaluate(
     directory = run_directory(out, data.name, split, facts, () if len(scenes) == len(every_scene) else scenes)
     run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh)
     elsewhere = None
-    if factory is not None and settings.workers > 1:
+    if factory is not None and settings.workers > 1 and not isinstance(ready, RemotePlanner):
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
         elsewhere = partial(work_in_worker, run, opener, factory)
     described = {

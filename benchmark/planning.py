@@ -220,6 +220,26 @@ class Planner(Protocol):
         """
 
 
+class PlannerGoneError(InputError):
+    """A planner elsewhere cannot be asked: nobody's failure, nothing is recorded, and the command ends."""
+
+
+class PlannerAwayError(PlannerGoneError):
+    """The same, but it may come back, and then the scene begins again (`RemotePlanner`)."""
+
+
+class PlannerLateError(InputError):
+    """A planner elsewhere took too long; how long it may take is the machine's matter."""
+
+
+@runtime_checkable
+class RemotePlanner(Protocol):
+    """A planner elsewhere: it holds one scene at a time, and may go away half-way and come back remembering nothing."""
+
+    def come_back(self) -> None:
+        """Wait for it; raises `PlannerGoneError` if it stays away."""
+
+
 @runtime_checkable
 class ContinuousPlanner(Planner, Protocol):
     """A planner that may remember beyond a change of scene, as published runs do (docs/models.md).

@@ -6,14 +6,19 @@ and a missing extra breaks only what needs it.
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from benchmark.api.driving import drive_settings as drive_settings, looks_at_images as looks_at_images
+from benchmark.api.driving import (
+    drive_settings as drive_settings,
+    looks_at_images as looks_at_images,
+    require_sensor as require_sensor,
+)
+from benchmark.api.over_http import require_answers as require_answers, serve_planner as serve_planner
 from benchmark.api.verifying import verify as verify
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
@@ -248,11 +253,12 @@ def load_planner(
     device: str | None = None,
     precision: str | None = None,
     as_published: "Sequence[str]" = (),
+    over_http: "Mapping[str, Any] | None" = None,
 ) -> "NamedPlanner":
     """A planner by name, for `benchmark.evaluate`.
 
     Args:
-        name: Planner name or ``package.module:Class``.
+        name: Planner name, ``package.module:Class``, or the address of a model server (docs/model-servers.md).
         checkpoint: Its weights, if not its own.
         data: What it will drive on: on ``mini`` a miniature runs where the full model has no weights, and says so.
         seed: For planners that take one.
@@ -260,6 +266,7 @@ def load_planner(
         precision: Of a network: float32 or bfloat16.
         as_published: What a network does as in its published runs: ``memory``, ``can-once``, ``can-after``, or ``all``
             that it knows of these (docs/models.md).
+        over_http: How a model server is asked: ``image_format``, ``deadline_s``.
 
     Returns:
         What builds it in any process.
@@ -273,7 +280,13 @@ def load_planner(
     if chosen != name:
         say_once(f"there are no weights for {name}: {chosen} runs in its place (docs/miniatures.md)")
     return planner_factory(
-        chosen, checkpoint=checkpoint, seed=seed, device=device, precision=precision, as_published=as_published
+        chosen,
+        checkpoint=checkpoint,
+        seed=seed,
+        device=device,
+        precision=precision,
+        as_published=as_published,
+        over_http=over_http,
     )
 
 

@@ -5,7 +5,21 @@ from typing import Annotated
 
 import typer
 
-from benchmark.cli import data, demo, drive, evaluate, generate, models, reproduce, review, show, train, verify, weights
+from benchmark.cli import (
+    data,
+    demo,
+    drive,
+    evaluate,
+    generate,
+    models,
+    reproduce,
+    review,
+    serve,
+    show,
+    train,
+    verify,
+    weights,
+)
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
@@ -28,6 +42,7 @@ app.command("generate")(generate.generate_command)
 app.command("ablate")(generate.ablate_command)
 app.command("eval")(evaluate.eval_command)
 app.command("drive")(drive.drive_command)
+app.command("serve")(serve.serve_command)
 app.command("models")(models.models_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)

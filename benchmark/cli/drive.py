@@ -15,6 +15,8 @@ from benchmark.cli.options import (
     DryRunOption,
     ExecutorName,
     ExecutorOption,
+    ImageFormatName,
+    ImageFormatOption,
     JsonOption,
     LimitOption,
     OutOption,
@@ -64,17 +66,12 @@ class ScenariosName(StrEnum):
     OFFICIAL = "official"
 
 
-class SensorName(StrEnum):
-    """What cameras see of a driven world."""
-
-    NONE = "none"
-    SCHEMATIC = "schematic"
-
-
 def drive_command(
     model: Annotated[
         list[str],
-        typer.Option("--model", metavar="<str>", help="Planner name or package.module:Class; may be repeated."),
+        typer.Option(
+            "--model", metavar="<str>", help="Planner name, package.module:Class or http://HOST:PORT; may be repeated."
+        ),
     ] = [],  # noqa: B006 - typer reads the default, nothing changes it
     split: SplitOption = "adv",
     data: DataOption = "mini",
@@ -86,7 +83,13 @@ def drive_command(
     agents: Annotated[
         AgentsName, typer.Option(help="The others: their tracks, or keeping distance.")
     ] = AgentsName.REPLAY,
-    sensor: Annotated[SensorName, typer.Option(help="What cameras see; blind planners have none.")] = SensorName.NONE,
+    sensor: Annotated[
+        str, typer.Option(help="What cameras see: none, schematic or http://HOST:PORT; blind planners have none.")
+    ] = "none",
+    image_format: ImageFormatOption = None,
+    accept_torch_tensors: Annotated[
+        bool, typer.Option("--accept-torch-tensors", help="A renderer's pictures may be saved tensors (pickles).")
+    ] = False,
     scenarios: Annotated[
         ScenariosName, typer.Option(help="neuroncap: scenes as they are, or scenarios put into them.")
     ] = ScenariosName.RECORDED,
@@ -114,6 +117,7 @@ def drive_command(
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_data
     from benchmark.cli.beforehand.names import require_models
+    from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place
     from benchmark.closed_loop.drives.sensors import NoSensor
     from benchmark.runs.driving import drive_split
@@ -125,6 +129,7 @@ def drive_command(
     require_models(model, checkpoint, data=data, device=device, precision=precision)
     for each in model:
         _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
+    require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
     place = executor_of(executor, address, workers)
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
@@ -132,10 +137,18 @@ def drive_command(
         then = f"drive {', '.join(names)} through {ahead.counted()} of {split}"
         say_plan(ahead.plan(then), json_output=json_output)
         return
+    # A little longer than the drive itself waits, so that who is late is late for one reason.
+    over_http = {"image_format": (image_format or ImageFormatName.TORCH).value, "deadline_s": timeout + 5.0}
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories = [
         api.load_planner(
-            each, checkpoint if each in model else None, data=data, seed=seed, device=device, precision=precision
+            each,
+            checkpoint if each in model else None,
+            data=data,
+            seed=seed,
+            device=device,
+            precision=precision,
+            over_http=over_http,
         )
         if each in model
         else api.load_planner(each, data=data)
@@ -147,7 +160,8 @@ def drive_command(
         split,
         engine=engine.value,
         agents=agents.value,
-        sensor=sensor.value,
+        sensor=sensor,
+        accept_torch_tensors=accept_torch_tensors,
         latency_ms=latency,
         scenarios=scenarios.value,
         runs=runs,
@@ -197,9 +211,9 @@ def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenar
         )
 
 
-def _require_sight(name: str, sensor: SensorName) -> None:
-    """Refuse to drive a built-in planner blindly that looks at images."""
-    if sensor is SensorName.NONE and api.looks_at_images(name):
+def _require_sight(name: str, sensor: str) -> None:
+    """Refuse to drive a planner blindly that looks at images, or is sent some."""
+    if sensor == "none" and api.looks_at_images(name):
         raise InputError(f"{name} looks at images, and --sensor none has none; add --sensor schematic")
 
 

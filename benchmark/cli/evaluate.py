@@ -16,6 +16,7 @@ from benchmark.cli.options import (
     DryRunOption,
     Frames,
     FramesOption,
+    ImageFormatOption,
     JsonOption,
     LimitOption,
     OutOption,
@@ -48,7 +49,9 @@ if TYPE_CHECKING:
 def eval_command(
     model: Annotated[
         list[str],
-        typer.Option("--model", metavar="<str>", help="Planner name or package.module:Class; may be repeated."),
+        typer.Option(
+            "--model", metavar="<str>", help="Planner name, package.module:Class or http://HOST:PORT; may be repeated."
+        ),
     ] = [],  # noqa: B006 - typer reads the default, nothing changes it
     split: SplitOption = "val",
     data: DataOption = "mini",
@@ -79,6 +82,7 @@ def eval_command(
     ] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     as_published: AsPublishedOption = None,
+    image_format: ImageFormatOption = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
     allow_partial: Annotated[
@@ -105,6 +109,7 @@ def eval_command(
     """Run planners on a split, write run records, and print the table."""
     from benchmark.cli.beforehand.data_sets import require_data
     from benchmark.cli.beforehand.names import require_models, require_published_runs
+    from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate, require_whole_split
     from benchmark.protocols import PROTOCOLS, STANDARD
@@ -123,6 +128,7 @@ def eval_command(
     if require_published_runs(model, checkpoint, published, data=data):
         require_whole_split("the model", name_list(scenes), limit, workers)
         count = 1
+    require_servers(model, image_format)
     if plans is not None:
         require_plans(plans, native)
     opened = opened_results(results, results_format, name, native, dump_results)
@@ -138,7 +144,14 @@ def eval_command(
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(
-            each, checkpoint, data=data, seed=seed, device=device, precision=precision, as_published=published
+            each,
+            checkpoint,
+            data=data,
+            seed=seed,
+            device=device,
+            precision=precision,
+            as_published=published,
+            over_http={} if image_format is None else {"image_format": image_format.value},
         )
         for each in model
     ]

@@ -151,6 +151,13 @@ class FilmFormatName(StrEnum):
     WEBP = "webp"
 
 
+class ImageFormatName(StrEnum):
+    """How pictures are sent to a model behind HTTP."""
+
+    TORCH = "torch"
+    PNG = "png"
+
+
 class ExecutorName(StrEnum):
     """Where work is done."""
 
@@ -236,6 +243,10 @@ ExecutorOption = Annotated[
     ExecutorName, typer.Option("--executor", help="This machine's processes, or an existing Ray cluster.")
 ]
 AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT of the Ray cluster, or auto.")]
+ImageFormatOption = Annotated[
+    ImageFormatName | None,
+    typer.Option("--image-format", help="How a model at http:// is sent pictures: torch (NeuroNCAP's) or png."),
+]
 WeightsFolderOption = Annotated[
     Path | None, typer.Option("--weights-folder", help="Folder that holds published weights, if not the cache.")
 ]

@@ -69,6 +69,13 @@ VERDICTS: Final = Limits("file of verdicts", 64 * MIB, depth=8, values=1_000_000
 """One a scene, with a reason of a few words; all of nuScenes has 1,000 scenes."""
 PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
 """Values are pixels: cameras have 1.4 to 12 million."""
+WIRE_REQUEST: Final = Limits("request", 64 * MIB, depth=8, values=10_000)
+"""Bodies that a simulator posts: six pictures of 1600 x 900 as plain numbers in base64 have 34.6 MB; values beside the
+pictures are some two hundred."""
+WIRE_ANSWER: Final = Limits("answer over HTTP", 64 * MIB, depth=8, values=4_000_000)
+"""Plans with objects, forecasts and, of some models, a view from above; or a renderer's actors and pictures."""
+WIRE_PICTURE: Final = Limits("picture over HTTP", 48 * MIB, values=16_000_000)
+"""Values are pixels; six of them are in memory together."""
 RECORDING_S: Final = 3600.0
 """Seconds of one imported recording, whatever its steps."""
 RECORDED_OBJECTS: Final = 5000

@@ -7,6 +7,7 @@ drive that was scored by earlier definitions is driven again by its stored plans
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,6 +21,7 @@ from benchmark.machine.storage import content_key, content_seed, file_name, read
 from benchmark.planning import Planner
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.run_schema import PlannerFacts
+from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.drive_rows import row_of
 from benchmark.runs.plan_rows import PlannerFactory, seed_everything
@@ -167,5 +169,5 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
 
 def _driven(job: Job, data: "DataSet", scene: Scene, unit: Unit, planner: Planner) -> DriveRow:
     stage = Stage(scene, can_of(data, scene.name), unit.run, job.maker, job.sensor, job.timeout_s, unit.family)
-    found = drive(stage, planner)
+    found = begun_again(partial(drive, stage, planner), planner)
     return row_of(stage, found, None if found.failure is not None else score_drive(scene, found))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S
 from benchmark.closed_loop.drives.riding import RideMaker
-from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
+from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError
@@ -22,7 +22,7 @@ from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
-from benchmark.planning import Planner, remembers_across_scenes
+from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.records.drive_schema import Measured
 from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.run_schema import PlannerFacts
@@ -152,7 +152,7 @@ def drive_split(
     job, scenes = job_of(data, split, facts, out, settings), settings.chosen(data, split)
     units = settings.units(data, scenes)
     elsewhere = None
-    if factory is not None:
+    if factory is not None and not isinstance(ready, RemotePlanner) and not isinstance(settings.sensor, RemoteSensor):
         elsewhere = partial(
             work_in_worker, job, reopen or partial(reopen_root, data.root, data.version, data.name), factory
         )

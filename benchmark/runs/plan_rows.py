@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -24,6 +25,8 @@ from benchmark.planning import (
     Observation,
     Plan,
     Planner,
+    PlannerGoneError,
+    PlannerLateError,
     PrivilegedPlanner,
     SceneInfo,
     reads_message_after,
@@ -31,6 +34,7 @@ from benchmark.planning import (
 )
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.run_schema import PlannerFacts
+from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.code_identity import code_sha256, parts_of
 from benchmark.scene import Scene
 
@@ -69,6 +73,10 @@ class SceneSource(Protocol):
 
 class BrokenImageError(InputError):
     """An image of the data set cannot be read: the data's fault, not the planner's."""
+
+
+_NOBODYS_FAULT = (BrokenImageError, PlannerGoneError, PlannerLateError)
+"""What ends a command instead of being recorded: the same one goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +182,7 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
         The rows.
 
     Raises:
-        InputError: If an image is broken or the rows cannot be written.
+        InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
     """
     kept = None if fresh else kept_rows(path, key)
     if kept is not None:
@@ -184,7 +192,7 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     scene, observations = source.scene(name), list(source.observations(name))
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
     with contextlib.redirect_stdout(sys.stderr):
-        rows = _rows(planner, scene, observations)
+        rows = begun_again(partial(_rows, planner, scene, observations), planner)
     seconds = time.perf_counter() - started
     write_json_lines(path, [_header(key, rows), *rows])
     return PlannedScene(rows, seconds)
@@ -220,6 +228,8 @@ def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         if isinstance(planner, PrivilegedPlanner):
             planner.reveal(scene)
+    except _NOBODYS_FAULT:
+        raise
     except FAILURES:
         error = traceback_text()
         return [_row(observation, None, error) for observation in observations]
@@ -235,7 +245,7 @@ def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
         if not isinstance(plan, Plan):
             raise TypeError(f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan")
         return _row(observation, plan_json(plan), None)
-    except BrokenImageError:
+    except _NOBODYS_FAULT:
         raise
     except FAILURES:
         return _row(observation, None, traceback_text())

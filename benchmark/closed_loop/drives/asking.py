@@ -16,7 +16,14 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.planning import Observation, Plan, Planner, reads_message_after
+from benchmark.planning import (
+    Observation,
+    Plan,
+    Planner,
+    PlannerGoneError,
+    PlannerLateError,
+    reads_message_after,
+)
 from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, traceback_text
 
 DEFAULT_TIMEOUT_S: Final = 120.0
@@ -92,6 +99,7 @@ def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan 
 
     Raises:
         BrokenImageError: If a picture that it looks at cannot be had: not the planner's fault.
+        PlannerGoneError: If it runs elsewhere and cannot be asked: nobody's fault.
     """
     views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
@@ -101,8 +109,10 @@ def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan 
             plan = planner.plan(replace(observation, views=views, ego=ego))
     except PlanTimeoutError:
         return Failure(Reason.TIMEOUT, f"no plan within {timeout_s:g} s")
-    except BrokenImageError:
+    except (BrokenImageError, PlannerGoneError):
         raise
+    except PlannerLateError as error:
+        return Failure(Reason.TIMEOUT, str(error))
     except FAILURES:
         return Failure(Reason.RAISED, traceback_text())
     if not isinstance(plan, Plan):
@@ -123,12 +133,19 @@ def told(tell: Callable[[], None], timeout_s: float) -> Failure | None:
 
     Returns:
         Why the planner failed, if it did.
+
+    Raises:
+        PlannerGoneError: If it runs elsewhere and cannot be told: nobody's fault.
     """
     try:
         with contextlib.redirect_stdout(sys.stderr), time_limit(timeout_s):
             tell()
     except PlanTimeoutError:
         return Failure(Reason.TIMEOUT, f"it did not return within {timeout_s:g} s")
+    except PlannerGoneError:
+        raise
+    except PlannerLateError as error:
+        return Failure(Reason.TIMEOUT, str(error))
     except FAILURES:
         return Failure(Reason.RAISED, traceback_text())
     return None

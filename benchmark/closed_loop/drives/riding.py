@@ -215,7 +215,7 @@ class RecordedCan:
     def of(cls, states: Iterable[EgoState], root: Path | None = None) -> Self:
         """What observations of a scene say, of a data set with a root."""
         found = list(states)
-        motion = np.array([_row(each, each.can_motion) for each in found]).reshape(-1, 9)
+        motion = np.array([can_row(each) for each in found]).reshape(-1, 9)
         wheel = np.array([each.steering_angle or 0.0 for each in found], np.float64)
         return cls(motion, wheel, all(each.source == "can_bus" for each in found), root)
 
@@ -237,8 +237,8 @@ def require_room(scene: Scene, ticks: int) -> None:
         )
 
 
-def _row(state: EgoState, measured: Floats | None) -> Floats:
-    """(9,) the measured row, or the derived motion in its form."""
-    if measured is not None:
-        return measured
+def can_row(state: EgoState) -> Floats:
+    """(9,) what a car measured: velocity, acceleration, rotation rate; or its derived motion in that form."""
+    if state.can_motion is not None:
+        return state.can_motion
     return np.array([*state.velocity, 0.0, *state.acceleration, GRAVITY, 0.0, 0.0, state.yaw_rate])

@@ -5,7 +5,7 @@ The sensor is part of the name of what was measured. Those that draw are made el
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
 from benchmark.planning import CameraView
 from benchmark.scene import Camera, Scene
@@ -44,6 +44,14 @@ class Sensor(Protocol):
 
     def look(self, scene: Scene) -> Look:
         """Make ready for a scene."""
+
+
+@runtime_checkable
+class RemoteSensor(Protocol):
+    """A sensor elsewhere: it shows one scene at a time, to one process."""
+
+    def require_alive(self) -> None:
+        """Refuse it where nobody answers; raises `InputError`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,68 @@
+"""What stands behind ``serve``, and behind models and renderers that answer over HTTP (docs/model-servers.md)."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from benchmark.closed_loop.wire.server import PlannerServer
+
+
+def serve_planner(
+    name: str,
+    checkpoint: "Path | None" = None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    accept_torch_tensors: bool = False,
+    device: str | None = None,
+    precision: str | None = None,
+    seed: int = 0,
+) -> "PlannerServer":
+    """A planner as a model server for NeuroNCAP, or for whoever speaks its protocol.
+
+    Args:
+        name: Planner name or ``package.module:Class``; no miniature stands in for a model without weights.
+        checkpoint: Its weights, if not its own.
+        host: Where to listen; this machine alone by default.
+        port: Where; 0 takes a free one.
+        accept_torch_tensors: Whether pictures may be saved tensors, which are pickles.
+        device: Where a network runs.
+        precision: Of a network.
+        seed: For planners that take one.
+
+    Returns:
+        It listens; ``with`` answers in a thread, `serve` until interrupted.
+
+    Raises:
+        InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
+    """
+    from adapters.registry import planner
+    from benchmark.api import model_that_runs
+    from benchmark.closed_loop.wire.server import PlannerServer
+    from benchmark.closed_loop.wire.session import Session
+
+    runs = model_that_runs(name, checkpoint, data="")
+    built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    return PlannerServer(Session(built, tensors=accept_torch_tensors), host, port)
+
+
+def require_answers(models: "Sequence[str]", sensors: "Sequence[str]") -> None:
+    """Ask servers whether they are there, before anything is made ready for them.
+
+    Args:
+        models: Addresses of models.
+        sensors: Addresses of renderers.
+
+    Raises:
+        InputError: If one is no address, or nobody answers.
+    """
+    from benchmark.closed_loop.wire.address import Address
+    from benchmark.closed_loop.wire.model import http_planner
+    from benchmark.closed_loop.wire.sensor import HttpSensor
+
+    for each in models:
+        http_planner(each).require_alive()
+    for each in sensors:
+        HttpSensor(Address.of(each, "--sensor")).require_alive()

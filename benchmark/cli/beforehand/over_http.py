@@ -1,0 +1,54 @@
+"""Options that name a server: it answers, what it needs is installed, and nothing contradicts it."""
+
+from collections.abc import Sequence
+
+from benchmark import api
+from benchmark.cli.beforehand.names import require_package
+from benchmark.errors import InputError
+
+NEEDS = "{what} needs the package {package}; install it with: pip install 'challenger-bench[serve]'"
+
+
+def require_servers(
+    models: Sequence[str], image_format: str | None, sensor: str = "none", *, tensors: bool = False
+) -> None:
+    """Refuse servers that do not answer, and options that are about servers where none is named.
+
+    Args:
+        models: As ``--model`` takes them.
+        image_format: As ``--image-format`` takes it.
+        sensor: As ``--sensor`` takes it.
+        tensors: Whether ``--accept-torch-tensors`` was given.
+
+    Raises:
+        InputError: If one is no address, nobody answers there, or a model behind HTTP would be sent no pictures.
+    """
+    from benchmark.closed_loop.wire.address import is_address
+
+    served = [each for each in models if is_address(each)]
+    if image_format is not None and not served:
+        raise InputError("--image-format says how pictures are sent to a model at http://HOST:PORT; leave it out")
+    if tensors and not is_address(sensor):
+        raise InputError("--accept-torch-tensors belongs to a renderer at --sensor http://HOST:PORT; leave it out")
+    api.require_sensor(sensor)
+    if not served and not is_address(sensor):
+        return
+    require_package("httpx2", NEEDS.format(what="asking over HTTP", package="httpx2"))
+    api.require_answers(served, [sensor] if is_address(sensor) else [])
+
+
+def require_server(host: str, port: int) -> None:
+    """Refuse to serve where nothing can listen, or without the packages that do.
+
+    Args:
+        host: As ``--host`` takes it.
+        port: As ``--port`` takes it.
+
+    Raises:
+        InputError: If a package is not installed, or the port is taken.
+    """
+    for package in ("uvicorn", "starlette"):
+        require_package(package, NEEDS.format(what="serving", package=package))
+    from benchmark.closed_loop.wire.listening import listening
+
+    listening(host, port).close()

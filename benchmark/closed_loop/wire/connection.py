@@ -1,0 +1,163 @@
+"""One request and its answer over HTTP: a connection of its own, a deadline over all of it, a bound on its size.
+
+Nothing is ever sent twice. What goes wrong is one of a closed list: nobody answers or the other side went away half-way
+(`PlannerAwayError`), it answers too late (`PlannerLateError`), or it is no such server (`PlannerGoneError`).
+"""
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmark.foreign.files import one_line
+from benchmark.foreign.limits import WIRE_ANSWER, in_words
+from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError
+
+if TYPE_CHECKING:
+    import httpx2
+
+CONNECT_S: Final = 5.0
+ALIVE_S: Final = 30.0
+"""So long may the first answer take."""
+_JSON: Final = "application/json"
+_AGENT: Final = "challenger-bench"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer.
+
+    Attributes:
+        status: Of HTTP.
+        body: Its bytes.
+    """
+
+    status: int
+    body: bytes
+
+    @property
+    def is_page(self) -> bool:
+        """Whether it is a web page."""
+        return self.body[:256].lstrip().lower().startswith((b"<!doctype", b"<html"))
+
+    @property
+    def said(self) -> str:
+        """Its beginning, fit for a sentence."""
+        return one_line(self.body[:400].decode("utf-8", "replace").strip(), 200) or "nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """Asks one server.
+
+    Attributes:
+        url: ``http://HOST:PORT``.
+        what: What the user calls it, for sentences: "the model server".
+        deadline_s: How long one request may take, from connecting to its last byte.
+    """
+
+    url: str
+    what: str
+    deadline_s: float
+
+    def get(self, path: str, deadline_s: float | None = None) -> Reply:
+        """Ask for something; errors as of `post`."""
+        return self._exchange("GET", path, None, deadline_s)
+
+    def post(self, path: str, body: bytes, deadline_s: float | None = None) -> Reply:
+        """Send JSON, once.
+
+        Args:
+            path: Below the server's address.
+            body: JSON.
+            deadline_s: How long it may take, if not as long as anything.
+
+        Returns:
+            The answer, whatever its status.
+
+        Raises:
+            PlannerAwayError: If nobody listens there, or the other side went away before it had answered.
+            PlannerLateError: If it takes too long.
+            PlannerGoneError: If what answers does not speak HTTP, or answers more than there may be.
+        """
+        return self._exchange("POST", path, body, deadline_s)
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something answers ``/alive``; any answer will do, as for NeuroNCAP.
+
+        Args:
+            seconds: How long at most; measured by a clock that runs forward.
+
+        Raises:
+            PlannerAwayError: If nothing does.
+        """
+        until = time.monotonic() + seconds
+        while True:
+            try:
+                self.get("/alive", max(min(CONNECT_S, until - time.monotonic()), 0.1))
+                return
+            except (PlannerAwayError, PlannerLateError):
+                if time.monotonic() >= until:
+                    raise
+            time.sleep(0.1)
+
+    def _exchange(self, method: str, path: str, body: bytes | None, deadline_s: float | None) -> Reply:
+        import httpx2
+
+        seconds = self.deadline_s if deadline_s is None else deadline_s
+        until = time.monotonic() + seconds
+        where = f"{self.what} at {self.url}"
+        # Neither proxies nor passwords of the environment have any business here.
+        limits = httpx2.Timeout(seconds, connect=min(CONNECT_S, seconds))
+        try:
+            with httpx2.Client(trust_env=False, follow_redirects=False, timeout=limits) as client:
+                # Nothing that is unpacked: the bound is on what arrives.
+                client.headers = httpx2.Headers({"accept": "*/*", "connection": "keep-alive", "user-agent": _AGENT})
+                headers = {} if body is None else {"content-type": _JSON}
+                with client.stream(method, f"{self.url}{path}", content=body, headers=headers) as response:
+                    return Reply(response.status_code, self._body(response, until, path, seconds))
+        except httpx2.TimeoutException as error:
+            if isinstance(error, httpx2.ConnectTimeout):
+                raise PlannerAwayError(f"{where} cannot be reached; start it, and name where it listens") from error
+            raise self._late(path, seconds) from error
+        except httpx2.ConnectError as error:
+            raise PlannerAwayError(
+                f"nobody answers at {self.url} ({one_line(error, 80)}); start {self.what}, then the same command again"
+            ) from error
+        except httpx2.RemoteProtocolError as error:
+            if "disconnected" in str(error) or "closed" in str(error):
+                raise self._left(path, error) from error
+            raise PlannerGoneError(
+                f"{where} does not answer {path} as a web server would ({one_line(error, 80)}); name another address"
+            ) from error
+        except httpx2.TransportError as error:
+            raise self._left(path, error) from error
+        except httpx2.HTTPError as error:
+            raise PlannerGoneError(f"{where} cannot be asked for {path} ({one_line(error, 80)})") from error
+
+    def _body(self, response: "httpx2.Response", until: float, path: str, seconds: float) -> bytes:
+        """All of an answer; one that drips in byte by byte is late as well."""
+        parts: list[bytes] = []
+        size = 0
+        for part in response.iter_raw():
+            size += len(part)
+            if size > WIRE_ANSWER.file_bytes:
+                raise PlannerGoneError(
+                    f"{self.what} at {self.url} answers {path} with more than {in_words(WIRE_ANSWER.file_bytes)}; that "
+                    "is no answer of this protocol, name another address"
+                )
+            if time.monotonic() > until:
+                raise self._late(path, seconds)
+            parts.append(part)
+        return b"".join(parts)
+
+    def _late(self, path: str, seconds: float) -> PlannerLateError:
+        return PlannerLateError(
+            f"{self.what} at {self.url} did not answer {path} within {seconds:g} s; it hangs or is slow, look at its "
+            "own output"
+        )
+
+    def _left(self, path: str, error: Any) -> PlannerAwayError:
+        return PlannerAwayError(
+            f"{self.what} at {self.url} went away before it had answered {path} ({one_line(error, 80)}); look at its "
+            "own output, start it, then the same command again: what is finished is kept"
+        )

@@ -1,0 +1,45 @@
+"""Where a server listens: on this machine alone unless somebody asks for more."""
+
+import socket
+from typing import Final
+
+from benchmark.errors import InputError
+
+LOOPBACK: Final = "127.0.0.1"
+_BACKLOG: Final = 128
+
+
+def is_open(host: str) -> bool:
+    """Whether other machines can reach what listens there."""
+    return not (host in (LOOPBACK, "localhost", "::1") or host.startswith("127."))
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket that listens.
+
+    Args:
+        host: Name or number of an address of this machine.
+        port: 0 takes a free one.
+
+    Returns:
+        It.
+
+    Raises:
+        InputError: If it cannot listen there.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        found = socket.socket(family, socket.SOCK_STREAM)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((host, port))
+            found.listen(_BACKLOG)
+        except OSError:
+            found.close()
+            raise
+        return found
+    except (OSError, UnicodeError, OverflowError) as error:
+        raise InputError(
+            f"cannot listen on {host} port {port}: {getattr(error, 'strerror', None) or error}; choose another --port "
+            "or --host"
+        ) from error
