@@ -45,7 +45,7 @@ def serve_planner(
 
     runs = model_that_runs(name, checkpoint, data="")
     built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
-    return PlannerServer(Session(built, tensors=accept_torch_tensors), host, port)
+    return PlannerServer(Session(built, tensors=accept_torch_tensors, seed=seed), host, port)
 
 
 def require_answers(models: "Sequence[str]", sensors: "Sequence[str]") -> None:

@@ -27,6 +27,7 @@ FUNCTION_OF = {
     "ablate": "ablate",
     "eval": "evaluate",
     "drive": "drive_split",
+    "serve": "serve_planner",
     "models": "known_planners",
     "rescore": "rescore_all",
     "transfer": "transfer_matrices",

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 from benchmark.errors import InputError
 from benchmark.foreign.files import one_line
 
-_ADDRESS: Final = re.compile(r"([^=/:?#]*=)?https?:/", re.IGNORECASE)
+_ADDRESS: Final = re.compile(r"([^=]*=)?https?:/", re.IGNORECASE)
 _LONGEST_NAME: Final = 60
 
 

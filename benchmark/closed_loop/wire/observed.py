@@ -25,6 +25,9 @@ _POSITION, _ROTATION, _ACCELERATION, _RATE, _VELOCITY = (
 )  # fmt: skip
 """Of the row ``canbus``."""
 _SAME: Final = 1e-12
+SCENE: Final = "over-http"
+"""What a scene from the wire is called, since the wire does not say: always the same, so that what a planner draws by
+the name of its scene does not depend on how often somebody has asked before."""
 
 
 def request_of(observation: Observation, form: ImageFormat) -> InferRequest:
@@ -71,12 +74,10 @@ class Memory:
     """What the wire does not say and a planner wants: how many samples there were since the reset, and where.
 
     Attributes:
-        scene: A name of its own for each reset, since the wire has none.
         last_us: Time of the last sample, if there was one.
     """
 
-    def __init__(self, number: int) -> None:
-        self.scene = f"reset-{number}"
+    def __init__(self) -> None:
         self.last_us: int | None = None
         self._index = 0
         self._poses: deque[Floats] = deque(maxlen=PAST_TICKS)
@@ -100,8 +101,8 @@ class Memory:
         self._poses.append(ego.pose)
         unknown = PAST_TICKS - len(self._poses)
         return Observation(
-            scene=self.scene,
-            sample_token=token("wire", self.scene, index),
+            scene=SCENE,
+            sample_token=token("wire", SCENE, index),
             index=index,
             timestamp_us=request.timestamp,
             views={name: _view(request, name, pixels) for name, pixels in pictures.items()},

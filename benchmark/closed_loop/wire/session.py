@@ -8,14 +8,14 @@ import sys
 from typing import Final
 
 from benchmark.closed_loop.wire.answers import ModelAnswer
-from benchmark.closed_loop.wire.observed import Memory
+from benchmark.closed_loop.wire.observed import SCENE, Memory
 from benchmark.closed_loop.wire.requests import InferRequest, encoded
 from benchmark.closed_loop.wire.values import WireError
 from benchmark.errors import InputError
 from benchmark.foreign.files import one_line
 from benchmark.foreign.wire_images import TensorRefused
 from benchmark.planning import Plan, Planner, PrivilegedPlanner, SceneInfo, remembers_across_scenes
-from benchmark.runs.plan_rows import FAILURES
+from benchmark.runs.plan_rows import FAILURES, seed_everything
 
 TENSOR_FLAG: Final = "--accept-torch-tensors"
 UNSUPPORTED, UNREADABLE, CONFLICT, FAILED = 415, 422, 409, 500
@@ -38,12 +38,13 @@ class Refused(Exception):
 class Session:
     """One planner and the scene that it is in. Nothing here is safe to call from two threads at once."""
 
-    def __init__(self, planner: Planner, *, tensors: bool = False) -> None:
+    def __init__(self, planner: Planner, *, tensors: bool = False, seed: int = 0) -> None:
         """A planner that has just been built.
 
         Args:
             planner: Who plans.
             tensors: Whether saved tensors of PyTorch are read.
+            seed: Of global generators, at every reset.
 
         Raises:
             InputError: If it wants what is not on the wire.
@@ -57,8 +58,8 @@ class Session:
             raise InputError(f"{planner.name} remembers across scenes, and /reset is there to forget them")
         self.planner = planner
         self._tensors = tensors
-        self._resets = 0
-        self._memory = Memory(0)
+        self._seed = seed
+        self._memory = Memory()
         self._begun = False
 
     def reset(self) -> bytes:
@@ -70,8 +71,7 @@ class Session:
         Raises:
             Refused: If the planner fails in it.
         """
-        self._resets += 1
-        self._memory = Memory(self._resets)
+        self._memory = Memory()
         self._begun = False
         try:
             self._begin()
@@ -113,7 +113,9 @@ class Session:
             raise self._failed("plan", error) from error
 
     def _begin(self) -> None:
-        self.planner.reset(SceneInfo(self._memory.scene, "", ()))
+        # As in this process: what draws from global generators draws the same in every scene's place.
+        seed_everything(self._seed)
+        self.planner.reset(SceneInfo(SCENE, "", ()))
         self._begun = True
 
     def _require_later(self, timestamp: int) -> None:
