@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.closed_loop.wire.requests import CAMERAS
-from benchmark.geometry import quaternion_from_yaw
-from benchmark.planning import CameraView, Command, EgoState, Observation, Plan, PlanFrame, SceneInfo
-from benchmark.scene import Camera
+from benchmark.closed_loop.wire.server import PlannerServer
+from benchmark.closed_loop.wire.session import Session
+from benchmark.geometry import quaternion_from_yaw, transform_matrix
+from benchmark.machine.storage import content_seed
+from benchmark.planning import CameraView, Command, EgoState, Observation, Plan, PlanFrame, Planner, SceneInfo
+from benchmark.scene import Camera, Scene
 from generation.sources.rig import default_cameras, default_lidar
 
 SHARED = Path(__file__).resolve().parents[4].parent / "shared" / "golden" / "neuroncap" / "http"
@@ -158,3 +161,38 @@ def free_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A sensor whose small pictures depend on where the car is and when, to the last bit."""
+
+    name: str = "painted"
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        return {}
+
+    def look(self, scene: Scene) -> "Painted":
+        return self
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        return small_cameras()
+
+    def views(self, driven: Scene) -> dict[str, CameraView]:
+        pose = transform_matrix(driven.ego.rotation[-1], driven.ego.position[-1])
+        time_us = int(driven.timestamps_us[-1])
+        found = {}
+        for camera in small_cameras():
+            seed = content_seed(camera.name, driven.ego.position[-1].tolist(), time_us)
+            pixels = np.random.default_rng(seed).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+            found[camera.name] = CameraView(camera, Path(camera.name), time_us, pose, pixels.copy)
+        return found
+
+
+@contextmanager
+def serving(planner: Planner) -> Iterator[str]:
+    """Address of a server of a planner, in a thread."""
+    with PlannerServer(Session(planner, tensors=True)) as server:
+        yield server.url

@@ -28,7 +28,7 @@ _HEADS: tuple[bytes, ...] = (
     b"POST /infer HTTP/1.1\r\nhost: x\r\ncontent-encoding: gzip\r\ncontent-length: 2\r\n\r\n{}",
     b"POST /infer HTTP/1.1\r\nhost: x\r\norigin: http://evil\r\ncontent-length: 2\r\n\r\n{}",
     b"GET /alive HTTP/1.1\r\nhost: x\r\nx: " + b"y" * 70_000 + b"\r\n\r\n",
-    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", 
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
     b"GET /infer HTTP/1.1\r\nupgrade: websocket\r\nconnection: upgrade\r\nhost: x\r\n\r\n",
 )  # fmt: skip
 
