@@ -35,7 +35,8 @@ def image_text(pixels: NDArray[np.uint8], form: ImageFormat) -> str:
     if form is ImageFormat.TORCH:
         import torch
 
-        torch.save(torch.from_numpy(np.ascontiguousarray(pixels)), file)
+        # A copy: pictures from files may not be written to, of which torch warns.
+        torch.save(torch.from_numpy(np.array(pixels, order="C")), file)
     else:
         from PIL import Image
 

@@ -74,7 +74,10 @@ class HttpSensor:
         cameras = {camera.name: camera for camera in scene.cameras}
         missing = [name for name in CAMERAS if name not in cameras]
         if missing:
-            raise InputError(f"scene {scene.name} has no {missing[0]}, which a renderer for NeuroNCAP is asked for")
+            raise InputError(
+                f"scene {scene.name} has no {missing[0]}, and a renderer for NeuroNCAP is asked for "
+                f"{', '.join(CAMERAS)}; drive a data set with these cameras, calibrated"
+            )
         said = self.asked("/get_actors")
         try:
             known = {actor.uuid: actor for actor in actors_in(said)}

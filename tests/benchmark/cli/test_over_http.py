@@ -7,19 +7,17 @@ import pytest
 
 import benchmark
 from benchmark.closed_loop.wire.server import PlannerServer
-from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
 from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.closed_loop.wire.made import Looking, scripted, serving
 from tests.benchmark.closed_loop.wire.test_sensor import Renderer, small_scene
+from tests.generation.nuscenes_writer.written_roots import SIZE, write_root
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scene on disk with a small rig and no pictures."""
+    """A scene on disk with small pictures."""
     root = tmp_path_factory.mktemp("data") / "road"
-    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
-    scene = small_scene()
-    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    write_root(root, [small_scene()], version="v1.0-mini", frames="keyframes")
     return root
 
 
@@ -37,20 +35,26 @@ def test_a_model_server_drives_with_what_the_sensor_draws(source: Path, tmp_path
 def test_a_renderer_shows_and_a_model_drives(source: Path, tmp_path: Path) -> None:
     options = ("--data", source, "--split", "val", "--out", tmp_path, "--no-baselines", "--workers", "1", "--json")
     (name,) = benchmark.open_data(source).scene_names("val")
-    shown = Renderer(benchmark.open_data(source).scene(name))
+    shown = Renderer(benchmark.open_data(source).scene(name), shape=(SIZE[1], SIZE[0]))
     with serving(Looking()) as url, scripted(shown) as drawn:
         asked = ("--model", url, "--sensor", f"gaussians={drawn.url}", "--accept-torch-tensors", "--model", "stop")
         done = run_here("drive", *options, *asked)
+    assert done.code == 0, done.err
     served, blind = json.loads(done.out)
     assert done.code == 0 and served["planner"] == url.removeprefix("http://") and served["failed"] == 0
     assert served["measured"]["sensor"] == "gaussians" and blind["measured"]["sensor"] == "none"
     assert served["measured"]["sensor_facts"] == {"protocol": "neuroncap", "image_format": "torch"}
 
 
-def test_an_evaluation_without_pictures_says_what_is_missing(source: Path, tmp_path: Path) -> None:
+def test_an_evaluation_asks_the_server_and_without_pictures_says_what_is_missing(source: Path, tmp_path: Path) -> None:
     with serving(Looking()) as url:
-        done = run_here("eval", "--data", source, "--split", "val", "--out", tmp_path, "--model", url)
-    assert done.code == 1 and "NeuroNCAP's requests carry" in done.err
+        asked = ("--split", "val", "--out", tmp_path, "--model", url, "--workers", "2", "--json")
+        seen = run_here("eval", "--data", source, *asked)
+        write_root(tmp_path / "blind", [small_scene()], version="v1.0-mini", renderer=None)
+        blind = run_here("eval", "--data", tmp_path / "blind", *asked)
+    (row,) = json.loads(seen.out)
+    assert seen.code == 0 and row["failed"] == 0 and row["samples"] > 0
+    assert blind.code == 1 and "NeuroNCAP's requests carry" in blind.err
 
 
 @pytest.mark.parametrize(

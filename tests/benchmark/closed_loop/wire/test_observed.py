@@ -1,6 +1,9 @@
 """Observations on the wire: the exact request, and what comes out at the other end."""
 
+import base64
+import io
 import json
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -168,11 +171,10 @@ def test_recorded_requests_are_written_again_to_the_byte(name: str) -> None:
 
 
 def test_saved_pictures_have_neuroncaps_members() -> None:
-    import base64
-    import io
-    import zipfile
-
-    text = image_text(picture(0), ImageFormat.TORCH)
+    pixels = picture(0)
+    # As pictures from files are.
+    pixels.flags.writeable = False
+    text = image_text(pixels, ImageFormat.TORCH)
     with zipfile.ZipFile(io.BytesIO(base64.b64decode(text, validate=True))) as archive:
         names = set(archive.namelist())
     assert {"archive/data.pkl", "archive/byteorder", "archive/data/0", "archive/version"} <= names
