@@ -23,7 +23,12 @@ class _Bounded(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self.loop.call_later(HEADER_S, self._require_begun)
+        self._patience = self.loop.call_later(HEADER_S, self._require_begun)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        # What waits would hold the connection, and all that arrived on it.
+        self._patience.cancel()
+        super().connection_lost(exc)
 
     def _require_begun(self) -> None:
         if self.cycle is None:

@@ -39,27 +39,26 @@ def posted(body: bytes, path: str = "/infer") -> bytes:
     return f"{head}\r\n\r\n".encode() + body
 
 
-def malformed(count: int, seed: int = 0) -> Iterator[bytes]:
-    """Requests, as bytes for a socket; the same of the same seed."""
+def malformed(count: int, seed: int = 0) -> Iterator[tuple[bytes, bool]]:
+    """Requests, as bytes for a socket, and whether they are whole; the same of the same seed."""
     chance = random.Random(seed)
     forms = {form: request_of(observed(), form).encoded() for form in ImageFormat}
     for number in range(count):
         kind, whole = number % 4, forms[chance.choice(list(ImageFormat))]
         if kind == 0:
-            yield chance.choice(_HEADS)
+            yield chance.choice(_HEADS), False
         elif kind == 1:
             value = json.loads(whole)
             _changed(value, chance)
-            yield posted(json.dumps(value).encode("utf-8", "surrogatepass"))
+            yield posted(json.dumps(value).encode("utf-8", "surrogatepass")), True
         elif kind == 2:
-            yield posted(
-                whole[: chance.randrange(len(whole))], chance.choice(("/infer", "/infer", "/reset", "/nowhere"))
-            )
+            path = chance.choice(("/infer", "/infer", "/reset", "/nowhere"))
+            yield posted(whole[: chance.randrange(len(whole))], path), True
         else:
             damaged = bytearray(whole)
             for _ in range(chance.randrange(1, 30)):
                 damaged[chance.randrange(len(damaged))] = chance.randrange(256)
-            yield posted(bytes(damaged))
+            yield posted(bytes(damaged)), True
 
 
 def _changed(value: Any, chance: random.Random) -> None:
@@ -74,15 +73,25 @@ def _changed(value: Any, chance: random.Random) -> None:
         place = inner
 
 
-def answered(port: int, sent: bytes, timeout_s: float = 10.0) -> bytes:
-    """What a server answers to some bytes, after which nothing more is sent; empty where it hangs up."""
-    with socket.create_connection(("127.0.0.1", port), timeout=timeout_s) as there:
+def answered(port: int, sent: bytes, whole: bool, patience_s: float = 20.0) -> bytes:
+    """What a server answers to some bytes; empty where it hangs up.
+
+    Args:
+        port: Its.
+        sent: Sent at once.
+        whole: Whether they are a whole request; what is none is broken off after a moment.
+        patience_s: How long an answer may take.
+
+    Returns:
+        All that comes.
+    """
+    with socket.create_connection(("127.0.0.1", port), timeout=patience_s) as there:
         # A server that has seen enough hangs up while it is sent more.
         with contextlib.suppress(OSError):
             there.sendall(sent)
-            there.shutdown(socket.SHUT_WR)
+        there.settimeout(patience_s if whole else 0.05)
         parts = []
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionError, TimeoutError):
             while part := there.recv(65536):
                 parts.append(part)
         return b"".join(parts)
