@@ -27,7 +27,7 @@ def url() -> Iterator[str]:
     space: dict[str, type] = {"__name__": type("model_server", (), {})}
     exec(compile(code, "model_server.py", "exec"), space)
     space["Server"].log_message = lambda *_: None  # type: ignore[attr-defined]
-    server = HTTPServer(("127.0.0.1", 0), space["Server"])  # type: ignore[arg-type]
+    server = HTTPServer(("127.0.0.1", 0), space["Server"])
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     yield f"http://127.0.0.1:{server.server_port}"
