@@ -175,7 +175,7 @@ def planner(
 def require_known(name: str) -> None:
     """Raise `InputError` for what names no planner; nothing of it is imported."""
     known = (*MODELS, *installed_planners())
-    if name not in known and is_address(name):
+    if is_address(name):
         if (called := Address.of(name, "--model").name) in known:
             raise InputError(f"{called} is a planner of its own here; call what answers at {name} otherwise")
         return
@@ -189,7 +189,7 @@ def require_known(name: str) -> None:
 def made_by(name: str) -> str:
     """What makes a planner that there is, as ``package.module:name``."""
     installed = installed_planners()
-    if name not in installed and is_address(name):
+    if is_address(name):
         return _MAKER_OVER_HTTP
     if name in MODELS:
         return MODELS[name].planner if MODELS[name].network is None else _MAKER_OF_NETWORKS

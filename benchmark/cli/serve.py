@@ -1,5 +1,6 @@
 """``serve``: a planner as a model server for NeuroNCAP, and for whoever speaks its protocol."""
 
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -49,4 +50,6 @@ def serve_command(
     if accept_torch_tensors:
         api.tell("warning: saved tensors are pickles; they are read with weights_only, from whoever reaches this port")
     api.tell(f"{model} answers at {server.url}, one scene at a time; Ctrl-C ends it")
-    server.serve()
+    with contextlib.suppress(KeyboardInterrupt):
+        server.serve()
+    api.tell("ended")

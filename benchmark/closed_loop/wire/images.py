@@ -4,7 +4,7 @@ import base64
 import binascii
 import io
 from enum import StrEnum
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from benchmark.closed_loop.wire.values import WireError
 from benchmark.foreign.files import one_line
 from benchmark.foreign.wire_images import TensorRefused, image_of
+
+TENSOR_FLAG: Final = "--accept-torch-tensors"
+"""What allows pickles, named by every refusal of one."""
 
 
 class ImageFormat(StrEnum):

@@ -8,18 +8,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.closed_loop.drives.observing import PAST_TICKS
 from benchmark.closed_loop.drives.riding import can_row
+from benchmark.closed_loop.neuroncap.poses import quaternion_of
 from benchmark.closed_loop.wire.images import ImageFormat, image_from, image_text
 from benchmark.closed_loop.wire.requests import CAMERAS, InferRequest
-from benchmark.closed_loop.wire.values import quaternion_of
 from benchmark.errors import InputError
 from benchmark.geometry import Floats, transform_matrix, yaw_of_quaternion
 from benchmark.machine.storage import token
 from benchmark.planning import CameraView, Command, EgoState, Observation
 from benchmark.scene import Camera, LidarMount
 
-PAST_TICKS: Final = 5
-"""Ego poses that a planner is given: now and two seconds back."""
 _POSITION, _ROTATION, _ACCELERATION, _RATE, _VELOCITY = (
     slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13), slice(13, 16),
 )  # fmt: skip

@@ -5,7 +5,7 @@ planning instant, because the others may react; nobody's future goes on the wire
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from benchmark.closed_loop.wire.address import Address
 from benchmark.closed_loop.wire.connection import ALIVE_S, Connection, Reply
-from benchmark.closed_loop.wire.images import ImageFormat, image_from, picture_from
+from benchmark.closed_loop.wire.images import TENSOR_FLAG, ImageFormat, image_from, picture_from
 from benchmark.closed_loop.wire.observed import camera_pose
 from benchmark.closed_loop.wire.renderer import MovedActor, RendererActor, actors_in, moved, picture_wanted
 from benchmark.closed_loop.wire.requests import CAMERAS
-from benchmark.closed_loop.wire.session import TENSOR_FLAG
 from benchmark.closed_loop.wire.values import WireError
 from benchmark.errors import InputError
 from benchmark.foreign.wire_images import TensorRefused
@@ -48,7 +47,7 @@ class HttpSensor:
 
     address: Address
     tensors: bool = False
-    deadline_s: float = field(default=DEADLINE_S, compare=False)
+    deadline_s: float = DEADLINE_S
 
     @property
     def name(self) -> str:

@@ -84,11 +84,15 @@ class PlannerServer:
         return is_open(self.host)
 
     def serve(self) -> None:
-        """Answer until interrupted, or until `__exit__`."""
+        """Answer until interrupted, or until `__exit__`; raises `KeyboardInterrupt` once everything is closed."""
         try:
             self._server.run(sockets=[self._socket])
         finally:
-            self._socket.close()
+            self.close()
+
+    def close(self) -> None:
+        """Stop listening; for whoever never served."""
+        self._socket.close()
 
     def __enter__(self) -> Self:
         self._thread.start()

@@ -5,9 +5,9 @@ go on belongs to another one, and is refused rather than put into the planner's 
 """
 
 import sys
-from typing import Final
 
 from benchmark.closed_loop.wire.answers import ModelAnswer
+from benchmark.closed_loop.wire.images import TENSOR_FLAG
 from benchmark.closed_loop.wire.observed import SCENE, Memory
 from benchmark.closed_loop.wire.requests import InferRequest, encoded
 from benchmark.closed_loop.wire.values import WireError
@@ -17,7 +17,6 @@ from benchmark.foreign.wire_images import TensorRefused
 from benchmark.planning import Plan, Planner, PrivilegedPlanner, SceneInfo, remembers_across_scenes
 from benchmark.runs.plan_rows import FAILURES, seed_everything
 
-TENSOR_FLAG: Final = "--accept-torch-tensors"
 UNSUPPORTED, UNREADABLE, CONFLICT, FAILED = 415, 422, 409, 500
 """Statuses of HTTP."""
 

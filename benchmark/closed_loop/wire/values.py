@@ -1,6 +1,5 @@
 """Numbers from the wire: of the shape that is asked for, finite where they must be, and no truth values among them."""
 
-import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -68,31 +67,6 @@ def pose_of(value: Any, where: str) -> Floats:
     if np.abs(found[:3, 3]).max() > FARTHEST_M:
         raise WireError(f"{where} is {np.abs(found[:3, 3]).max():.3g} m away")
     return found
-
-
-def quaternion_of(turn: Floats) -> Floats:
-    """(4,) quaternion w, x, y, z of a (3, 3) rotation, w not negative (Shepperd's rule: by the largest part).
-
-    Args:
-        turn: A rotation matrix.
-
-    Returns:
-        A unit quaternion.
-    """
-    trace = float(np.trace(turn))
-    squares = np.array([1.0 + trace, *(1.0 + 2.0 * np.diag(turn) - trace)])
-    largest = int(np.argmax(squares))
-    root = math.sqrt(float(squares[largest]))
-    (_, m01, m02), (m10, _, m12), (m20, m21, _) = turn.tolist()
-    sums = {
-        0: [root * root, m21 - m12, m02 - m20, m10 - m01],
-        1: [m21 - m12, root * root, m01 + m10, m02 + m20],
-        2: [m02 - m20, m01 + m10, root * root, m12 + m21],
-        3: [m10 - m01, m02 + m20, m12 + m21, root * root],
-    }
-    found = np.array(sums[largest]) / (2.0 * root)
-    found /= np.linalg.norm(found)
-    return np.asarray(found if found[0] >= 0.0 else -found)
 
 
 def whole_number(value: Any, most: int, where: str) -> int:

@@ -72,7 +72,7 @@ def test_serve_says_where_and_warns(
 
     def serve(self: PlannerServer) -> None:
         served.append(self)
-        self._socket.close()
+        self.close()
 
     monkeypatch.setattr(PlannerServer, "serve", serve)
     done = run_here("serve", "--model", "stop", "--port", "0", *options)

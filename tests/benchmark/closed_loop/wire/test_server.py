@@ -164,7 +164,7 @@ def test_it_listens_on_this_machine_alone_and_says_what_is_taken() -> None:
         PlannerServer(Session(Looking()), port=first.port)
     with pytest.raises(InputError, match="cannot listen on no-such-host"):
         PlannerServer(Session(Looking()), host="no-such-host.invalid")
-    first._socket.close()
+    first.close()
     opened = PlannerServer(Session(Looking()), host="0.0.0.0")
     assert opened.is_open
-    opened._socket.close()
+    opened.close()
