@@ -1,8 +1,8 @@
 """The `default` engine as a ride: a scene of any split, driven after a second of priming to its end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -14,13 +14,14 @@ from benchmark.closed_loop.drives.riding import (
     Motion,
     NeuroncapScore,
     RecordedCan,
+    Ride,
     Touch,
     UndrivablePlanError,
     require_room,
 )
 from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US, Ego
 from benchmark.closed_loop.stepping import UndrivablePlanError as UndrivableWaypointsError
-from benchmark.closed_loop.stepping import begin, goes_on, step
+from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_together
 from benchmark.closed_loop.world import Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -64,6 +65,10 @@ class DefaultRides:
     def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
         """A scene is driven as it is."""
         return ("",)
+
+    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
+        """Half a second of several rides; those past priming are stepped together."""
+        return [*_after_together([cast(DefaultRide, ride) for ride in rides], plans)]
 
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultRide":
         """The ride at its first planning instant.
@@ -137,18 +142,24 @@ class DefaultRide:
 
     def after(self, plan: Plan) -> "DefaultRide":
         """Half a second later; raises `UndrivablePlanError`."""
+        (found,) = _after_together([self], [plan])
+        if isinstance(found, UndrivablePlanError):
+            raise found
+        return found
+
+    def primed_on(self) -> "DefaultRide | None":
+        """Half a second later where that is still recorded; whatever was planned for it."""
         ticks = len(self.motion.ticks)
-        if ticks <= PRIMING_STEPS:
-            frames = self.scene.keyframes
-            later = recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
-            return replace(self, motion=self.motion.then(later))
-        try:
-            world = step(self.course, self.world, rear_axle_waypoints(plan, float(self.scene.lidar.translation[0])))
-        except UndrivableWaypointsError as error:
-            raise UndrivablePlanError(str(error)) from error
+        if ticks > PRIMING_STEPS:
+            return None
+        frames = self.scene.keyframes
+        later = recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
+        return replace(self, motion=self.motion.then(later))
+
+    def arrived(self, world: World) -> "DefaultRide":
+        """In the world half a second later."""
         assert world.trace is not None
-        later = self._traced(self.world.time_us, world.trace)
-        return replace(self, world=world, motion=self.motion.then(later))
+        return replace(self, world=world, motion=self.motion.then(self._traced(self.world.time_us, world.trace)))
 
     def finished(self) -> "DefaultRide":
         """The same: every instant has been checked."""
@@ -174,6 +185,26 @@ class DefaultRide:
             present=trace.present[rows].T,
             ticks=np.array([len(times) - 1]),
         )
+
+
+def _after_together(rides: "Sequence[DefaultRide]", plans: Sequence[Plan]) -> "list[DefaultRide | UndrivablePlanError]":
+    """Each half a second later, or why its plan cannot be driven."""
+    later: dict[int, DefaultRide | UndrivablePlanError] = {}
+    driving: dict[int, Floats] = {}
+    for place, (ride, plan) in enumerate(zip(rides, plans, strict=True)):
+        primed = ride.primed_on()
+        if primed is not None:
+            later[place] = primed
+            continue
+        try:
+            waypoints = rear_axle_waypoints(plan, float(ride.scene.lidar.translation[0]))
+            driving[place] = drivable(ride.course, waypoints)
+        except UndrivableWaypointsError as error:
+            later[place] = UndrivablePlanError(str(error))
+    moving = [rides[place] for place in driving]
+    worlds = step_together([ride.course for ride in moving], [ride.world for ride in moving], [*driving.values()])
+    later |= {place: ride.arrived(world) for place, ride, world in zip(driving, moving, worlds, strict=True)}
+    return [later[place] for place in range(len(rides))]
 
 
 def rear_axle_waypoints(plan: Plan, lidar_ahead_m: float) -> Floats:
