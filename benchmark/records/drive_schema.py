@@ -55,11 +55,13 @@ class DriveFacts(RecordFacts):
         measured: What was measured.
         runs: Runs of each scene; 1 where nothing is drawn.
         scoring: Version of the scores.
+        rescored: The environment of the last `challenger-bench rescore`, if the drives were scored anew since.
     """
 
     measured: Measured
     runs: Annotated[int, Field(ge=1, le=MOST_RUNS)]
     scoring: Version
+    rescored: dict[str, Any] | None = None
 
 
 class DrivePlan(Stored):

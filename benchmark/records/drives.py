@@ -52,7 +52,7 @@ class DriveRecord:
     @property
     def content_id(self) -> str:
         """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
-        facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config"})
+        facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config", "rescored"})
         return content_key(facts)[:12]
 
     @property
