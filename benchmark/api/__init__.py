@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from benchmark.api.driving import drive_settings as drive_settings, looks_at_images as looks_at_images
+from benchmark.api.filming import write_drive_films as write_drive_films
 from benchmark.api.verifying import verify as verify
 from benchmark.errors import InputError, did_you_mean
 
