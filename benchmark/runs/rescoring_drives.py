@@ -90,7 +90,7 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
         described |= {"scoring": VERSION, "scene_facts": scene_facts_now(facts, data)}
         same = list(old.rows) == rows and all(getattr(facts, name) == value for name, value in described.items())
-        if same and old.summary == summarise(rows, described["scene_facts"], seed=facts.seed):
+        if same and old.summary == summarise(rows, described["scene_facts"], seed=facts.seed, engine=measured.engine):
             return old, "current"
         described["rescored"] = environment_facts()
         return write_drives(directory, described, rows, seed=facts.seed), "rescored"
