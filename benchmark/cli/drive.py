@@ -97,7 +97,7 @@ def drive_command(
     ] = ScenariosName.RECORDED,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each scene; one where nothing is drawn.")] = 1,
     latency: Annotated[int, typer.Option(min=0, help="Milliseconds after which a plan takes effect.")] = 0,
-    timeout: Annotated[float, typer.Option(min=0.001, help="Seconds that a plan may take.")] = 120.0,
+    timeout: Annotated[float, typer.Option(min=0.001, max=86_400.0, help="Seconds that a plan may take.")] = 120.0,
     baselines: Annotated[
         bool, typer.Option("--baselines/--no-baselines", help="Also the five that every table has.")
     ] = True,

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S
+from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S, LONGEST_TIMEOUT_S
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
@@ -24,7 +24,7 @@ from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.planning import Planner, remembers_across_scenes
-from benchmark.records.drive_schema import Measured
+from benchmark.records.drive_schema import MOST_RUNS, Measured
 from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.seed_splits import generated_facts
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 GROUPS_PER_WORKER: Final = 4
+_OFFICIAL: Final = ", which are for scenes of nuScenes by their names"
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,16 +126,19 @@ class DriveSettings:
         """All units, scene after scene.
 
         Raises:
-            InputError: If no scene has a scenario.
+            InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
         """
+        if not 1 <= self.runs <= MOST_RUNS:
+            raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
         found = []
         for scene in scenes:
             families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
             found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
         if not found:
             raise InputError(
-                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios; "
-                "take other scenes or other scenarios (docs/closed-loop.md)"
+                f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios"
+                f"{_OFFICIAL if self.scenarios == 'official' else ''}; take other scenes or other scenarios "
+                "(docs/closed-loop.md)"
             )
         return found
 
@@ -237,12 +241,12 @@ def _records(
 
 
 def _require_drivable(planners: Sequence[Planner], settings: DriveSettings) -> None:
-    """Refuse planners that single scenes cannot be driven with, and settings that say nothing."""
+    """Refuse planners that single scenes cannot be driven with, and groups of none."""
     for planner in planners:
         if remembers_across_scenes(planner):
             raise InputError(f"{planner.name} remembers across scenes, which a drive of single scenes cannot give it")
-    if settings.runs < 1:
-        raise InputError(f"--runs must be at least 1, got {settings.runs}")
+    if not 0.0 < settings.timeout_s <= LONGEST_TIMEOUT_S:
+        raise InputError(f"--timeout must be more than 0 and at most {LONGEST_TIMEOUT_S:g}, got {settings.timeout_s}")
     if settings.together < 1:
         raise InputError(f"drives side by side must be at least 1, got {settings.together}")
 
@@ -323,9 +327,13 @@ def _described(
 
 
 def _tidy(job: Job, units: list[Unit]) -> None:
-    """Remove kept drives that are none of this record's any more."""
-    wanted, folder = {job.path(unit) for unit in units}, job.directory / KEPT
+    """Remove kept drives of scenes that are none of this record's any more; further runs of its own stay."""
+    wanted, folder = {_without_run(job.path(unit)) for unit in units}, job.directory / KEPT
     with writing_to(folder):
         for path in folder.iterdir() if folder.is_dir() else ():
-            if path not in wanted:
+            if _without_run(path) not in wanted:
                 path.unlink()
+
+
+def _without_run(path: Path) -> str:
+    return path.stem.rpartition("-")[0]

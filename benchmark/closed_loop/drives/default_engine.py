@@ -25,6 +25,7 @@ from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_togeth
 from benchmark.closed_loop.world import Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.last_made import LastMade
 from benchmark.pdm.motion import headed
 from benchmark.planning import Plan
 from benchmark.scene import Scene
@@ -41,6 +42,12 @@ def _idm(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[Any]:
     return Idm.of(replay_of(scene, start_us, end_us), scene.agents.categories, scene.road_map)
 
 
+def _policy(scene: Scene, agents: str, start_us: int, end_us: int) -> AgentPolicy[Any]:
+    return POLICIES[agents](scene, start_us, end_us)
+
+
+_policy_of: Final = LastMade[Scene, AgentPolicy[Any]](_policy, kept=4)
+"""Policies are values: drives of one scene share one."""
 POLICIES: Final[dict[str, Callable[[Scene, int, int], AgentPolicy[Any]]]] = {"replay": _replay, "idm": _idm}
 """How the others behave, by the name that ``--agents`` takes."""
 
@@ -82,7 +89,7 @@ class DefaultRides:
         start_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (PRIMING_STEPS, -1))
         course = course_of(
             scene,
-            policy=POLICIES[self.agents](scene, start_us, end_us),
+            policy=_policy_of(scene, self.agents, start_us, end_us),
             keyframe=PRIMING_STEPS,
             seed=run,
             latency_us=self.latency_us,

@@ -196,8 +196,11 @@ def test_scenarios_are_driven_by_family_and_by_run(tmp_path: Path) -> None:
     assert columns["collision"].value == pytest.approx(np.mean(of_families))
     # Eight metres a second straight on is what the recorded ego does: everybody is met.
     assert columns["collision_stationary"].value == 1.0
-    before = bytes_below(tmp_path)
-    driven(tmp_path, Straight(), drawing, data)
+    before, planner = bytes_below(tmp_path), Straight()
+    assert len(driven(tmp_path, planner, replace(drawing, runs=1), data).rows) == 3
+    driven(tmp_path, planner, drawing, data)
+    # Who asks for fewer runs loses none.
+    assert planner.calls == 0
     assert bytes_below(tmp_path) == before and rescore_drives(record.directory, data).rows == record.rows
     assert record.facts.measured.world == "neuroncap@paper, own scenarios"
 
@@ -312,7 +315,16 @@ def test_planners_that_remember_across_scenes_are_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"), [({"runs": 0}, "--runs"), ({"scenes": ("scene-1",)}, "no scene"), ({"limit": 0}, "--limit")]
+    ("changes", "says"),
+    [
+        ({"runs": 0}, "--runs"),
+        ({"runs": 100_000_000}, "at most 10000"),
+        ({"scenes": ("scene-1",)}, "no scene"),
+        ({"limit": 0}, "--limit"),
+        ({"timeout_s": float("inf")}, "--timeout"),
+        ({"timeout_s": float("nan")}, "--timeout"),
+        ({"timeout_s": -1.0}, "--timeout"),
+    ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, changes: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
