@@ -200,7 +200,7 @@ def rescore_command(
     if not folders:
         raise InputError(
             f"there are no run records at {place.run_root()} and no drives at {place.drive_root()}; run "
-            "challenger-bench eval or challenger-bench drive first"
+            "challenger-bench eval first, or challenger-bench drive"
         )
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
