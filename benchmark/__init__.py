@@ -25,6 +25,7 @@ _DEFINED_IN: Final = {
         "serve_planner",
         "planner_under_test",
         "write_sheets",
+        "write_drive_films",
         "write_leaderboard",
         "stale_leaderboard",
         "verify",
@@ -48,8 +49,8 @@ _DEFINED_IN: Final = {
     "adapters.result_files.writing.formats": ["write_results"],
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
     "benchmark.judging.splits": ["judge_split"],
-    "benchmark.runs.driving": ["drive_split", "DriveSettings"],
-    "benchmark.runs.redriving": ["rescore_drives"],
+    "benchmark.runs.driving": ["drive_split", "drive_planners", "DriveSettings"],
+    "benchmark.runs.rescoring_drives": ["rescore_drives", "rescore_all_drives"],
     "benchmark.records.drives": ["DriveRecord", "load_drives", "find_drives"],
     "leaderboard.tables.drives": ["drive_tables"],
     "benchmark.protocols": ["PROTOCOLS"],
@@ -156,6 +157,7 @@ if TYPE_CHECKING:
         transfer_matrices as transfer_matrices,
         transfer_table as transfer_table,
         verify as verify,
+        write_drive_films as write_drive_films,
         write_anchors as write_anchors,
         write_bank as write_bank,
         write_condition_pictures as write_condition_pictures,
@@ -201,8 +203,11 @@ if TYPE_CHECKING:
     )
     from benchmark.records.review import Verdict as Verdict
     from benchmark.records.run import RunRecord as RunRecord, find_records as find_records, load_record as load_record
-    from benchmark.runs.driving import DriveSettings as DriveSettings, drive_split as drive_split
-    from benchmark.runs.redriving import rescore_drives as rescore_drives
+    from benchmark.runs.driving import (
+        DriveSettings as DriveSettings,
+        drive_planners as drive_planners,
+        drive_split as drive_split,
+    )
     from benchmark.runs.reproducing import (
         expected_file as expected_file,
         published_numbers as published_numbers,
@@ -210,6 +215,10 @@ if TYPE_CHECKING:
         store_expected as store_expected,
     )
     from benchmark.runs.rescoring import rescore as rescore, rescore_all as rescore_all
+    from benchmark.runs.rescoring_drives import (
+        rescore_all_drives as rescore_all_drives,
+        rescore_drives as rescore_drives,
+    )
     from benchmark.runs.submissions import check_submission as check_submission
     from benchmark.scene import Scene as Scene
     from benchmark.sheets.writing import SheetSettings as SheetSettings

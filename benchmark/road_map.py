@@ -91,6 +91,15 @@ class RoadMap:
     carparks: dict[str, Polygon] = field(default_factory=dict)
     road_blocks: dict[str, Polygon] = field(default_factory=dict)
     canvas_m: tuple[float, float] = (0.0, 0.0)
+    _lane_bounds: list[Floats] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def lane_bounds(self) -> Floats:
+        """(L, 4) smallest x and y, then largest, of the centre line of each lane, in the order of the lanes."""
+        if not self._lane_bounds:
+            lines = [lane.centerline for lane in self.lanes.values()]
+            bounds = [np.concatenate([line.min(axis=0), line.max(axis=0)]) for line in lines]
+            self._lane_bounds.append(np.array(bounds).reshape(-1, 4))
+        return self._lane_bounds[0]
 
     def is_drivable(self, points: Floats) -> Bools:
         """Exact point test against the drivable polygons; the border counts as drivable.

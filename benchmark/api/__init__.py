@@ -13,6 +13,7 @@ from benchmark.api.driving import (
     looks_at_images as looks_at_images,
     require_sensor as require_sensor,
 )
+from benchmark.api.filming import write_drive_films as write_drive_films
 from benchmark.api.over_http import require_answers as require_answers, serve_planner as serve_planner
 from benchmark.api.verifying import verify as verify
 from benchmark.errors import InputError, did_you_mean

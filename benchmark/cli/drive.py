@@ -35,10 +35,15 @@ from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
+    from adapters.registry import NamedPlanner
+    from benchmark.datasets.roots import DataSet
     from benchmark.records.drives import DriveRecord
+    from benchmark.runs.driving import DriveSettings
 
 BASELINES: Final = ("stop", "constant-velocity", "constant-velocity-on-path", "log-replay", "idm")
 """Planners that every table has: without them no number of closed loop says much."""
+TOGETHER: Final = 20
+"""Drives side by side in a process, of planners that need no images: what more would bring is lost in what it holds."""
 STEP_MS: Final = 100
 LONGEST_LATENCY_MS: Final = 3000
 
@@ -95,7 +100,7 @@ def drive_command(
     ] = ScenariosName.RECORDED,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each scene; one where nothing is drawn.")] = 1,
     latency: Annotated[int, typer.Option(min=0, help="Milliseconds after which a plan takes effect.")] = 0,
-    timeout: Annotated[float, typer.Option(min=0.001, help="Seconds that a plan may take.")] = 120.0,
+    timeout: Annotated[float, typer.Option(min=0.001, max=86_400.0, help="Seconds that a plan may take.")] = 120.0,
     baselines: Annotated[
         bool, typer.Option("--baselines/--no-baselines", help="Also the five that every table has.")
     ] = True,
@@ -119,8 +124,6 @@ def drive_command(
     from benchmark.cli.beforehand.names import require_models
     from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place
-    from benchmark.closed_loop.drives.sensors import NoSensor
-    from benchmark.runs.driving import drive_split
 
     _require_engine(engine, agents, latency, scenarios)
     names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
@@ -171,18 +174,14 @@ def drive_command(
         timeout_s=timeout,
         seed=seed,
     )
-    blind = replace(how, sensor=NoSensor())
-    settings = [blind if api.looks_at_images(each.facts.name) is False else how for each in factories]
     root = api.workspace(out).drive_root()
     if dry_run:
         from benchmark.runs.drive_estimate import estimate
 
-        said = [estimate(dataset, split, *each, root) for each in zip(factories, settings, strict=True)]
+        said = [estimate(dataset, split, each, _settings_of(each, how), root) for each in factories]
         say_plan(said, json_output=json_output)
         return
-    records = [
-        drive_split(dataset, split, planner, root, own) for planner, own in zip(factories, settings, strict=True)
-    ]
+    records = _driven(dataset, split, factories, root, how)
     sound = _show(records, wide=wide, json_output=json_output)
     say_next(
         f"records: {', '.join(str(record.directory) for record in records)}",
@@ -215,6 +214,34 @@ def _require_sight(name: str, sensor: str) -> None:
     """Refuse to drive a planner blindly that looks at images, or is sent some."""
     if sensor == "none" and api.looks_at_images(name):
         raise InputError(f"{name} looks at images, and --sensor none has none; add --sensor schematic")
+
+
+def _driven(
+    data: "DataSet", split: str, factories: "Sequence[NamedPlanner]", root: Path, how: "DriveSettings"
+) -> "list[DriveRecord]":
+    """Records in the order of the planners; built-in ones that look at nothing are driven side by side."""
+    from benchmark.runs.driving import drive_planners, drive_split
+
+    beside = [place for place, each in enumerate(factories) if _looks_at_nothing(each)]
+    records: dict[int, DriveRecord] = {}
+    if beside:
+        own = _settings_of(factories[beside[0]], how)
+        records |= zip(beside, drive_planners(data, split, [factories[place] for place in beside], root, own))
+    for place, each in enumerate(factories):
+        if place not in records:
+            records[place] = drive_split(data, split, each, root, how)
+    return [records[place] for place in range(len(factories))]
+
+
+def _looks_at_nothing(planner: "NamedPlanner") -> bool:
+    return api.looks_at_images(planner.name) is False
+
+
+def _settings_of(planner: "NamedPlanner", how: "DriveSettings") -> "DriveSettings":
+    """How a planner is driven: those that look at nothing have no sensor, and company."""
+    from benchmark.closed_loop.drives.sensors import NoSensor
+
+    return replace(how, sensor=NoSensor(), together=TOGETHER) if _looks_at_nothing(planner) else how
 
 
 def _show(records: "Sequence[DriveRecord]", *, wide: bool, json_output: bool) -> bool:

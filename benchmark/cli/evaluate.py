@@ -198,21 +198,31 @@ def rescore_command(
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
-    """Judge the stored plans of run records anew under every protocol, without running a planner."""
+    """Judge stored plans anew, of run records under every protocol and of drives, without running a planner."""
     from benchmark.cli.beforehand.data_sets import require_root
     from benchmark.cli.beforehand.places import require_folder
     from benchmark.runs.rescoring import rescore_all
+    from benchmark.runs.rescoring_drives import rescore_all_drives
 
-    folders = records or [api.workspace(out).run_root()]
+    place = api.workspace(out)
+    folders = records or [root for root in (place.run_root(), place.drive_root()) if root.is_dir()]
     api.worker_count(workers)
     require_root(data, tables, out)
     for folder in records or ():
         require_folder(folder, "--records")
-    if not records and not folders[0].is_dir():
-        raise InputError(f"there are no run records at {folders[0]}; run challenger-bench eval first")
+    if not folders:
+        raise InputError(
+            f"there are no run records at {place.run_root()} and no drives at {place.drive_root()}; run "
+            "challenger-bench eval first, or challenger-bench drive"
+        )
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
-    results = [result for folder in folders for result in rescore_all(folder, opener, source.name)]
+    results = [
+        result
+        for folder in folders
+        for found in (rescore_all(folder, opener, source.name), rescore_all_drives(folder, opener, source.name))
+        for result in found
+    ]
     if json_output:
         print_json([{"directory": str(result.directory), "says": result.sentence} for result in results])
     else:

@@ -254,7 +254,6 @@ def film_command(
     """Film scenes from their sheets, or drives: cameras, view from above, plans and verdicts (docs/films.md)."""
     from benchmark.cli.beforehand.names import planners_shown
     from benchmark.cli.beforehand.places import require_folder, require_place
-    from benchmark.cli.drive_films import AskedDrives, drive_films
     from benchmark.constants import FRAME_HZ
     from benchmark.machine.progress import Count, progress
     from benchmark.protocols import protocol as known_protocol
@@ -274,8 +273,20 @@ def film_command(
         return progress(frames, total=total, label=label, count=Count("frame"))
 
     if drives:
-        asked = AskedDrives(data, split, out, records, model or (), name_list(scenes), limit, tables)
-        written = drive_films(asked, to, FilmFormat(form.value), settings, watch)
+        written = api.write_drive_films(
+            split,
+            to,
+            model or (),
+            data=data,
+            out=out,
+            tables=tables,
+            records=records,
+            scenes=name_list(scenes),
+            limit=limit,
+            form=form.value,
+            settings=settings,
+            watch=watch,
+        )
     else:
         runs = space.run_root()
         written = write_films(

@@ -88,7 +88,7 @@ def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Seq
     Returns:
         S worlds.
     """
-    in_force = [_in_force(course, world, _usable(course, plan)) for course, world, plan in zip(courses, worlds, plans)]
+    in_force = [_in_force(course, world, drivable(course, plan)) for course, world, plan in zip(courses, worlds, plans)]
     egos = _driven(courses, worlds, in_force)
     moved = (
         _with_others(course, world, plans_now, np.ascontiguousarray(egos[:, :, index]))
@@ -97,7 +97,19 @@ def step_together(courses: Sequence[Course], worlds: Sequence[World], plans: Seq
     return list(moved)
 
 
-def _usable(course: Course, plan: Any) -> Floats:
+def drivable(course: Course, plan: Any) -> Floats:
+    """Whether a plan is one that can be driven.
+
+    Args:
+        course: What does not change.
+        plan: Anything.
+
+    Returns:
+        (6 to 16, 2) waypoints as in `step`.
+
+    Raises:
+        UndrivablePlanError: If it is none.
+    """
     try:
         waypoints = np.array(plan, np.float64)
     except (TypeError, ValueError):

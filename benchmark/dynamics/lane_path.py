@@ -165,11 +165,13 @@ def nearest_lane(road_map: RoadMap, pose: Floats) -> Lane | None:
         ``None`` if there is none.
     """
     best: tuple[float, str] | None = None
-    for name, lane in road_map.lanes.items():
-        line = lane.centerline
-        low, high = line.min(axis=0) - _LARGEST_OFFSET_M, line.max(axis=0) + _LARGEST_OFFSET_M
-        if (pose[:2] < low).any() or (pose[:2] > high).any():
-            continue
+    bounds, names = road_map.lane_bounds(), list(road_map.lanes)
+    x, y = pose[0], pose[1]
+    around = (x >= bounds[:, 0] - _LARGEST_OFFSET_M) & (x <= bounds[:, 2] + _LARGEST_OFFSET_M)
+    around &= (y >= bounds[:, 1] - _LARGEST_OFFSET_M) & (y <= bounds[:, 3] + _LARGEST_OFFSET_M)
+    for place in np.flatnonzero(around):
+        name = names[place]
+        line = road_map.lanes[name].centerline
         distance, heading = _beside(line, pose[:2])
         turn = abs(float(wrap_angle(np.asarray(pose[2] - heading))))
         if distance > _LARGEST_OFFSET_M or turn > _LARGEST_TURN_RAD:

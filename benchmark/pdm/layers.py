@@ -185,17 +185,23 @@ def _passes(line: Floats, path: Floats) -> bool:
 
 def _near(line: Floats, path: Floats) -> Bools:
     """(M, K) where points of two headed lines are near each other and point the same way."""
-    if (line[:, :2].min(axis=0) > path[:, :2].max(axis=0) + ON_ROUTE_M).any():
-        return np.zeros((1, 1), np.bool_)
-    if (line[:, :2].max(axis=0) < path[:, :2].min(axis=0) - ON_ROUTE_M).any():
+    if _apart(line, path, ON_ROUTE_M):
         return np.zeros((1, 1), np.bool_)
     distance = np.hypot(line[:, None, 0] - path[:, 0], line[:, None, 1] - path[:, 1])
     turn = np.abs(wrap_angle(line[:, None, 2] - path[:, 2]))
     return np.asarray((distance <= ON_ROUTE_M) & (turn <= ON_ROUTE_RAD))
 
 
+def _apart(line: Floats, other: Floats, reach_m: float) -> bool:
+    """Whether the rectangles around two lines are farther than this from each other in x or in y."""
+    after = line[:, :2].min(axis=0) > other[:, :2].max(axis=0) + reach_m
+    return bool(after.any() or (line[:, :2].max(axis=0) < other[:, :2].min(axis=0) - reach_m).any())
+
+
 def _beside(here: Floats, other: Floats) -> bool:
     """Whether a line runs beside another, seen from the points of the first."""
+    if _apart(here, other, BESIDE_M[1] + BESIDE_ALONG_M):
+        return False
     dx, dy = other[:, None, 0] - here[:, 0], other[:, None, 1] - here[:, 1]
     cos, sin = np.cos(here[:, 2]), np.sin(here[:, 2])
     along, across = np.abs(dx * cos + dy * sin), np.abs(dy * cos - dx * sin)

@@ -55,11 +55,13 @@ class DriveFacts(RecordFacts):
         measured: What was measured.
         runs: Runs of each scene; 1 where nothing is drawn.
         scoring: Version of the scores.
+        rescored: The environment of the last `challenger-bench rescore`, if the drives were scored anew since.
     """
 
     measured: Measured
     runs: Annotated[int, Field(ge=1, le=MOST_RUNS)]
     scoring: Version
+    rescored: dict[str, Any] | None = None
 
 
 class DrivePlan(Stored):
@@ -204,6 +206,24 @@ class DriveRow(Stored):
         return self
 
 
+class PublishedTable(Stored):
+    """NeuroNCAP's table as its published code makes it: means over runs, then over scenes, then over families.
+
+    Each mean is rounded to three digits. A failed run is left out; a scene with a run without a score drops out.
+
+    Attributes:
+        nns: Score, 0 to 5.
+        collision: Share of runs with a contact.
+        nns_by_family: The same of each family.
+        collision_by_family: Likewise.
+    """
+
+    nns: float | None
+    collision: Fraction
+    nns_by_family: dict[str, float | None]
+    collision_by_family: dict[str, Fraction]
+
+
 class DriveSummary(Stored):
     """``summary.json``: derived from the rows alone.
 
@@ -214,6 +234,8 @@ class DriveSummary(Stored):
         reasons: How often for which reason.
         coverage: Share of the others.
         columns: Means and rates over drives that did not fail, with intervals over recorded scenes, by column.
+        published: Of scenarios in ``neuroncap@code``: averaged and rounded as NeuroNCAP's published code does it; null
+            of everything else, and in older records.
     """
 
     schema_version: int = Field(alias="schema")
@@ -222,3 +244,4 @@ class DriveSummary(Stored):
     reasons: dict[str, int]
     coverage: Share
     columns: dict[str, RateRow]
+    published: PublishedTable | None = None

@@ -17,7 +17,8 @@ from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import ratios_over_scenes
-from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary
+from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary, Measured
+from benchmark.records.neuroncap_table import published_table
 from benchmark.records.run_schema import RateRow, SceneFacts
 from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
@@ -52,7 +53,7 @@ class DriveRecord:
     @property
     def content_id(self) -> str:
         """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
-        facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config"})
+        facts = self.facts.model_dump(mode="json", by_alias=True, exclude={"environment", "config", "rescored"})
         return content_key(facts)[:12]
 
     @property
@@ -103,13 +104,16 @@ def values_of(row: DriveRow) -> dict[str, float | None]:
     return own
 
 
-def summarise(rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *, seed: int) -> DriveSummary:
+def summarise(
+    rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *, seed: int, engine: str = "default"
+) -> DriveSummary:
     """What rows say together.
 
     Args:
         rows: One for each drive.
         scene_facts: What each scene was made from: intervals draw recorded scenes with all that was made from them.
         seed: Seed of the intervals.
+        engine: Which drove: NeuroNCAP's has a table of its own.
 
     Returns:
         The summary. Failed drives are counted and in no column.
@@ -133,6 +137,7 @@ def summarise(rows: Sequence[DriveRow], scene_facts: Mapping[str, SceneFacts], *
         reasons=dict(sorted(reasons.items())),
         coverage=len(driven) / len(rows) if rows else 0.0,
         columns=columns,
+        published=published_table(engine, rows),
     )
 
 
@@ -153,7 +158,8 @@ def write_drives(directory: Path, facts: Mapping[str, Any], rows: Sequence[Drive
     """
     if not rows:
         raise InputError(f"there are no drives to write to {directory}: no scene was chosen")
-    summary = summarise(rows, facts.get("scene_facts") or {}, seed=seed)
+    measured = Measured.model_validate(facts["measured"])
+    summary = summarise(rows, facts.get("scene_facts") or {}, seed=seed, engine=measured.engine)
     status: Literal["complete", "partial"] = "complete" if summary.failed == 0 else "partial"
     run = DriveFacts(schema=SCHEMA, status=status, seed=seed, files={}, **facts)
 

@@ -1,19 +1,20 @@
-"""One unit of driving: one scene and one run, driven and scored, here or in another process.
+"""Units of driving, one scene and one run each: driven and scored, here or in another process, alone or side by side.
 
 What came of it is kept under a content key, in a file of its own that is written last: finished units are read. A kept
 drive that was scored by earlier definitions is driven again by its stored plans, without its planner.
 """
 
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from benchmark.closed_loop.drives.asking import Reason
-from benchmark.closed_loop.drives.driving import Stage, drive
-from benchmark.closed_loop.drives.riding import RideMaker
+from benchmark.closed_loop.drives.driving import Drive, Stage, drive, drive_together
+from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
 from benchmark.closed_loop.drives.sensors import Sensor
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
@@ -26,7 +27,6 @@ from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.drive_rows import row_of
 from benchmark.runs.plan_rows import PlannerFactory, seed_everything
 from benchmark.runs.redriving import can_of, driven_again
-from benchmark.scene import Scene
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -60,6 +60,7 @@ class Job:
         sensor: What cameras see.
         timeout_s: How long a plan may take.
         fresh: Drive again even where drives are kept.
+        factory: Builds the planner; ``None`` where there is one object alone.
     """
 
     directory: Path
@@ -70,6 +71,7 @@ class Job:
     sensor: Sensor
     timeout_s: float
     fresh: bool
+    factory: PlannerFactory | None = None
 
     def key(self, unit: Unit) -> str:
         """Content key of a unit. No score is part of it: kept drives are scored again."""
@@ -84,6 +86,13 @@ class Job:
         return self.directory / KEPT / f"{name}.json"
 
 
+class Task(NamedTuple):
+    """A unit of a job."""
+
+    job: Job
+    unit: Unit
+
+
 @dataclass(frozen=True, slots=True)
 class UnitResult:
     """What came of a unit.
@@ -91,7 +100,7 @@ class UnitResult:
     Attributes:
         unit: Which.
         row: Of the record.
-        seconds: How long it took, or ``None`` where it was kept from before.
+        seconds: How long it took with those beside it, or ``None`` where it was kept from before.
     """
 
     unit: Unit
@@ -99,49 +108,89 @@ class UnitResult:
     seconds: float | None
 
 
-def work_here(job: Job, data: "DataSet", planner: Planner, unit: Unit) -> UnitResult:
-    """Drive a unit, or take the drive that is kept.
+def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> list[UnitResult]:
+    """Drive units side by side, or take the drives that are kept.
 
     Args:
-        job: What is done.
         data: The data set.
-        planner: The planner.
-        unit: Which.
+        planners: Who plans.
+        tasks: What is driven; several only of planners that draw nothing.
 
     Returns:
-        The result.
+        Their results.
 
     Raises:
-        InputError: If the data is broken or the drive cannot be written.
+        InputError: If the data is broken or a drive cannot be written; the other units are kept then.
     """
-    key, path = job.key(unit), job.path(unit)
-    kept = None if job.fresh else kept_drive(path, key)
-    if kept is not None and kept[1] == VERSION:
-        return UnitResult(unit, kept[0], None)
-    scene = data.scene(unit.scene)
-    if kept is not None:
-        row = driven_again(job.maker, scene, data, kept[0])
-        write_kept(path, key, row)
-        return UnitResult(unit, row, None)
+    found: dict[int, UnitResult] = {}
+    left: dict[int, str] = {}
+    for place, (job, unit) in enumerate(tasks):
+        key = job.key(unit)
+        kept = None if job.fresh else kept_drive(job.path(unit), key)
+        if kept is None:
+            left[place] = key
+            continue
+        row, scoring = kept
+        if scoring != VERSION:
+            row = driven_again(job.maker, data.scene(unit.scene), data, row)
+            write_kept(job.path(unit), key, row)
+        found[place] = UnitResult(unit, row, None)
     started = time.perf_counter()
-    seed_everything(content_seed(key))
-    row = _driven(job, data, scene, unit, planner)
-    if row.failure is None or row.failure.reason != Reason.TIMEOUT.value:
-        # How long a plan takes is the machine's matter: the same command tries again.
-        write_kept(path, key, row)
-    return UnitResult(unit, row, time.perf_counter() - started)
+    driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
+    for place, row in driven:
+        job, unit = tasks[place]
+        if row.failure is None or row.failure.reason != Reason.TIMEOUT.value:
+            # How long a plan takes is the machine's matter: the same command tries again.
+            write_kept(job.path(unit), left[place], row)
+        found[place] = UnitResult(unit, row, time.perf_counter() - started)
+    return [found[place] for place in range(len(tasks))]
 
 
-_in_this_process: dict[str, tuple["DataSet", Planner]] = {}
-"""Data set and planner of a worker process, opened once."""
+class Planners:
+    """Planners of a process: one for each drive that is under way, built when it is wanted.
+
+    Args:
+        one: The only planner that there is, or nothing where they are built.
+    """
+
+    def __init__(self, one: Planner | None = None) -> None:
+        self._one = one
+        self._built: dict[str, list[Planner]] = {}
+
+    def of(self, jobs: Sequence[Job]) -> list[Planner]:
+        """A planner for each job, no two the same object.
+
+        Raises:
+            ValueError: If there is one planner, and several jobs.
+        """
+        if self._one is not None:
+            if len(jobs) != 1:
+                raise ValueError("one planner drives one scene at a time")
+            return [self._one]
+        taken: Counter[str] = Counter()
+        found = []
+        for job in jobs:
+            assert job.factory is not None
+            key = content_key(job.fingerprint, job.planner.model_dump(mode="json"))
+            here = self._built.setdefault(key, [])
+            if len(here) == taken[key]:
+                here.append(job.factory())
+            found.append(here[taken[key]])
+            taken[key] += 1
+        return found
 
 
-def work_in_worker(job: Job, reopen: Callable[[], "DataSet"], factory: PlannerFactory, unit: Unit) -> UnitResult:
-    """`work_here` in a worker process, which opens the data set and builds the planner the first time."""
-    key = content_key(job.fingerprint, job.planner.model_dump(mode="json"))
-    if key not in _in_this_process:
-        _in_this_process[key] = (reopen(), factory())
-    return work_here(job, *_in_this_process[key], unit)
+_opened: dict[str, "DataSet"] = {}
+_planners = Planners()
+"""Data sets and planners of a worker process, opened and built once."""
+
+
+def work_in_worker(reopen: Callable[[], "DataSet"], tasks: Sequence[Task]) -> list[UnitResult]:
+    """`work_here` in a worker process, which opens the data set and builds planners the first time."""
+    fingerprint = tasks[0].job.fingerprint
+    if fingerprint not in _opened:
+        _opened[fingerprint] = reopen()
+    return work_here(_opened[fingerprint], _planners, tasks)
 
 
 def kept_drive(path: Path, key: str) -> tuple[DriveRow, int] | None:
@@ -167,7 +216,40 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
     return {"key": key, "scoring": scoring, "content": content_key(row)}
 
 
-def _driven(job: Job, data: "DataSet", scene: Scene, unit: Unit, planner: Planner) -> DriveRow:
-    stage = Stage(scene, can_of(data, scene.name), unit.run, job.maker, job.sensor, job.timeout_s, unit.family)
-    found = begun_again(partial(drive, stage, planner), planner)
-    return row_of(stage, found, None if found.failure is not None else score_drive(scene, found))
+def _driven(
+    data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
+) -> Iterator[tuple[int, DriveRow]]:
+    """Rows of tasks by their places, as their drives end; what cannot be driven is raised after those that can."""
+    seed_everything(content_seed(*keys))
+    stages: dict[int, Stage] = {}
+    broken: list[InputError] = []
+    cans: dict[str, RecordedCan] = {}
+    for place, task in tasks.items():
+        try:
+            stages[place] = _stage(data, task, cans)
+        except InputError as error:
+            broken.append(error)
+    ready = planners.of([tasks[place].job for place in stages])
+    places = [*stages]
+    for number, found in _drives([*stages.values()], ready):
+        stage = stages[places[number]]
+        scores = None if found.failure is not None else score_drive(stage.scene, found)
+        yield places[number], row_of(stage, found, scores)
+    if broken:
+        raise broken[0]
+
+
+def _drives(stages: Sequence[Stage], planners: Sequence[Planner]) -> Iterable[tuple[int, Drive]]:
+    """Drives by their places; of a planner elsewhere the only one, begun again where it went away half-way."""
+    if len(planners) == 1:
+        return [(0, begun_again(partial(drive, stages[0], planners[0]), planners[0]))]
+    return drive_together(stages, planners)
+
+
+def _stage(data: "DataSet", task: Task, cans: dict[str, RecordedCan]) -> Stage:
+    """What a task drives; what cars measured is read once for all tasks of a scene."""
+    job, unit = task
+    scene = data.scene(unit.scene)
+    if unit.scene not in cans:
+        cans[unit.scene] = can_of(data, unit.scene)
+    return Stage(scene, cans[unit.scene], unit.run, job.maker, job.sensor, job.timeout_s, unit.family)

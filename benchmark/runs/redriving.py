@@ -1,6 +1,5 @@
 """Drives driven again by their stored plans, and scored anew: no planner is asked."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -8,13 +7,10 @@ import numpy as np
 from benchmark.closed_loop.drives.driving import Drive, Stage, drive
 from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
-from benchmark.closed_loop.engines import rides_of
-from benchmark.closed_loop.scores.scoring import VERSION, score_drive
+from benchmark.closed_loop.scores.scoring import score_drive
 from benchmark.errors import InputError
-from benchmark.machine.storage import only_writer
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.drive_schema import DriveRow
-from benchmark.records.drives import DriveRecord, load_drives, write_drives
 from benchmark.runs.drive_rows import DECIMALS, row_of
 from benchmark.scene import Scene
 
@@ -23,34 +19,6 @@ if TYPE_CHECKING:
 
 _LONG_S: Final = 3600.0
 """Nothing that is stored is late."""
-_MADE_BY_WRITING: Final = {"schema_version", "status", "seed", "files"}
-
-
-def rescore_drives(directory: Path, data: "DataSet") -> DriveRecord:
-    """Score a record of drives anew from its stored plans, in its place.
-
-    Args:
-        directory: Of the record.
-        data: The data set that it was driven on.
-
-    Returns:
-        The record with new scores. Failed drives stay as they are.
-
-    Raises:
-        InputError: If the record is damaged, the data set is another one, or the plans lead elsewhere than they did.
-    """
-    with only_writer(directory):
-        record = load_drives(directory)
-        facts, measured = record.facts, record.facts.measured
-        if data.fingerprint() != facts.data.fingerprint:
-            raise InputError(
-                f"{directory} was driven on another version of {facts.data.name} (its fingerprint differs from that of "
-                f"{data.root}); open the data set that it names"
-            )
-        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
-        rows = [driven_again(maker, data.scene(row.scene), data, row) for row in record.rows]
-        described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
-        return write_drives(directory, {**described, "scoring": VERSION}, rows, seed=facts.seed)
 
 
 def can_of(data: "DataSet", name: str) -> RecordedCan:

@@ -13,7 +13,7 @@ from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.review import review_words
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
-from benchmark.records.run_schema import SCHEMA, SceneFacts
+from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
 from benchmark.runs.judging import judge, longer_truth, scene_with_map
 from benchmark.surroundings.circumstances import circumstances_of
@@ -121,11 +121,11 @@ def _rescore(
         data = open_for(old)
         if data is None:
             return old, f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
-        require_same_data(old, data)
+        require_same_data(directory, old.run, data)
         rows = [row for scene in old.run.scenes for row in judged_anew(old, data, scene, tuple(versions))]
         facts = {
             **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
-            "scene_facts": _scene_facts(old, data),
+            "scene_facts": scene_facts_now(old.run, data),
             "config": {**old.run.config, "protocols": list(versions)},
         }
         if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, versions):
@@ -134,37 +134,39 @@ def _rescore(
         return write_record(directory, facts, rows, versions, seed=old.run.seed), "rescored"
 
 
-def _scene_facts(record: RunRecord, data: "DataSet") -> dict[str, SceneFacts]:
+def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts]:
     """Facts of the data set, and what a record knows of scenes that nobody judged here: the tracks are the same."""
-    known = record.run.scene_facts
+    known = facts.scene_facts
     return {
-        name: facts.model_copy(update={"judgement": known[name].judgement})
-        if facts.judgement is None and name in known
-        else facts
-        for name, facts in data.scene_facts(record.run.scenes).items()
+        name: now.model_copy(update={"judgement": known[name].judgement})
+        if now.judgement is None and name in known
+        else now
+        for name, now in data.scene_facts(facts.scenes).items()
     }
 
 
-def require_same_data(record: RunRecord, data: "DataSet") -> None:
+def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, again: str = "eval") -> None:
     """Whether a data set is the one that a planner ran on.
 
     Args:
-        record: Of the run.
+        directory: Of the record.
+        facts: What it says.
         data: The data set.
+        again: The command that makes such records.
 
     Raises:
         InputError: If its content is another, or inspectors said otherwise of it then.
     """
-    if record.run.data.fingerprint != data.fingerprint():
+    if facts.data.fingerprint != data.fingerprint():
         raise InputError(
-            f"{record.directory} ran on other content of {record.run.data.name} than {data.root} holds (the data "
-            "fingerprints differ); open the data set that it ran on with --data, or run challenger-bench eval again"
+            f"{directory} ran on other content of {facts.data.name} than {data.root} holds (the data "
+            f"fingerprints differ); open the data set that it ran on with --data, or run challenger-bench {again} again"
         )
-    review = data.review(record.run.split).facts
-    if record.judged_content[1] != (None if review is None else review.content):
+    review = data.review(facts.split).facts
+    if (None if facts.review is None else facts.review.content) != (None if review is None else review.content):
         raise InputError(
-            f"{record.directory} ran under other verdicts of inspectors ({review_words(record.run.review)}) than lie "
-            f"beside {data.root} now ({review_words(review)}); run challenger-bench eval again, kept plans stay"
+            f"{directory} ran under other verdicts of inspectors ({review_words(facts.review)}) than lie "
+            f"beside {data.root} now ({review_words(review)}); run challenger-bench {again} again, kept plans stay"
         )
 
 

@@ -149,7 +149,7 @@ def _claims(record: RunRecord, data_name: str) -> Iterator[tuple[Level, str]]:
 def _computed_anew(record: RunRecord, data: "DataSet") -> Iterator[tuple[Level, str]]:
     """Whether the data set and the plans give what the record says."""
     run = record.run
-    require_same_data(record, data)
+    require_same_data(record.directory, record.run, data)
     scenes = list(data.scene_names(run.split))
     if run.scenes_in_split != len(scenes) or (record.covers_split and sorted(run.scenes) != sorted(scenes)):
         yield (

@@ -41,6 +41,12 @@ _NEURONCAP: Final = (
     ("comfortable", "comfort %", _PERCENT, False),
 )
 """Column of a summary, head, unit, and whether its interval stands beside it."""
+_PUBLISHED: Final = ("NNS as published code rounds", "CR % as published code rounds")
+_PUBLISHED_NOTE: Final = (
+    "As published code rounds: means over runs, then scenes, then families, each rounded to three digits, and a scene "
+    "with a run without a score left out; so are the numbers in NeuroNCAP's tables. NNS and CR % are not rounded on "
+    "the way."
+)
 _FAMILIES: Final = ("stationary", "frontal", "side")
 _BRIEF_DEFAULT: Final = (
     "planner",
@@ -94,10 +100,12 @@ def _table(one: World) -> Table:
     heads = ["planner", "sensor"]
     for _, head, _, with_interval in columns:
         heads += [head, "95 %"] if with_interval else [head]
-    heads += ["failed", "drives"]
-    rows = [_row(record, name, columns) for record, name in zip(records, one.planners, strict=True)]
+    published = any(record.summary.published is not None for record in records)
+    heads += [*(_PUBLISHED if published else ()), "failed", "drives"]
+    rows = [_row(record, name, columns, published) for record, name in zip(records, one.planners, strict=True)]
     title = one.title
-    notes = (*(_NOTES_DEFAULT if own else _NOTES_NEURONCAP), _FAILED_NOTE, *notes_of(one))
+    notes = (*(_NOTES_DEFAULT if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
+    notes = (*notes, _FAILED_NOTE, *notes_of(one))
     places = _brief_places(heads) if own else tuple(range(len(heads)))
     return table_of(
         f"drives-{one.name}",
@@ -165,14 +173,27 @@ def origin_of_drives(record: DriveRecord, name: str) -> Origin:
     return Origin(record.facts.measured.world, named_record(record.content_id, name, record.facts.split))
 
 
-def _row(record: DriveRecord, name: str, columns: Sequence[tuple[str, str, str, bool]]) -> tuple[str | Shown, ...]:
+def _row(
+    record: DriveRecord, name: str, columns: Sequence[tuple[str, str, str, bool]], published: bool
+) -> tuple[str | Shown, ...]:
     summary, origin = record.summary, origin_of_drives(record, name)
     cells: list[str | Shown] = [planner_cell(record, name), record.facts.measured.sensor]
     for column, _, unit, with_interval in columns:
         rate = summary.columns.get(column)
         cells += _cells(origin, rate, unit, with_interval=with_interval)
+    cells += _published_cells(record, origin) if published else []
     failed = origin.count(summary.failed, "drives", summary.drives)
     return (*cells, failed.shown(), origin.count(summary.drives, "drives").shown())
+
+
+def _published_cells(record: DriveRecord, origin: Origin) -> list[str | Shown]:
+    """NeuroNCAP's own averages, with the three digits to which they are rounded."""
+    found = record.summary.published
+    if found is None:
+        return [UNDEFINED, UNDEFINED]
+    count = record.summary.drives - record.summary.failed
+    share = origin.cell(found.collision, _PERCENT, count, "drives", scale=100.0)
+    return [origin.cell(found.nns, "points", count, "drives").shown(3), share.shown(1)]
 
 
 def _cells(origin: Origin, rate: RateRow | None, unit: str, *, with_interval: bool) -> list[str | Shown]:

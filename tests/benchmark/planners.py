@@ -77,3 +77,24 @@ class Factory:
 
     def __call__(self) -> Straight:
         return self.made(*self.arguments)
+
+
+class Poisoned(Straight):
+    """Answers plans that somebody wrote NaN into."""
+
+    name = "poisoned"
+
+    def plan(self, observation: Observation) -> Plan:
+        plan = Plan(AHEAD.copy(), PlanFrame.EGO)
+        if observation.index >= 4:
+            plan.waypoints[2:] = np.nan
+        return plan
+
+
+class OnePoint(Straight):
+    """Answers six identical points, not where the car is."""
+
+    name = "one-point"
+
+    def plan(self, observation: Observation) -> Plan:
+        return Plan(np.full((6, 2), [3.0, 0.0]), PlanFrame.EGO)

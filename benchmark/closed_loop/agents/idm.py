@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.closed_loop.agents.contract import Moment, Moved
+from benchmark.closed_loop.agents.leaders import Roads, leaders
 from benchmark.closed_loop.agents.replay import Replay
 from benchmark.closed_loop.following import INSTANT_US, INSTANTS
 from benchmark.constants import FOUR_WHEELED_CATEGORIES
@@ -24,12 +25,8 @@ from benchmark.planning import Command
 from benchmark.road_map import RoadMap
 
 FREE_SPEED_M_S: Final = 10.0
-SIGHT_M: Final = 100.0
-SIDE_MARGIN_M: Final = 0.3
-"""Room beside a vehicle that counts as its way."""
 MOVING_M: Final = 2.0
 """Who comes no further than this in the recording is parked."""
-_BEHIND_M: Final = 20.0
 _BEYOND_M: Final = 300.0
 """Of road beyond the end of a recorded path."""
 
@@ -58,21 +55,17 @@ class Idm:
     Attributes:
         replay: Tracks of everybody.
         driving: (M,) agents that drive by themselves.
-        paths: M lines along which they do.
+        roads: M lines along which they do.
         free_speed: (M,) m/s on an empty road.
-        road: (P, 3) x, y, heading of all paths, every half metre, one after the other.
-        first: (M,) row at which each one's begins.
-        length: (M,) of each one's, metres.
+        length: (M,) of each one's road, metres.
         name: Of the policy.
         draws: It draws nothing.
     """
 
     replay: Replay
     driving: Integers
-    paths: tuple[Path, ...]
+    roads: Roads
     free_speed: Floats
-    road: Floats
-    first: Integers
     length: Floats
     name: str = "idm"
     draws: bool = False
@@ -99,14 +92,11 @@ class Idm:
             speed = np.hypot(*replay.velocity[rows, agent].T)
             fastest.append(max(float(speed.max()), FREE_SPEED_M_S))
             paths.append(_road(places, float(speed[-1]), road_map))
-        roads = [np.column_stack([path.points, path.heading]) for path in paths]
         return cls(
             replay=replay,
             driving=np.array(driving, np.int64),
-            paths=tuple(paths),
+            roads=Roads.of(paths),
             free_speed=np.array(fastest),
-            road=np.concatenate([np.zeros((0, 3)), *roads]),
-            first=np.cumsum([0, *(len(each) for each in roads)])[:-1],
             length=np.array([path.arc_length[-1] for path in paths]),
         )
 
@@ -122,7 +112,8 @@ class Idm:
         """The next 0.1 s: those on the road follow whoever is ahead of them now."""
         _, moved = self.replay.act(None, moment, key)
         boxes, present, velocity = moved.boxes.copy(), moved.present.copy(), moved.velocity.copy()
-        gap, leader_speed = self._leaders(memory, moment)
+        here = np.flatnonzero(memory.here)
+        gap, leader_speed = leaders(self.roads, self.driving, memory.station, here, moment)
         asked = idm_acceleration(memory.speed, self.free_speed, gap, leader_speed)
         station, speed = memory.station, memory.speed
         seconds = INSTANT_US / 1e6
@@ -148,7 +139,7 @@ class Idm:
         station, speed = memory.station.copy(), memory.speed.copy()
         for index in np.flatnonzero(new):
             agent = self.driving[index]
-            station[index] = max(float(self.paths[index].project(moved.boxes[-1, agent, :2])[0]), 0.0)
+            station[index] = max(float(self.roads.paths[index].project(moved.boxes[-1, agent, :2])[0]), 0.0)
             speed[index] = np.hypot(*moved.velocity[agent])
         return replace(memory, station=station, speed=speed, here=memory.here | new, come=memory.come | new)
 
@@ -157,8 +148,8 @@ class Idm:
         place = np.minimum(station, self.length) / SPACING_M
         row = np.minimum(place.astype(np.int64), (self.length / SPACING_M).astype(np.int64) - 1)
         share = (place - row)[:, None]
-        at = self.first + row
-        return np.asarray((1.0 - share) * self.road[at] + share * self.road[at + 1])
+        at = self.roads.first + row
+        return np.asarray((1.0 - share) * self.roads.line[at] + share * self.roads.line[at + 1])
 
     def _place(self, boxes: Floats, station: Floats, here: Bools) -> None:
         rows = self.driving[here]
@@ -169,50 +160,6 @@ class Idm:
         moving = memory.speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
         velocity[self.driving[memory.here]] = moving[memory.here]
 
-    def _leaders(self, memory: IdmMemory, moment: Moment) -> tuple[Floats, Floats]:
-        """(M,) metres to the nearest in each one's way, infinite without one, and (M,) its speed along the path."""
-        gaps, speeds = np.full(len(self.driving), np.inf), np.zeros(len(self.driving))
-        yaw = moment.ego[4]
-        own_motion = moment.ego_speed * np.array([[np.cos(yaw), np.sin(yaw)]])
-        boxes = np.concatenate([moment.boxes, moment.ego[None]])
-        velocity = np.concatenate([moment.velocity, own_motion])
-        there = np.append(moment.present, True)
-        for index in np.flatnonzero(memory.here):
-            agent, path = self.driving[index], self.paths[index]
-            own = moment.boxes[agent]
-            others = there & (np.hypot(*(boxes[:, :2] - own[:2]).T) < SIGHT_M)
-            others[agent] = False
-            rows = np.flatnonzero(others)
-            if not len(rows):
-                continue
-            ahead, speed = _in_the_way(path, memory.station[index], own, boxes[rows], velocity[rows])
-            if len(ahead):
-                nearest = int(np.argmin(ahead))
-                gaps[index], speeds[index] = ahead[nearest], speed[nearest]
-        return gaps, speeds
-
-
-def _in_the_way(path: Path, station: float, own: Floats, boxes: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-    """Gaps to those of some boxes that lie ahead on a path, and their speeds along it."""
-    path = _window(path, station)
-    along, left = path.project(boxes[:, :2])
-    heading = np.interp(along, path.arc_length, path.heading)
-    cos, sin = np.cos(boxes[:, 4] - heading), np.sin(boxes[:, 4] - heading)
-    half_along = 0.5 * (np.abs(boxes[:, 2] * cos) + np.abs(boxes[:, 3] * sin))
-    half_across = 0.5 * (np.abs(boxes[:, 2] * sin) + np.abs(boxes[:, 3] * cos))
-    inside = np.abs(left) <= half_across + 0.5 * own[3] + SIDE_MARGIN_M
-    ahead = inside & (along > station) & (along <= station + SIGHT_M)
-    gap = along - half_along - station - 0.5 * own[2]
-    speed = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    return np.asarray(np.maximum(gap, 0.0)[ahead]), np.asarray(speed[ahead])
-
-
-def _window(path: Path, station: float) -> Path:
-    """The part of a path that can matter from a station on."""
-    first = max(int((station - _BEHIND_M) / SPACING_M), 0)
-    rows = slice(first, int((station + 2 * SIGHT_M) / SPACING_M) + 1)
-    return Path(path.points[rows], path.heading[rows], path.arc_length[rows], path.curvature[rows])
-
 
 def _reach(places: Floats) -> float:
     """How far from its first place somebody comes, metres."""
@@ -221,13 +168,27 @@ def _reach(places: Floats) -> float:
 
 def _road(places: Floats, speed: float, road_map: RoadMap) -> Path:
     """The recorded path, and where the road goes on from its end."""
-    kept = [0]
-    for row in range(1, len(places)):
-        if np.hypot(*(places[row, :2] - places[kept[-1], :2])) >= SPACING_M:
-            kept.append(row)
+    kept = _a_step_apart(places[:, :2])
     end = places[-1, [0, 1, 4]]
     beyond = lane_path(road_map, end, Command.STRAIGHT, speed, _BEYOND_M) or straight_path(end, _BEYOND_M)
     recorded = places[kept, :2]
     # The last recorded place is where the road beyond begins; what is nearer than a step to it would fold the line.
     far = np.hypot(*(recorded - end[:2]).T) >= SPACING_M
     return Path.through(np.concatenate([recorded[far], beyond.points]))
+
+
+def _a_step_apart(places: Floats) -> list[int]:
+    """Rows of (R, 2) places, each half a metre or more from the one before."""
+    kept, at = [0], places.tolist()
+    x, y = at[0]
+    for row in range(1, len(at)):
+        squared = (at[row][0] - x) ** 2 + (at[row][1] - y) ** 2
+        # Plain numbers are fast, and the last bit decides only where they are as good as equal.
+        if abs(squared - SPACING_M**2) > 1e-9:
+            apart = squared > SPACING_M**2
+        else:
+            apart = bool(np.hypot(*(places[row] - places[kept[-1]])) >= SPACING_M)
+        if apart:
+            kept.append(row)
+            x, y = at[row]
+    return kept

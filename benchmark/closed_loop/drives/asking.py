@@ -29,6 +29,9 @@ from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, traceback
 DEFAULT_TIMEOUT_S: Final = 120.0
 """For one plan; nobody drives with so old a plan, so that this ends what hangs."""
 
+LONGEST_TIMEOUT_S: Final = 86_400.0
+"""Timers know no infinity."""
+
 
 class Reason(StrEnum):
     """Why a drive failed."""

@@ -1,8 +1,8 @@
 """The `default` engine as a ride: a scene of any split, driven after a second of priming to its end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -14,16 +14,18 @@ from benchmark.closed_loop.drives.riding import (
     Motion,
     NeuroncapScore,
     RecordedCan,
+    Ride,
     Touch,
     UndrivablePlanError,
     require_room,
 )
 from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US, Ego
 from benchmark.closed_loop.stepping import UndrivablePlanError as UndrivableWaypointsError
-from benchmark.closed_loop.stepping import begin, goes_on, step
+from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_together
 from benchmark.closed_loop.world import Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.last_made import LastMade
 from benchmark.pdm.motion import headed
 from benchmark.planning import Plan
 from benchmark.scene import Scene
@@ -40,6 +42,12 @@ def _idm(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[Any]:
     return Idm.of(replay_of(scene, start_us, end_us), scene.agents.categories, scene.road_map)
 
 
+def _policy(scene: Scene, agents: str, start_us: int, end_us: int) -> AgentPolicy[Any]:
+    return POLICIES[agents](scene, start_us, end_us)
+
+
+_policy_of: Final = LastMade[Scene, AgentPolicy[Any]](_policy, kept=4)
+"""Policies are values: drives of one scene share one."""
 POLICIES: Final[dict[str, Callable[[Scene, int, int], AgentPolicy[Any]]]] = {"replay": _replay, "idm": _idm}
 """How the others behave, by the name that ``--agents`` takes."""
 
@@ -65,6 +73,10 @@ class DefaultRides:
         """A scene is driven as it is."""
         return ("",)
 
+    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
+        """Half a second of several rides; those past priming are stepped together."""
+        return [*_after_together([cast(DefaultRide, ride) for ride in rides], plans)]
+
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "DefaultRide":
         """The ride at its first planning instant.
 
@@ -77,7 +89,7 @@ class DefaultRides:
         start_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (PRIMING_STEPS, -1))
         course = course_of(
             scene,
-            policy=POLICIES[self.agents](scene, start_us, end_us),
+            policy=_policy_of(scene, self.agents, start_us, end_us),
             keyframe=PRIMING_STEPS,
             seed=run,
             latency_us=self.latency_us,
@@ -137,18 +149,24 @@ class DefaultRide:
 
     def after(self, plan: Plan) -> "DefaultRide":
         """Half a second later; raises `UndrivablePlanError`."""
+        (found,) = _after_together([self], [plan])
+        if isinstance(found, UndrivablePlanError):
+            raise found
+        return found
+
+    def primed_on(self) -> "DefaultRide | None":
+        """Half a second later where that is still recorded; whatever was planned for it."""
         ticks = len(self.motion.ticks)
-        if ticks <= PRIMING_STEPS:
-            frames = self.scene.keyframes
-            later = recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
-            return replace(self, motion=self.motion.then(later))
-        try:
-            world = step(self.course, self.world, rear_axle_waypoints(plan, float(self.scene.lidar.translation[0])))
-        except UndrivableWaypointsError as error:
-            raise UndrivablePlanError(str(error)) from error
+        if ticks > PRIMING_STEPS:
+            return None
+        frames = self.scene.keyframes
+        later = recorded_motion(self.scene, int(frames[ticks - 1]) + 1, int(frames[ticks]))
+        return replace(self, motion=self.motion.then(later))
+
+    def arrived(self, world: World) -> "DefaultRide":
+        """In the world half a second later."""
         assert world.trace is not None
-        later = self._traced(self.world.time_us, world.trace)
-        return replace(self, world=world, motion=self.motion.then(later))
+        return replace(self, world=world, motion=self.motion.then(self._traced(self.world.time_us, world.trace)))
 
     def finished(self) -> "DefaultRide":
         """The same: every instant has been checked."""
@@ -174,6 +192,26 @@ class DefaultRide:
             present=trace.present[rows].T,
             ticks=np.array([len(times) - 1]),
         )
+
+
+def _after_together(rides: "Sequence[DefaultRide]", plans: Sequence[Plan]) -> "list[DefaultRide | UndrivablePlanError]":
+    """Each half a second later, or why its plan cannot be driven."""
+    later: dict[int, DefaultRide | UndrivablePlanError] = {}
+    driving: dict[int, Floats] = {}
+    for place, (ride, plan) in enumerate(zip(rides, plans, strict=True)):
+        primed = ride.primed_on()
+        if primed is not None:
+            later[place] = primed
+            continue
+        try:
+            waypoints = rear_axle_waypoints(plan, float(ride.scene.lidar.translation[0]))
+            driving[place] = drivable(ride.course, waypoints)
+        except UndrivableWaypointsError as error:
+            later[place] = UndrivablePlanError(str(error))
+    moving = [rides[place] for place in driving]
+    worlds = step_together([ride.course for ride in moving], [ride.world for ride in moving], [*driving.values()])
+    later |= {place: ride.arrived(world) for place, ride, world in zip(driving, moving, worlds, strict=True)}
+    return [later[place] for place in range(len(rides))]
 
 
 def rear_axle_waypoints(plan: Plan, lidar_ahead_m: float) -> Floats:

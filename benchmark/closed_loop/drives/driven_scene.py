@@ -33,7 +33,7 @@ def driven_scene(recorded: Scene, route: Route, motion: Motion) -> Scene:
     first = int(np.searchsorted(recorded.timestamps_us, motion.times_us[0]))
     ticks = len(motion.ticks)
     driven = EgoTrack(
-        np.column_stack([motion.ego[:, [X, Y]], [route.height(place) for place in motion.ego]]),
+        np.column_stack([motion.ego[:, [X, Y]], route.heights_beside(motion.ego)]),
         quaternion_from_yaw(motion.ego[:, YAW]),
     )
     head, size = recorded.first_frames(first), recorded.agents.size

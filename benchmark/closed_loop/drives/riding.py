@@ -1,6 +1,6 @@
 """What drives have in common whatever engine drives: the motion so far, a contact, and the ride as one Protocol."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, Self
@@ -179,6 +179,17 @@ class RideMaker(Protocol):
 
         Args:
             read: Gives the scene and what its car measured; not called where that does not matter.
+        """
+
+    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> "list[Ride | UndrivablePlanError]":
+        """Half a second of several rides that it began: to the last bit what `Ride.after` says of each alone.
+
+        Args:
+            rides: R of them.
+            plans: R of them.
+
+        Returns:
+            R rides, or why the engine cannot drive its plan.
         """
 
     def begin(self, scene: Scene, run: int, can: "RecordedCan", family: str = "") -> Ride:

@@ -110,7 +110,12 @@ class Route:
 
     def height(self, point: Floats) -> float:
         """Height of the road beside a point (2 or more,): engines are planar, hills are not."""
-        return float(self.heights[np.argmin(np.hypot(*(self.poses[:, :2] - point[:2]).T))])
+        return float(self.heights_beside(point[None])[0])
+
+    def heights_beside(self, points: Floats) -> Floats:
+        """(M,) the same beside (M, 2 or more) points."""
+        away = np.hypot(points[:, :1] - self.poses[:, 0], points[:, 1:2] - self.poses[:, 1])
+        return np.asarray(self.heights[away.argmin(axis=1)])
 
     def recorded_at(self, seconds: Floats) -> Floats:
         """(..., 2) where the recorded rear axle is at times; past the end it keeps the motion of its last half second.

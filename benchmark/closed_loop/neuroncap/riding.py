@@ -5,7 +5,7 @@ step, its own actors. With scenarios, of ours or NeuroNCAP's own, it is driven o
 motion is what the engine reports; its command is the engine's.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -17,6 +17,7 @@ from benchmark.closed_loop.drives.riding import (
     Motion,
     NeuroncapScore,
     RecordedCan,
+    Ride,
     Touch,
     UndrivablePlanError,
     require_room,
@@ -82,6 +83,10 @@ class NeuroncapRides:
             return ("",)
         scene, can = read()
         return tuple(scenarios_of(scene.name, recording_for(scene, can, self.switches), self.scenarios))
+
+    def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
+        """Half a second of several rides, one after the other: this engine knows one car."""
+        return [_after(ride, plan) for ride, plan in zip(rides, plans, strict=True)]
 
     def begin(self, scene: Scene, run: int, can: RecordedCan, family: str = "") -> "NeuroncapRide":
         """The ride at its first planning instant.
@@ -328,6 +333,13 @@ def _driven(before: State, world: World) -> tuple[Integers, Floats]:
     times = before.time_us + SUBSTEP_US * np.arange(1, len(states) + 1)
     assert int(times[-1]) == before.time_us + TICK_US
     return times, states[:, _COLUMNS]
+
+
+def _after(ride: Ride, plan: Plan) -> Ride | UndrivablePlanError:
+    try:
+        return ride.after(plan)
+    except UndrivablePlanError as error:
+        return error
 
 
 def _target(engine: Engine) -> Actor | None:

@@ -9,7 +9,10 @@ from benchmark.closed_loop.scores.contact import ScoredContact, scored_contact
 from benchmark.closed_loop.scores.driven_part import DrivenPart
 from benchmark.closed_loop.scores.hd_score import HdScore, hd_score
 from benchmark.closed_loop.scores.nuplan import NuplanTerms, Progress, comfort, nuplan_terms, places_on
+from benchmark.geometry import Floats
+from benchmark.machine.last_made import LastMade
 from benchmark.pdm.layers import road_of, route_of
+from benchmark.pdm.road import Road
 from benchmark.scene import Scene
 
 VERSION: Final = 1
@@ -46,8 +49,7 @@ def score_drive(scene: Scene, drive: Drive) -> DriveScores:
         The scores. NeuroNCAP's own are in the drive, and a drive that has them has no score of another formula.
     """
     part, route = DrivenPart.of(scene, drive), Route.of(scene)
-    line = route_of(scene.ego.pose)
-    road = road_of(scene.road_map, line)
+    line, road = _road_of(scene)
     where = places_on(road, part)
     known = bool(road.drivable and road.lanes)
     touch, start_us = drive.touch, int(part.times_us[0])
@@ -62,6 +64,15 @@ def score_drive(scene: Scene, drive: Drive) -> DriveScores:
         nuplan=nuplan_terms(part, road, where, line, progress, contact) if scored else None,
         hd=hd_score(scene, route, drive) if scored else None,
     )
+
+
+def _recorded_road(scene: Scene) -> tuple[Floats, Road]:
+    line = route_of(scene.ego.pose)
+    return line, road_of(scene.road_map, line)
+
+
+_road_of: Final = LastMade[Scene, tuple[Floats, Road]](_recorded_road, kept=4)
+"""(M, 2) recorded route of a scene and the surfaces along it, which all drives of the scene are scored by."""
 
 
 def progress_of(route: Route, part: DrivenPart) -> Progress:

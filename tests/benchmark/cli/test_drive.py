@@ -1,6 +1,7 @@
 """``drive`` as a user runs it, on a small data set on disk."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -84,3 +85,20 @@ def test_a_network_sees_what_the_sensor_draws(source: Path, tmp_path: Path) -> N
     (row,) = json.loads(done.out)
     assert done.code == 0 and row["failed"] == 0 and row["measured"]["sensor"] == "schematic"
     assert row["measured"]["sensor_facts"]["style"] == "first"
+
+
+def test_stored_drives_are_scored_anew_beside_runs(source: Path, out: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "out"
+    shutil.copytree(out / "drives" / "road" / "val" / "default-replay-none", copy / "drives" / "d")
+    options = ("rescore", "--data", source, "--out", copy)
+    said = json.loads(run_here(*options, "--json").out)
+    assert len(said) == 5 and {each["says"] for each in said} == {"current"}
+    head = next((copy / "drives").rglob("drive.json"))
+    head.write_text(head.read_text().replace('"scoring": ', '"scoring": 90'))
+    done = run_here(*options)
+    assert done.code == 0 and f"{head.parent}: rescored" in done.out and done.out.count("current") == 4
+    head.write_text("{")
+    done = run_here(*options)
+    assert done.code == 1 and str(head) in done.out and done.out.count("current") == 4
+    done = run_here("rescore", "--data", source, "--out", tmp_path / "new")
+    assert done.code == 2 and "no run records" in done.err and "no drives" in done.err

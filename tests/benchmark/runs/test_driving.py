@@ -26,7 +26,8 @@ from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord, load_drives, write_drives
 from benchmark.runs.drive_estimate import estimate
 from benchmark.runs.driving import DriveSettings, drive_split, drives_directory, job_of, kept_units
-from benchmark.runs.redriving import driven_again, rescore_drives
+from benchmark.runs.redriving import driven_again
+from benchmark.runs.rescoring_drives import rescore_all_drives, rescore_drives
 from benchmark.scene import Scene
 from tests.benchmark.cli.cli_runs import bytes_below
 from tests.benchmark.closed_loop.drives.staged import Peeking, staged
@@ -195,8 +196,11 @@ def test_scenarios_are_driven_by_family_and_by_run(tmp_path: Path) -> None:
     assert columns["collision"].value == pytest.approx(np.mean(of_families))
     # Eight metres a second straight on is what the recorded ego does: everybody is met.
     assert columns["collision_stationary"].value == 1.0
-    before = bytes_below(tmp_path)
-    driven(tmp_path, Straight(), drawing, data)
+    before, planner = bytes_below(tmp_path), Straight()
+    assert len(driven(tmp_path, planner, replace(drawing, runs=1), data).rows) == 3
+    driven(tmp_path, planner, drawing, data)
+    # Who asks for fewer runs loses none.
+    assert planner.calls == 0
     assert bytes_below(tmp_path) == before and rescore_drives(record.directory, data).rows == record.rows
     assert record.facts.measured.world == "neuroncap@paper, own scenarios"
 
@@ -237,15 +241,45 @@ def test_a_record_is_scored_anew_without_its_planner(tmp_path: Path) -> None:
     for settings in (SETTINGS, replace(SETTINGS, agents="idm", maker=DefaultRides("idm")), NEURONCAP):
         record = driven(tmp_path, Remembering(), settings)
         before = bytes_below(record.directory)
-        worse = [row.model_copy(update={"scores": None if row.scores is None else spoilt(row)}) for row in record.rows]
-        names = set(type(record.facts).model_fields) - {"schema_version", "status", "seed", "files"}
-        described = {name: getattr(record.facts, name) for name in names}
-        write_drives(record.directory, described, worse, seed=0)
-        assert bytes_below(record.directory) != before
-        assert rescore_drives(record.directory, town()).rows == record.rows
-        assert bytes_below(record.directory) == before
-    with pytest.raises(InputError, match="another version"):
+        assert rescore_drives(record.directory, town()) == record and bytes_below(record.directory) == before
+        spoil(record)
+        again = rescore_drives(record.directory, town())
+        assert again.rows == record.rows and again.summary == record.summary
+        assert again.facts.rescored is not None and again.content_id == record.content_id
+        assert load_drives(record.directory) == again
+        after = bytes_below(record.directory)
+        assert {name for name in before if before[name] != after[name]} == {"drive.json"}
+        rescore_drives(record.directory, town())
+        assert bytes_below(record.directory) == after
+    with pytest.raises(InputError, match="other content"):
         rescore_drives(record.directory, FakeData({"scene-9901": town().scenes["scene-9901"]}))
+
+
+def test_all_records_of_drives_are_scored_anew_and_one_that_cannot_be_stops_no_other(tmp_path: Path) -> None:
+    idm = replace(SETTINGS, agents="idm", maker=DefaultRides("idm"))
+    good, bad, current = (driven(tmp_path, Straight(), each) for each in (SETTINGS, idm, NEURONCAP))
+    spoil(good)
+    rows = bad.directory / "drives.jsonl"
+    rows.write_text(rows.read_text()[:-40])
+    said = {each.directory: each for each in rescore_all_drives(tmp_path, lambda split: town(), "fake")}
+    assert {each: said[each].failed for each in said} == {
+        good.directory: False,
+        bad.directory: True,
+        current.directory: False,
+    }
+    assert said[good.directory].sentence == "rescored" and said[current.directory].sentence == "current"
+    assert "drives.jsonl" in said[bad.directory].sentence
+    others = {each.sentence for each in rescore_all_drives(tmp_path, lambda split: town(), "other") if not each.failed}
+    assert others == {"left alone, it is of the data set fake; choose that one with --data"}
+    with pytest.raises(InputError, match="no folder"):
+        list(rescore_all_drives(tmp_path / "nowhere", lambda split: town(), "fake"))
+
+
+def spoil(record: DriveRecord) -> None:
+    """Write a record in place of this one whose scores are wrong."""
+    worse = [row.model_copy(update={"scores": None if row.scores is None else spoilt(row)}) for row in record.rows]
+    names = set(type(record.facts).model_fields) - {"schema_version", "status", "seed", "files"}
+    write_drives(record.directory, {name: getattr(record.facts, name) for name in names}, worse, seed=0)
 
 
 def spoilt(row: DriveRow) -> Any:
@@ -281,7 +315,16 @@ def test_planners_that_remember_across_scenes_are_refused(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"), [({"runs": 0}, "--runs"), ({"scenes": ("scene-1",)}, "no scene"), ({"limit": 0}, "--limit")]
+    ("changes", "says"),
+    [
+        ({"runs": 0}, "--runs"),
+        ({"runs": 100_000_000}, "at most 10000"),
+        ({"scenes": ("scene-1",)}, "no scene"),
+        ({"limit": 0}, "--limit"),
+        ({"timeout_s": float("inf")}, "--timeout"),
+        ({"timeout_s": float("nan")}, "--timeout"),
+        ({"timeout_s": -1.0}, "--timeout"),
+    ],
 )
 def test_wrong_settings_are_refused(tmp_path: Path, changes: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):

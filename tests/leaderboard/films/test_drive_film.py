@@ -7,17 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.baselines.log_replay import LogReplay
 from adapters.baselines.stop import Stop
 from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.constants import FRAME_HZ
 from benchmark.drawing.driven import DrivenSheet
 from benchmark.drawing.palette import CONTACT, EGO, PATH
 from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
 from benchmark.runs.drive_sheets import driven_sheet
+from benchmark.runs.driving import DriveSettings, drive_split
+from generation.render.sensor import SchematicSensor
+from generation.sources.town import town_scene
 from leaderboard.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
 from leaderboard.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, FilmLayout, FilmSettings
 from leaderboard.films.filming import FilmFormat, write_drive_film
 from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.benchmark.records.test_drives import written as written_drives
 from tests.benchmark.runs.test_drive_sheets import Clock, driven, town
@@ -107,6 +113,22 @@ def test_a_film_has_the_name_of_what_was_measured(hit: Made, tmp_path: Path) -> 
     assert film.suffix == ".webp"
     again = write_drive_film(sheet, record, "straight", tmp_path / "b", FilmFormat.WEBP, settings)
     assert film.read_bytes() == again.read_bytes()
+
+
+LARGEST_BYTES = 1_000_000
+"""Of a film of 20 s with cameras, as it is made without options."""
+
+
+def test_a_film_of_twenty_seconds_is_less_than_a_megabyte(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    seconds = 5
+    scene = town_scene("val", 3).first_frames(FRAME_HZ * seconds + 1)
+    data = FakeData({scene.name: scene})
+    record = drive_split(data, "val", LogReplay(), tmp_path / "out", DriveSettings("default", DefaultRides()))
+    shown = driven_sheet(tmp_path, data, record, record.rows[0], DefaultRides(), SchematicSensor("first"))
+    settings = FilmSettings(fps=DRIVE_FPS)
+    film = write_drive_film(shown, record, "log-replay", tmp_path / "films", FilmFormat.WEBM, settings)
+    assert film.suffix == ".webm" and film.stat().st_size * 20 / seconds < LARGEST_BYTES
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from benchmark.errors import InputError
-from benchmark.records.drives import DriveRecord
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord, load_drives
 from leaderboard.tables.drives import drive_tables, said_of_failures
 from tests.benchmark.records.test_drives import contact, failed, row, scores, written
 
@@ -140,3 +141,38 @@ def test_a_terminal_shows_less_and_every_form_has_all(tmp_path: Path) -> None:
     assert "adversary %" not in replay.plain()
     assert "adversary %" in replay.plain(wide=True) and "contact %" in replay.plain()
     assert replay.markdown() and replay.latex() and replay.csv() and replay.json()
+
+
+def test_neuroncaps_own_averages_stand_beside_ours_under_their_own_name(tmp_path: Path) -> None:
+    def run(scene: str, number: int, family: str, score: float | None) -> DriveRow:
+        own = scores(nuplan=None, hd=None, neuroncap={**OWN, "score": score})
+        hit = {} if score == 5.0 else {"end": "contact", "contact": contact()}
+        return row(scene, number, family=family, scores=own, **hit)
+
+    rows = (
+        *(run("scene-1", number, "frontal", score) for number, score in enumerate((1.0, 1.0, 0.0005))),
+        *(run("scene-2", number, "frontal", score) for number, score in enumerate((5.0, 5.0, 5.0))),
+        *(run("scene-1", number, "side", score) for number, score in enumerate((5.0, 2.0, None))),
+        *(run("scene-2", number, "side", score) for number, score in enumerate((1.0, 5.0, 5.0))),
+    )
+    measured = {"engine": "neuroncap@code", "agents": "replay", "sensor": "none", "scenarios": "own"}
+    record = written(tmp_path / "a", *rows, measured=measured, runs=3)
+    published = record.summary.published
+    # Scenes: 0.667 and 5, and NaN, which drops out, and 3.667; families 2.834 (half to even of 2.8335) and 3.667.
+    assert published is not None and published.nns_by_family == {"frontal": 2.834, "side": 3.667}
+    assert published.nns == 3.25 and published.collision == pytest.approx(0.5)
+    (table,) = drive_tables([record])
+    cells = dict(zip(table.columns, table.rows[0]))
+    assert cells["NNS as published code rounds"] == "3.250" and cells["CR % as published code rounds"] == "50.0"
+    assert cells["NNS"] != "3.25" and any("rounded to three digits" in note for note in table.notes)
+    assert load_drives(record.directory) == record
+
+
+def test_only_neuroncaps_scenarios_as_code_have_its_averages(tmp_path: Path) -> None:
+    for engine, family in (("neuroncap@paper", "side"), ("neuroncap@code", "")):
+        own = scores(nuplan=None, hd=None, neuroncap=OWN)
+        measured = {"engine": engine, "agents": "replay", "sensor": "none"}
+        record = written(tmp_path / engine, row("scene-1", family=family, scores=own), measured=measured)
+        assert record.summary.published is None
+        (table,) = drive_tables([record])
+        assert not any("published" in head for head in table.columns)

@@ -17,6 +17,8 @@ from benchmark.closed_loop.drives.driving import drive
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.neuroncap.riding import NeuroncapRides
 from benchmark.closed_loop.neuroncap.switches import Switches
+from benchmark.closed_loop.scores.scoring import score_drive
+from benchmark.dynamics.lane_path import Path
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan
 from benchmark.runs.plan_rows import BrokenImageError
@@ -206,6 +208,25 @@ def test_idm_brakes_for_what_drives_in_the_world_as_driven() -> None:
     found = drive(staged(scene), IntelligentDriver())
     assert found.end == "end" and found.motion.ego[-1, 3] < 1.0
     assert found.motion.ego[-1, 0] < 95.0 - 2.3 - 3.4
+
+
+def test_idm_alone_on_an_empty_road_never_leaves_its_lane() -> None:
+    for index in (0, 3):
+        scene = without_others(town_scene("val", index))
+        found = drive(staged(scene), IntelligentDriver())
+        assert found.end == "end" and found.motion.seconds[-1] > 19.4
+        scores = score_drive(scene, found).nuplan
+        assert scores is not None and scores.dac == 1.0 and scores.c == 1.0
+        lines = [Path.through(lane.centerline).points for lane in scene.road_map.lanes.values()]
+        places = found.motion.ego[int(found.motion.ticks[PRIMING_STEPS]) :: 5, :2]
+        away = [np.hypot(*(np.concatenate(lines) - place).T).min() for place in places]
+        assert max(away) < 1.0
+
+
+def without_others(scene: Scene) -> Scene:
+    agents, known = scene.agents, scene.annotations
+    nobody = replace(agents, valid=np.zeros_like(agents.valid))
+    return replace(scene, agents=nobody, annotations=replace(known, valid=np.zeros_like(known.valid)))
 
 
 def test_a_plan_takes_effect_so_much_later() -> None:

@@ -1,4 +1,4 @@
-"""Films of drives: ``film --drives``, which puts engine, renderer and films together."""
+"""What stands behind ``film --drives``, which puts engine, renderer and films together."""
 
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark import api
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -14,23 +13,12 @@ if TYPE_CHECKING:
     from benchmark.records.drive_schema import DriveRow
     from benchmark.records.drives import DriveRecord
     from leaderboard.films.film import FilmSettings
-    from leaderboard.films.filming import FilmFormat, Watch
+    from leaderboard.films.filming import Watch
 
 
 @dataclass(frozen=True, slots=True)
-class AskedDrives:
-    """Which drives are filmed.
-
-    Attributes:
-        data: Name or root of the data set.
-        split: The split.
-        out: Output folder.
-        records: Folders of records, if not all drives of the output folder.
-        models: Planners; all by default.
-        scenes: Scenes; all by default.
-        limit: Only so many drives of each record.
-        tables: Folder of tables of the data set.
-    """
+class _Asked:
+    """Which drives are filmed; see `write_drive_films`."""
 
     data: str
     split: str
@@ -39,19 +27,37 @@ class AskedDrives:
     models: Sequence[str]
     scenes: Sequence[str] | None
     limit: int | None
-    tables: str | None = None
 
 
-def drive_films(
-    asked: AskedDrives, to: Path, form: "FilmFormat", settings: "FilmSettings", watch: "Watch"
+def write_drive_films(
+    split: str,
+    to: Path,
+    models: Sequence[str] = (),
+    *,
+    data: str = "mini",
+    out: Path | None = None,
+    tables: str | None = None,
+    records: Sequence[Path] | None = None,
+    scenes: Sequence[str] | None = None,
+    limit: int | None = None,
+    form: str = "webm",
+    settings: "FilmSettings | None" = None,
+    watch: "Watch | None" = None,
 ) -> Iterator[Path]:
-    """Film drives one after the other.
+    """Film drives one after the other (docs/films.md).
 
     Args:
-        asked: Which.
+        split: The split.
         to: Folder to write to.
-        form: What is written.
-        settings: How films are made.
+        models: Planners; all by default.
+        data: Name or root of the data set.
+        out: Output folder; ``challenger-out`` by default.
+        tables: Folder of tables of the data set.
+        records: Folders of records, if not all drives of the output folder.
+        scenes: Scenes; all by default.
+        limit: Only so many drives of each record.
+        form: ``webm``, ``webp`` or ``png``.
+        settings: How films are made; ten frames a second by default.
         watch: Shows how far the work is.
 
     Yields:
@@ -60,23 +66,29 @@ def drive_films(
     Raises:
         InputError: If there is no such drive, the data set is another one, or a film cannot be written.
     """
+    from benchmark import api
     from benchmark.closed_loop.engines import rides_of
     from benchmark.runs.drive_sheets import driven_sheet
+    from leaderboard.films.drive_film import DRIVE_FPS
     from leaderboard.films.encoding import require_webm
+    from leaderboard.films.film import FilmSettings
+    from leaderboard.films.filming import FilmFormat, write_drive_film
 
-    if form.value == "webm":
+    if form not in {each.value for each in FilmFormat}:
+        raise InputError(f"there are no films of {form!r}; there are {', '.join(each.value for each in FilmFormat)}")
+    if form == FilmFormat.WEBM:
         require_webm()
-    chosen = _chosen(asked)
-    data = api.open_split(api.open_data(asked.data, tables=asked.tables, out=asked.out), asked.split, asked.out)
-    from leaderboard.films.filming import write_drive_film
-
+    out = out or api.OUT
+    chosen = _chosen(_Asked(data, split, out, records, models, scenes, limit))
+    driven_on = api.open_split(api.open_data(data, tables=tables, out=out), split, out)
+    how, watched = settings or FilmSettings(fps=DRIVE_FPS), {} if watch is None else {"watch": watch}
     for record, name, rows in chosen:
         measured = record.facts.measured
         maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
         for row in rows:
             with tempfile.TemporaryDirectory() as folder:
-                driven = driven_sheet(Path(folder), data, record, row, maker, _sensor(record))
-                yield write_drive_film(driven, record, name, to, form, settings, watch=watch)
+                driven = driven_sheet(Path(folder), driven_on, record, row, maker, _sensor(record))
+                yield write_drive_film(driven, record, name, to, FilmFormat(form), how, **watched)
 
 
 def _sensor(record: "DriveRecord") -> "Sensor | None":
@@ -91,8 +103,9 @@ def _sensor(record: "DriveRecord") -> "Sensor | None":
     return sensor if dict(sensor.facts) == measured.sensor_facts else None
 
 
-def _chosen(asked: AskedDrives) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
+def _chosen(asked: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
     """Records, names of their planners and drives."""
+    from benchmark import api
     from benchmark.records.drives import find_drives
     from benchmark.records.planner_versions import labels
     from leaderboard.films.filming import data_set_name

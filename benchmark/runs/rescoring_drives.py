@@ -1,0 +1,96 @@
+"""Score the stored plans of records of drives anew: after a change of scores, no planner has to run again."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmark.closed_loop.engines import rides_of
+from benchmark.closed_loop.scores.scoring import VERSION
+from benchmark.errors import InputError
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.storage import only_writer
+from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
+from benchmark.records.store import pending, settle
+from benchmark.runs.redriving import driven_again
+from benchmark.runs.rescoring import Rescored, require_same_data, scene_facts_now
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+_MADE_BY_WRITING = {"schema_version", "status", "seed", "files"}
+
+
+def rescore_drives(directory: Path, data: "DataSet") -> DriveRecord:
+    """Score a record of drives anew from its stored plans, in its place.
+
+    Plans, failures, the planner and the environment that it ran in stay. A record in which nothing would change is not
+    written, so doing it twice changes no byte.
+
+    Args:
+        directory: Of the record; a replacement that was stopped half-way is finished first.
+        data: The data set that it was driven on.
+
+    Returns:
+        The record with new scores. Failed drives stay as they are.
+
+    Raises:
+        InputError: If the record is damaged, the data set is another one, or the plans lead elsewhere than they did.
+    """
+    return _rescore(directory, lambda _: data)[0]
+
+
+def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_name: str) -> Iterator[Rescored]:
+    """Score all records of drives below a folder anew; one that cannot be does not stop the others.
+
+    Args:
+        root: Where to look.
+        open_split: Opens the data set that holds a split; asked once for each split.
+        data_name: Name of the data set; records of others are left alone.
+
+    Yields:
+        What became of each record, by path.
+
+    Raises:
+        InputError: If the folder does not exist.
+    """
+    if not root.is_dir():
+        raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
+    opened: dict[str, DataSet] = {}
+
+    def open_for(record: DriveRecord) -> "DataSet | None":
+        split = record.facts.split
+        if record.facts.data.name != data_name:
+            return None
+        if split not in opened:
+            opened[split] = open_split(split)
+        return opened[split]
+
+    names = (DRIVE_FILE, pending(Path(), DRIVE_FILE).name)
+    for directory in sorted({path.parent for name in names for path in root.rglob(name)}):
+        try:
+            yield Rescored(directory, _rescore(directory, open_for)[1])
+        except InputError as error:
+            yield Rescored(directory, str(error), failed=True)
+
+
+def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]") -> tuple[DriveRecord, str]:
+    """The record and what became of it; it is left alone where there is no data set for it."""
+    if not directory.is_dir():
+        raise InputError(f"there is no record of drives {directory}; name the folder that holds its {DRIVE_FILE}")
+    with only_writer(directory):
+        settle(directory, DRIVE_FILES)
+        old = load_drives(directory)
+        facts, measured = old.facts, old.facts.measured
+        data = open_for(old)
+        if data is None:
+            return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
+        require_same_data(directory, facts, data, again="drive")
+        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
+        rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
+        described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
+        described |= {"scoring": VERSION, "scene_facts": scene_facts_now(facts, data)}
+        same = list(old.rows) == rows and all(getattr(facts, name) == value for name, value in described.items())
+        if same and old.summary == summarise(rows, described["scene_facts"], seed=facts.seed, engine=measured.engine):
+            return old, "current"
+        described["rescored"] = environment_facts()
+        return write_drives(directory, described, rows, seed=facts.seed), "rescored"

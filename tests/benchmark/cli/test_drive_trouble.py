@@ -1,0 +1,103 @@
+"""``drive`` when something goes wrong: nothing is lost, and nothing is scored as zero."""
+
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmark.machine.storage import only_writer
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.cli.in_process import Done, run_here
+from tests.hand_made import Car, scene_on_straight_road
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "road"
+    plan = DataSetPlan(root=root, split="val", version="v1.0-mini")
+    scene = scene_on_straight_road((Car(100.0, 198.25, 0.0),), seconds=8.0)
+    finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
+    return root
+
+
+def driving(source: Path, out: Path, *more: str) -> Done:
+    return run_here("drive", "--data", source, "--split", "val", "--out", out, "--workers", "1", *more)
+
+
+@pytest.mark.parametrize(
+    ("planner", "engine", "reason"),
+    [
+        ("Failing", "default", "raised"),
+        ("Poisoned", "default", "unusable plan"),
+        ("Poisoned", "neuroncap@code", "unusable plan"),
+    ],
+)
+def test_who_fails_is_counted_and_scored_nowhere(
+    source: Path, tmp_path: Path, planner: str, engine: str, reason: str
+) -> None:
+    model = f"tests.benchmark.planners:{planner}"
+    done = driving(
+        source, tmp_path, "--model", model, "--model", "stop", "--no-baselines", "--engine", engine, "--json"
+    )
+    failed, sound = json.loads(done.out)
+    assert done.code == 1 and f"failed in 1 of 1 drive (1 {reason}" in done.err
+    assert failed["failed"] == 1 and failed["reasons"] == {reason: 1} and failed["columns"] == {}
+    assert failed["status"] == "partial" and sound["status"] == "complete" and sound["failed"] == 0
+    # What failed is kept: the same command asks nobody again, and says the same.
+    before = bytes_below(tmp_path)
+    again = driving(
+        source, tmp_path, "--model", model, "--model", "stop", "--no-baselines", "--engine", engine, "--json"
+    )
+    assert again.code == 1 and again.out == done.out and bytes_below(tmp_path) == before
+
+
+def test_six_identical_points_are_driven(source: Path, tmp_path: Path) -> None:
+    for engine in ("default", "neuroncap@code"):
+        options = ("--model", "tests.benchmark.planners:OnePoint", "--no-baselines", "--engine", engine, "--json")
+        (row,) = json.loads(driving(source, tmp_path, *options).out)
+        assert row["failed"] == 0 and row["coverage"] == 1.0 and 0.0 < row["columns"]["route"]["value"] < 0.5
+
+
+def test_a_full_disk_is_one_sentence_and_the_same_command_goes_on(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = ("--model", "constant-velocity", "--model", "stop", "--no-baselines")
+    assert driving(source, tmp_path / "whole", *models).code == 0
+    sync, left = os.fsync, [0]
+
+    def full(descriptor: int) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(descriptor)
+
+    monkeypatch.setattr("benchmark.machine.storage.os.fsync", full)
+    # While the first drive is kept, the second one, and while a record is written.
+    for room in (0, 1, 3):
+        left[0] = room
+        done = driving(source, tmp_path / "full", *models)
+        assert done.code == 2 and done.err.count("\n") == 1, done.err
+        assert "No space left on device; free some space, then run the same command again" in done.err
+        assert done.out == ""
+    monkeypatch.setattr("benchmark.machine.storage.os.fsync", sync)
+    assert driving(source, tmp_path / "full", *models).code == 0
+    assert bytes_below(tmp_path / "full") == bytes_below(tmp_path / "whole")
+
+
+def test_two_commands_on_the_same_record_do_not_mix(source: Path, tmp_path: Path) -> None:
+    models = ("--model", "stop", "--no-baselines")
+    (record,) = json.loads(driving(source, tmp_path, *models, "--json").out)
+    before: dict[str, Any] = bytes_below(tmp_path)
+    with only_writer(Path(record["directory"])):
+        done = driving(source, tmp_path, *models)
+    assert done.code == 2 and "another command is writing to" in done.err and bytes_below(tmp_path) == before
+
+
+def test_a_place_that_cannot_be_written_is_one_sentence(source: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = driving(source, tmp_path / "file" / "out", "--model", "stop", "--no-baselines")
+    assert done.code == 2 and "--out" in done.err and "Traceback" not in done.err
