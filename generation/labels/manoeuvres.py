@@ -141,14 +141,14 @@ def _in_front(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
 
 
 def _beside(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
-    """Runs of what happens to the left and right of a moving ego."""
+    """Runs of what happens to the left and right of an ego that moves, at their beginning at least."""
     same = np.abs(met.other.turn) <= ALONG_RAD
     driving = met.present & (met.ego_speed >= MOVING_M_S)
-    next_lane = driving & same & (met.side_gap <= BESIDE_M)
     lead = met.other.station - met.ego.station
-    for run in _bouts(met, next_lane & met.abreast):
+    # An ego that comes to a stand while it is passed is overtaken all the same.
+    for run in _bouts(met, same & (met.side_gap <= BESIDE_M) & met.abreast):
         first, last = lead[run][0], lead[run][-1]
-        if first < 0.0 and last >= OVERTAKEN_M and last - first >= GAIN_M:
+        if driving[run.start] and first < 0.0 and last >= OVERTAKEN_M and last - first >= GAIN_M:
             yield _sided(met, run, Manoeuvre.OVERTAKING_LEFT, Manoeuvre.OVERTAKING_RIGHT), run
     opposing = np.abs(met.other.turn) >= np.pi - ALONG_RAD
     for run in _bouts(met, driving & ~opposing & met.abreast & (met.gap <= SQUEEZING_M), SHORT_S):
