@@ -73,7 +73,7 @@ def _figure(shown: Sequence[Point]) -> Figure:
     for axes, (reading, head) in zip(panels, READINGS.items(), strict=True):
         axes.set_title(head, fontsize="medium")
         axes.set_xlabel("scenes whose adversary has no fault, %")
-        axes.set(xlim=(0, 104), ylim=(-4, 104))
+        axes.set(xlim=(-4, 104), ylim=(-4, 104))
         axes.grid(color=LIGHT.rule, linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)

@@ -53,7 +53,8 @@ def demo(
     source = open_root(town, name="demo")
     settings = BuildSettings(
         out=space.split_root("demo", "adv"),
-        hyper=hyper_parameters("default", {"candidates": 64, "candidate_limit": 5}),
+        # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
+        hyper=hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
         per_scene=1,
         renderer=api.schematic_renderer(),
         frames="keyframes",

@@ -56,6 +56,8 @@ BESIDE_M = 4.0
 """Gap to the ego's strip within which a vehicle is in the next lane."""
 BLIND_SPOT_M = 3.0
 """How far behind the ego's rear, and how far to its side, the blind spot reaches."""
+CLEAR_M = 0.3
+"""Gap to the ego's strip that whoever cuts in had within the 3 s before."""
 GAIN_M = 3.0
 OVERTAKEN_M = 2.0
 """An overtaking vehicle gains at least this while it is abreast, and is at least this far ahead then."""
@@ -189,8 +191,11 @@ def _bouts(met: Encounter, mask: Bools, least_s: float = 0.0) -> Iterator[slice]
 
 
 def _came_in(met: Encounter, run: slice) -> bool:
-    """Whether the vehicle was there, and outside the ego's way, before a run inside."""
-    return run.start >= HELD_FRAMES and bool(met.present[run.start - HELD_FRAMES : run.start].all())
+    """Whether the vehicle was there before a run inside, and clear of the ego's way: who weaves in front never left."""
+    if run.start < HELD_FRAMES or not met.present[run.start - HELD_FRAMES : run.start].all():
+        return False
+    before = slice(int(np.searchsorted(met.seconds, met.seconds[run.start] - HORIZON_S)), run.start)
+    return bool((met.side_gap[before][met.present[before]] >= CLEAR_M).any())
 
 
 def _sided(met: Encounter, run: slice, left: Manoeuvre, right: Manoeuvre) -> Manoeuvre:
