@@ -20,6 +20,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.attacked import Attacked, attacked, recorded_features
+from bench.threat_figure import write_figure
 from benchmark import api
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
@@ -79,6 +80,7 @@ def main() -> None:
     parser.add_argument("--setting", action="append", help="LABEL=NAME=VALUE,...; the first one is compared with")
     parser.add_argument("--limit", type=int, help="only the first so many scenes")
     parser.add_argument("--folder", type=Path, default=Path("challenger-out") / "threat")
+    parser.add_argument("--figure", type=Path, help="PNG or SVG: success against validity; of one data set")
     options = parser.parse_args()
     single_threaded()
     settings = [Setting.parse(text) for text in options.setting or ["default="]]
@@ -95,6 +97,8 @@ def main() -> None:
                 found.append(row)
                 print(f"{path.stem}: {row['kept']} of {row['tried']} kept", file=sys.stderr, flush=True)
     print(table(found))
+    if options.figure is not None:
+        write_figure(found, options.figure)
 
 
 @functools.cache

@@ -43,7 +43,7 @@ def demo(
     from benchmark.sheets.writing import SheetSettings
     from generation.build.settings import BuildSettings
     from generation.build.split import build_split
-    from generation.search.hyperparameters import HyperParameters
+    from generation.search.presets import hyper_parameters
     from generation.sources.mini import TownSettings, build_town
     from leaderboard.build import write_leaderboard
 
@@ -53,7 +53,8 @@ def demo(
     source = open_root(town, name="demo")
     settings = BuildSettings(
         out=space.split_root("demo", "adv"),
-        hyper=HyperParameters(candidates=64, candidate_limit=5),
+        # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
+        hyper=hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
         per_scene=1,
         renderer=api.schematic_renderer(),
         frames="keyframes",
@@ -107,7 +108,7 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     from benchmark.machine.workspace import EMBEDDED
     from generation.build.ablation import ablate
     from generation.build.settings import BuildSettings
-    from generation.search.hyperparameters import HyperParameters
+    from generation.search.presets import hyper_parameters
     from leaderboard.results import write_results
 
     made_from, source, processes = _results_from(), api.open_data(EMBEDDED, workers=workers), api.worker_count(workers)
@@ -123,7 +124,7 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
     driver = api.planner_under_test("uniad-mini", data=EMBEDDED, workers=workers)
     settings = BuildSettings(
         out=api.workspace(out).ablation_root() / source.name / driver.factory.facts.name,
-        hyper=HyperParameters(candidate_limit=FULL_DEMO_VEHICLES),
+        hyper=hyper_parameters("default", {"candidate_limit": FULL_DEMO_VEHICLES}),
         renderer=api.schematic_renderer(),
         frames="keyframes",
         executor=LocalProcesses(processes),
@@ -146,7 +147,7 @@ def _results_from() -> dict[str, Any]:
     from benchmark.protocols import PROTOCOLS, STANDARD
     from generation.search.adversary import ALGORITHM_VERSION
     from generation.search.definition import PackagedPrior
-    from generation.search.hyperparameters import HyperParameters
+    from generation.search.presets import hyper_parameters
     from generation.sources.mini import TownSettings
     from generation.splits.packaged import newest_split
 
@@ -155,7 +156,7 @@ def _results_from() -> dict[str, Any]:
         "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
         "town": TownSettings().drawn_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
-        "search": [ALGORITHM_VERSION, HyperParameters().fingerprint, FULL_DEMO_VEHICLES],
+        "search": [ALGORITHM_VERSION, hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],
         "renderer": [renderer.name, renderer.version],
         "trajectory model": PackagedPrior(None, "cpu")().fingerprint,
         "protocols": {name: PROTOCOLS[name].version for name in STANDARD},

@@ -68,7 +68,7 @@ def generate_command(
     split: SplitOption = "adv",
     from_file: Annotated[
         str | None,
-        typer.Option("--from", help="Rebuild a frozen split, a file or mini-adv-2, without a search."),
+        typer.Option("--from", help="Rebuild a frozen split, a file or mini-adv-3, without a search."),
     ] = None,
     freeze: Annotated[
         Path | None, typer.Option(help="Also write the result as a frozen split, a few kB a scene, to this file.")

@@ -12,6 +12,7 @@ from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.render.contract import Renderer
 from generation.search.definition import PackagedPrior, PriorFactory
 from generation.search.hyperparameters import HyperParameters
+from generation.search.presets import threatening
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ class BuildSettings:
     executor: Executor = field(default_factory=LocalProcesses)
     rendering: Executor | None = None
     together: int = 1
-    hyper: HyperParameters = field(default_factory=HyperParameters)
+    hyper: HyperParameters = field(default_factory=threatening)
     prior: PriorFactory = field(default_factory=PackagedPrior)
     adversaries: int = 1
     surrogate: PlannerUnderTest | None = None

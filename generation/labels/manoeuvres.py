@@ -56,6 +56,8 @@ BESIDE_M = 4.0
 """Gap to the ego's strip within which a vehicle is in the next lane."""
 BLIND_SPOT_M = 3.0
 """How far behind the ego's rear, and how far to its side, the blind spot reaches."""
+CLEAR_M = 0.3
+"""Gap to the ego's strip that whoever cuts in had within the 3 s before."""
 GAIN_M = 3.0
 OVERTAKEN_M = 2.0
 """An overtaking vehicle gains at least this while it is abreast, and is at least this far ahead then."""
@@ -141,14 +143,14 @@ def _in_front(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
 
 
 def _beside(met: Encounter) -> Iterator[tuple[Manoeuvre, slice]]:
-    """Runs of what happens to the left and right of a moving ego."""
+    """Runs of what happens to the left and right of an ego that moves, at their beginning at least."""
     same = np.abs(met.other.turn) <= ALONG_RAD
     driving = met.present & (met.ego_speed >= MOVING_M_S)
-    next_lane = driving & same & (met.side_gap <= BESIDE_M)
     lead = met.other.station - met.ego.station
-    for run in _bouts(met, next_lane & met.abreast):
+    # An ego that comes to a stand while it is passed is overtaken all the same.
+    for run in _bouts(met, same & (met.side_gap <= BESIDE_M) & met.abreast):
         first, last = lead[run][0], lead[run][-1]
-        if first < 0.0 and last >= OVERTAKEN_M and last - first >= GAIN_M:
+        if driving[run.start] and first < 0.0 and last >= OVERTAKEN_M and last - first >= GAIN_M:
             yield _sided(met, run, Manoeuvre.OVERTAKING_LEFT, Manoeuvre.OVERTAKING_RIGHT), run
     opposing = np.abs(met.other.turn) >= np.pi - ALONG_RAD
     for run in _bouts(met, driving & ~opposing & met.abreast & (met.gap <= SQUEEZING_M), SHORT_S):
@@ -189,8 +191,11 @@ def _bouts(met: Encounter, mask: Bools, least_s: float = 0.0) -> Iterator[slice]
 
 
 def _came_in(met: Encounter, run: slice) -> bool:
-    """Whether the vehicle was there, and outside the ego's way, before a run inside."""
-    return run.start >= HELD_FRAMES and bool(met.present[run.start - HELD_FRAMES : run.start].all())
+    """Whether the vehicle was there before a run inside, and clear of the ego's way: who weaves in front never left."""
+    if run.start < HELD_FRAMES or not met.present[run.start - HELD_FRAMES : run.start].all():
+        return False
+    before = slice(int(np.searchsorted(met.seconds, met.seconds[run.start] - HORIZON_S)), run.start)
+    return bool((met.side_gap[before][met.present[before]] >= CLEAR_M).any())
 
 
 def _sided(met: Encounter, run: slice, left: Manoeuvre, right: Manoeuvre) -> Manoeuvre:

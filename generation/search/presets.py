@@ -1,7 +1,8 @@
 """The settings that a search starts from: this project's, the paper's text, or the public reference code.
 
 This project has two: ``default`` threatens (`generation.search.threat`), and ``near`` is what the default was before,
-when it asked for nearness alone as the paper does; the frozen splits mini-adv-1 and mini-adv-2 are of that search.
+when it asked for nearness alone as the paper does. The frozen splits mini-adv-1 and mini-adv-2 are of that search,
+mini-adv-3 is of the default.
 """
 
 from collections.abc import Mapping, Sequence

@@ -198,13 +198,13 @@ WRONG: tuple[tuple[str, str], ...] = (
     ("demo --workers -1", "--workers"),
 )
 DRY: tuple[tuple[str, str], ...] = (
-    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 30 scenes of adv"),
+    (f"eval --dry-run --model uniad --split adv {_OUT}", "run uniad-mini on 19 scenes of adv"),
     (
         f"generate --dry-run --from mini-adv-1 --scenes scene-8000-1a46b7c9 {_OUT}",
         "build split adv from frozen split mini-adv-1, 1 scene;",
     ),
     (f"eval --dry-run --model idm --json {_OUT}", "run idm on 10 scenes of val"),
-    (f"drive --dry-run --model idm --no-baselines {_OUT}", "drive idm through 30 scenes of adv"),
+    (f"drive --dry-run --model idm --no-baselines {_OUT}", "drive idm through 19 scenes of adv"),
     (f"sheets --dry-run --limit 2 --split val-r {_OUT}", "write sheets of 2 scenes of val-r"),
     (f"quality --dry-run --masks boxes {_OUT}", "score 10 scenes of val"),
     (f"generate --dry-run --surrogate vad {_OUT}", "build split adv from 10 scenes"),

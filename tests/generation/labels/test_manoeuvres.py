@@ -72,6 +72,11 @@ CASES = {
     "overtakes and cuts in": Case(Manoeuvre.CUT_IN_LEFT, _at(-12.0, 3.0), lambda t: 3.5 * (1 - _eased(t, 6, 8))),
     "overtakes on the left": Case(Manoeuvre.OVERTAKING_LEFT, _at(-12.0, 3.0), _held(3.5)),
     "overtakes on the right": Case(Manoeuvre.OVERTAKING_RIGHT, _at(-12.0, 3.0), _held(-3.5)),
+    "weaves ahead": Case(Manoeuvre.LEADING, _at(10.0), lambda t: 1.95 * (_eased(t, 2, 4) - _eased(t, 4.5, 6.5))),
+    "overtakes one that stops": Case(Manoeuvre.OVERTAKING_LEFT, lambda t: 5.0 * t - 4.0, _held(3.5), ego=_stopping),
+    "passes one that stands": Case(
+        Manoeuvre.PASSING_WIDE, lambda t: 5.0 * t - 24.0, _held(3.5), seconds=14.0, ego=_stopping
+    ),
     "drives alongside": Case(Manoeuvre.SQUEEZING_LEFT, _at(-0.5), _held(2.5)),
     "drives alongside, right": Case(Manoeuvre.SQUEEZING_RIGHT, _at(-0.5), _held(-2.5)),
     "tailgates": Case(Manoeuvre.TAILGATING, _at(-8.0), _held(0.0)),

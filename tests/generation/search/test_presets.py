@@ -1,9 +1,10 @@
 from pathlib import Path
 
 from generation.build.said_settings import said_settings
+from generation.build.settings import BuildSettings
 from generation.search.hyperparameters import HyperParameters, Launch
 from generation.search.presets import PRESETS, hyper_parameters
-from generation.splits.packaged import frozen_split
+from generation.splits.packaged import frozen_split, newest_split
 
 
 def test_the_default_threatens_and_no_other_preset_does() -> None:
@@ -24,6 +25,16 @@ def test_paper_and_reference_are_what_they_were_before_there_were_threats() -> N
 
 
 def test_the_newest_frozen_split_still_says_its_settings(tmp_path: Path) -> None:
+    assert newest_split("mini").frozen.search.hyper == hyper_parameters().fingerprint
+    said = said_settings(tmp_path, {"frozen": {"name": newest_split("mini").name}})
+    assert (said["launch"], said["threat_weight"], said["ac_weight"]) == ("reach", 10.0, 0.0)
+
+
+def test_a_frozen_split_of_before_the_terms_is_of_the_preset_near(tmp_path: Path) -> None:
     assert frozen_split("mini-adv-2").frozen.search.hyper == hyper_parameters("near").fingerprint
     said = said_settings(tmp_path, {"frozen": {"name": "mini-adv-2"}})
     assert (said["launch"], said["threat_weight"], said["ac_weight"]) == ("near", 0.0, 1.0)
+
+
+def test_a_build_from_python_searches_as_the_command_does() -> None:
+    assert BuildSettings(out=Path()).hyper == hyper_parameters()
