@@ -58,7 +58,7 @@ _DEFINED_IN: Final = {
     "benchmark.metrics.frames": ["samples_frame"],
     "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
-    "benchmark.runs.submissions": ["check_submission"],
+    "benchmark.runs.submissions.checking": ["check_submission"],
     "benchmark.runs.reproducing": ["reproduce", "published_numbers", "expected_file", "store_expected"],
     "leaderboard.tables.reproduction": ["reproduction_table"],
     "benchmark.metrics.transfer": ["transfer"],
@@ -208,7 +208,7 @@ if TYPE_CHECKING:
         store_expected as store_expected,
     )
     from benchmark.runs.rescoring import rescore as rescore, rescore_all as rescore_all
-    from benchmark.runs.submissions import check_submission as check_submission
+    from benchmark.runs.submissions.checking import check_submission as check_submission
     from benchmark.scene import Scene as Scene
     from benchmark.sheets.writing import SheetSettings as SheetSettings
 
