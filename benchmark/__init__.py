@@ -60,7 +60,7 @@ _DEFINED_IN: Final = {
     "benchmark.metrics.frames": ["samples_frame"],
     "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
-    "benchmark.runs.submissions": ["check_submission"],
+    "benchmark.runs.submissions.checking": ["check_submission"],
     "benchmark.runs.reproducing": ["reproduce", "published_numbers", "expected_file", "store_expected"],
     "leaderboard.tables.reproduction": ["reproduction_table"],
     "benchmark.metrics.transfer": ["transfer"],
@@ -219,7 +219,7 @@ if TYPE_CHECKING:
         rescore_all_drives as rescore_all_drives,
         rescore_drives as rescore_drives,
     )
-    from benchmark.runs.submissions import check_submission as check_submission
+    from benchmark.runs.submissions.checking import check_submission as check_submission
     from benchmark.scene import Scene as Scene
     from benchmark.sheets.writing import SheetSettings as SheetSettings
 

@@ -190,16 +190,19 @@ def slices_command(
 
 @leaderboard_app.command("submit-check")
 def submit_check_command(
-    folder: Annotated[Path, typer.Argument(help="Folder of submitted run records.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of submitted records, of runs and of drives.")],
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
-    """Check a stranger's run records: hashes, coverage, samples, and every number computed anew from the plans."""
+    """Check a stranger's records of runs and drives: who planned, and every number, computed anew from the plans."""
+    from adapters.own_planners import own_planner_like
     from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.runs.submissions import Level, check_submission
+    from benchmark.records.run import RunRecord
+    from benchmark.runs.submissions.checking import check_submission, facts_of_record
+    from benchmark.runs.submissions.findings import Level
 
     api.worker_count(workers)
     if not folder.is_dir():
@@ -207,7 +210,7 @@ def submit_check_command(
     require_root(data, tables, out)
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
-    sound, findings = check_submission(folder, source.name, opener)
+    sound, findings = check_submission(folder, source.name, opener, own_planner_like)
     if json_output:
         print_json(
             {"sound": [str(record.directory) for record in sound], "findings": [found.as_json() for found in findings]}
@@ -216,8 +219,8 @@ def submit_check_command(
         for found in findings:
             typer.echo(f"{found.level}: {found.directory}: {found.sentence}")
         for record in sound:
-            samples = counted(len(record.rows), "sample")
-            typer.echo(f"fit: {record.directory}: {record.planner} on {record.run.split}, {samples}")
+            rows = counted(len(record.rows), "sample" if isinstance(record, RunRecord) else "drive")
+            typer.echo(f"fit: {record.directory}: {record.planner} on {facts_of_record(record).split}, {rows}")
     raise typer.Exit(1 if any(found.level is Level.ERROR for found in findings) else 0)
 
 

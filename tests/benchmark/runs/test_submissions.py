@@ -3,20 +3,29 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from adapters.baselines.log_replay import LogReplay
+from adapters.own_planners import own_planner_like
+from adapters.registry import planner_factory
+from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine.storage import file_sha256
 from benchmark.protocols import PROTOCOLS
 from benchmark.protocols.exact import Exact
-from benchmark.runs.submissions import Finding, Level, check_submission
-from tests.benchmark.fake_data import town_of_two
+from benchmark.runs.driving import DriveSettings, drive_split
+from benchmark.runs.submissions.checking import check_submission
+from benchmark.runs.submissions.findings import Finding, Level
+from benchmark.scene import Scene
+from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
+from tests.hand_made import scene_on_straight_road
 
 DATA = town_of_two(slow_leader=True)
 
@@ -71,9 +80,9 @@ def test_a_record_from_before_adversaries_were_counted_apart_is_fit_and_a_wrong_
         rows[0]["outcomes"]["vad"]["steps"]["recorded_adversary"] = [True] * 6
 
     edited(folder, claim)
-    assert {error.sentence.split(" under")[0].split(" on ")[0] for error in checked(folder)[1]} == {
+    assert {error.sentence.split(" = ")[0].split(" on ")[0] for error in checked(folder)[1]} == {
         "says other verdicts than its plans have",
-        "claims other counts or intervals",
+        "claims mask_removed_for_adversary",
     }
 
 
@@ -84,7 +93,7 @@ def test_a_flattering_rate_is_found(folder: Path) -> None:
     edited(folder, lower)
     sound, (error,) = checked(folder)
     assert sound == 0
-    assert "claims collision 3s = 0.0 under exact, and its plans give" in error.sentence
+    assert "claims collision 3s = 0.0, and its plans give" in error.sentence
 
 
 def test_a_verdict_that_the_plan_does_not_have_is_found(folder: Path) -> None:
@@ -117,7 +126,7 @@ def test_flattering_and_left_out_driving_scores_are_found(folder: Path, tmp_path
 
     for number, (change, says) in enumerate(
         (
-            (flatter, "claims other driving scores than its plans give; run"),
+            (flatter, "claims other driving scores than its plans give: score mean = 1.0, and its plans give"),
             (leave_out, "has no driving scores"),
             (of_another_version, "another version of nuscenes-pdm"),
         )
@@ -186,15 +195,148 @@ def test_old_and_missing_protocols_are_said(folder: Path, monkeypatch: pytest.Mo
     assert any("other versions of exact" in error.sentence for error in checked(folder)[1])
 
 
-def test_plans_that_are_the_recording_are_noted(tmp_path: Path) -> None:
-    def notes() -> list[str]:
-        found = check_submission(tmp_path, DATA.name, lambda split: DATA)[1]
-        return [finding.sentence for finding in found if finding.level is Level.NOTE]
+Forgery = Callable[[dict[str, Any], list[Any], dict[str, Any]], None]
+FORGERIES: dict[str, tuple[Forgery, str]] = {
+    "coverage": (lambda run, rows, summary: summary.update(coverage=0.5), "claims coverage = 0.5"),
+    "samples": (lambda run, rows, summary: summary.update(samples=1), "claims samples = 1"),
+    "failed": (lambda run, rows, summary: summary.update(failed=1), "claims failed = 1"),
+    "counted": (lambda run, rows, summary: summary["protocols"]["vad"].update(counted=1), "claims counted = 1"),
+    "an interval": (
+        lambda run, rows, summary: summary["protocols"]["exact"]["columns"]["collision"]["3s"].update(
+            low=0.0, high=0.0
+        ),
+        "under exact",
+    ),
+    "a share of driving": (lambda run, rows, summary: summary["driving"].update(counted=1), "counted = 1"),
+    "a protocol more": (
+        lambda run, rows, summary: summary["protocols"].update(kind=summary["protocols"]["exact"]),
+        "has rates under kind",
+    ),
+    "status": (lambda run, rows, summary: run.update(status="partial"), "says that it is partial"),
+    "scenes": (lambda run, rows, summary: run.update(scenes_in_split=7), "says that val has 7 scenes"),
+    "a frozen split": (lambda run, rows, summary: run.update(frozen_split="mini-adv-1"), "frozen split"),
+    "a search": (lambda run, rows, summary: run.update(generated={"seed": 3}), "search"),
+    "weights": (lambda run, rows, summary: run["planner"].update(weights_sha256="f00"), "is no SHA-256"),
+    "code": (lambda run, rows, summary: run["planner"].update(code_sha256="x" * 64), "is no SHA-256"),
+    "a protocol of its own": (
+        lambda run, rows, summary: run["planner"].update(native_protocol="lenient"),
+        "names a protocol of its own",
+    ),
+    "a failure hidden": (lambda run, rows, summary: rows[3].update(plan=None, error=None, outcomes={}), "says 'ok'"),
+    "a plan of a failure": (lambda run, rows, summary: rows[3].update(status="failed"), "has no plan for 1 of"),
+}
 
-    record = evaluate(DATA, "val", LogReplay(), tmp_path)
-    assert record.run.planner.privileged and any("is privileged" in sentence for sentence in notes())
+
+@pytest.mark.parametrize("name", FORGERIES)
+def test_whatever_is_edited_is_found(folder: Path, name: str) -> None:
+    change, says = FORGERIES[name]
+    edited(folder, change)
+    sound, errors = checked(folder)
+    assert sound == 0 and any(says in error.sentence for error in errors), [error.sentence for error in errors]
+
+
+def test_completeness_is_not_believed(tmp_path: Path) -> None:
+    evaluate(DATA, "val", Failing(), tmp_path)
+
+    def claim(run: dict[str, Any], rows: list[Any], summary: dict[str, Any]) -> None:
+        run.update(status="complete")
+        summary.update(failed=0, coverage=1.0)
+
+    edited(tmp_path, claim)
+    said = [error.sentence for error in checked(tmp_path)[1]]
+    assert any("has no plan for" in one for one in said) and any("says that it is complete" in one for one in said)
+
+
+def test_what_our_planners_are_is_known_by_their_code(tmp_path: Path) -> None:
+    evaluate(DATA, "val", planner_factory("constant-velocity-on-path"), tmp_path)
+
+    def said(level: Level) -> list[str]:
+        findings = check_submission(tmp_path, DATA.name, lambda split: DATA, own_planner_like)[1]
+        return [finding.sentence for finding in findings if finding.level is level]
+
+    assert said(Level.ERROR) == [] and not any("declares" in one for one in said(Level.NOTE))
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="mine", privileged=False))
+    assert any("has the code of constant-velocity-on-path" in one for one in said(Level.NOTE))
+    assert any("says privileged: False" in one for one in said(Level.ERROR))
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(code_sha256="0" * 64))
+    assert said(Level.ERROR) == [] and any("declares privileged: no" in one for one in said(Level.NOTE))
+    edited(tmp_path, lambda run, rows, summary: run["planner"].update(name="constant-velocity-on-path"))
+    assert any("is called constant-velocity-on-path and has not this" in one for one in said(Level.NOTE))
+
+
+def test_plans_that_know_the_future_are_suspicious_unless_they_say_so(tmp_path: Path) -> None:
+    data = FakeData({f"scene-99{number:02d}": braking_scene(number) for number in range(6)})
+
+    def suspicions() -> list[Finding]:
+        found = check_submission(tmp_path, data.name, lambda split: data)
+        assert len(found[0]) == 1, found[1]
+        return [finding for finding in found[1] if finding.level is Level.SUSPICIOUS]
+
+    evaluate(data, "val", LogReplay(), tmp_path)
+    assert suspicions() == []
     edited(tmp_path, lambda run, rows, summary: run["planner"].update(privileged=False))
-    assert any("the recorded future itself" in sentence for sentence in notes())
+    (said,) = suspicions()
+    assert "could not be foretold are met" in said.sentence and "It proves nothing" in said.sentence
+
+
+def braking_scene(number: int) -> Scene:
+    """A recording of 20 s whose car slows down and speeds up at moments of its own."""
+    scene = scene_on_straight_road(name=f"scene-99{number:02d}", seconds=20.0)
+    times = scene.seconds
+    speed = 7.0 + 4.0 * np.sign(np.sin(times * (0.9 + 0.1 * number) + number))
+    smooth = np.convolve(np.pad(speed, 6, mode="edge"), np.full(13, 1 / 13), mode="valid")
+    position = scene.ego.position.copy()
+    position[:, 0] = position[0, 0] + np.concatenate([[0.0], np.cumsum(smooth[:-1] * np.diff(times))])
+    return replace(scene, ego=replace(scene.ego, position=position))
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("driven")
+    drive_split(DATA, "val", Straight(), root, DriveSettings("default", DefaultRides("replay"), agents="replay"))
+    return root
+
+
+def edited_drives(folder: Path, change: Forgery) -> None:
+    head = next(folder.rglob("drive.json"))
+    rows_file, summary_file = head.with_name("drives.jsonl"), head.with_name("summary.json")
+    run, summary = json.loads(head.read_text()), json.loads(summary_file.read_text())
+    rows = [json.loads(line) for line in rows_file.read_text().splitlines()]
+    change(run, rows, summary)
+    rows_file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    summary_file.write_text(json.dumps(summary))
+    run["files"] = {path.name: file_sha256(path) for path in (rows_file, summary_file)}
+    head.write_text(json.dumps(run))
+
+
+DRIVE_FORGERIES: dict[str, tuple[Forgery, str]] = {
+    "a contact forgotten": (
+        lambda run, rows, summary: next(row for row in rows if row["contact"]).update(contact=None, end="end"),
+        "lead elsewhere",
+    ),
+    "another score": (lambda run, rows, summary: rows[0]["scores"].update(progress_m=900.0), "claims other scores"),
+    "another rate": (
+        lambda run, rows, summary: summary["columns"]["at_fault"].update(value=0.0),
+        "claims at_fault = 0.0",
+    ),
+    "a drive less": (lambda run, rows, summary: rows.pop(), "scenes without one"),
+    "a drive twice": (lambda run, rows, summary: rows.append(rows[0]), "has a drive twice"),
+    "another place": (lambda run, rows, summary: rows[0]["ticks"]["ego"][-1].__setitem__(0, 3.0), "lead elsewhere"),
+    "another world": (lambda run, rows, summary: run["data"].update(fingerprint="0"), "was driven on other content"),
+}
+
+
+def test_drives_are_driven_again(driven: Path) -> None:
+    assert checked(driven) == (1, [])
+
+
+@pytest.mark.parametrize("name", DRIVE_FORGERIES)
+def test_whatever_is_edited_in_drives_is_found(driven: Path, tmp_path: Path, name: str) -> None:
+    folder = Path(shutil.copytree(driven, tmp_path / "submitted"))
+    change, says = DRIVE_FORGERIES[name]
+    edited_drives(folder, change)
+    sound, errors = checked(folder)
+    assert sound == 0 and any(says in error.sentence for error in errors), [error.sentence for error in errors]
 
 
 def test_nothing_to_check_is_said(tmp_path: Path) -> None:

@@ -1,0 +1,41 @@
+"""What a check of a submission finds."""
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+
+class Level(StrEnum):
+    """What a finding means.
+
+    An error keeps a record out. ``suspicious`` is what honest planners were never seen to do, and proves nothing. A
+    note is for the reader.
+    """
+
+    ERROR = "error"
+    SUSPICIOUS = "suspicious"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong with a submission, or worth knowing.
+
+    Attributes:
+        directory: Of the record, or of the submission.
+        level: Whether it keeps the record out.
+        sentence: What, and what to do.
+    """
+
+    directory: Path
+    level: Level
+    sentence: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self) | {"directory": str(self.directory)}
+
+
+Said = tuple[Level, str]
+"""A finding about a record whose directory is known."""
