@@ -1,15 +1,17 @@
-"""What ``challenger-bench models`` says: every planner, what it sees, and what it needs that may not be here."""
+"""Every planner, what it sees, and what it needs that may not be here; and which of ours a record's planner is."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from adapters.checkpoints.cache import cached_weights, weights_folder
-from adapters.models import MODELS, Model
-from adapters.registry import installed_planners
+from adapters.models import MODELS, Model, baselines
+from adapters.registry import installed_planners, planner_factory
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.table import Table, table_of
 from benchmark.report.terminal import wrapped
@@ -70,6 +72,26 @@ def known_planners(
         *own,
         *(KnownPlanner(name, "?", "its own", "?", comes_from=point.value) for name, point in others.items()),
     )
+
+
+def own_planner_like(planner: PlannerFacts) -> PlannerFacts | None:
+    """The planner of this program that one is.
+
+    Args:
+        planner: What a record says of its planner.
+
+    Returns:
+        What is true of the one that has its code, whatever it is called; else of the one that it is called like; else
+        ``None``. Networks are looked at only if they are named and their weights come with this package.
+    """
+    model = MODELS.get(planner.name)
+    called = None
+    if model is not None and (model.network is None or model.packaged.is_file()):
+        called = _facts(planner.name)
+    if planner.code_sha256 is None or (called is not None and called.code_sha256 == planner.code_sha256):
+        return called
+    same_code = (facts for facts in map(_facts, baselines()) if facts.code_sha256 == planner.code_sha256)
+    return next(same_code, called)
 
 
 def planners_text(planners: tuple[KnownPlanner, ...], width: int | None = None) -> str:
@@ -161,3 +183,8 @@ def _how_to_get(weights: PublishedWeights, width: int | None) -> list[str]:
         for text in (*lines, f"    then {weights.how_to_import}", f"    licence: {weights.licence}")
         for line in wrapped(text.strip(), width, indent=text[: len(text) - len(text.lstrip())], hanging="  ")
     ]
+
+
+@cache
+def _facts(name: str) -> PlannerFacts:
+    return planner_factory(name).facts

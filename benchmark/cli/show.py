@@ -198,7 +198,7 @@ def submit_check_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check a stranger's records of runs and drives: who planned, and every number, computed anew from the plans."""
-    from adapters.own_planners import own_planner_like
+    from adapters.known_planners import own_planner_like
     from benchmark.cli.beforehand.data_sets import require_root
     from benchmark.records.run import RunRecord
     from benchmark.runs.submissions.checking import check_submission, facts_of_record

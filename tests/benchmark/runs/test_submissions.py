@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from adapters.baselines.log_replay import LogReplay
-from adapters.own_planners import own_planner_like
+from adapters.known_planners import own_planner_like
 from adapters.registry import planner_factory
 from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.errors import InputError
