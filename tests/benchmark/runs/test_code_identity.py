@@ -329,7 +329,8 @@ def test_a_class_inside_a_function_counts_with_the_function() -> None:
 
 def test_modules_of_this_project_do_nothing_when_they_are_imported() -> None:
     root = Path(__file__).parents[3]
-    definitions = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign, ast.Assert)
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    definitions = (ast.Import, ast.ImportFrom, *functions, ast.ClassDef, ast.Assign, ast.AnnAssign, ast.Assert)
     fills_its_table = "benchmark/protocols/__init__.py"
     for path in [*root.glob("adapters/**/*.py"), *root.glob("benchmark/**/*.py")]:
         name = path.relative_to(root).as_posix()
