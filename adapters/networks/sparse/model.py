@@ -197,8 +197,11 @@ class SparseNetwork(nn.Module):
         return predictions
 
     def frame_noise(self, inputs: SparseInputs) -> Tensor:
-        """(modes, steps, 2) float32 standard normal numbers that depend on the seed, the scene and the time alone."""
-        seed = content_seed("plan noise", self.seed, inputs.scene_token, inputs.timestamp_s)
+        """(modes, steps, 2) float32 standard normal numbers that depend on the seed and the time of the frame alone.
+
+        Not on the scene: its adversarial variants then meet the same noise, and who asks over HTTP names none.
+        """
+        seed = content_seed("plan noise", self.seed, inputs.timestamp_s)
         generator = torch.Generator().manual_seed(seed)
         return torch.randn((self.config.modes, self.config.steps, 2), generator=generator)
 

@@ -21,7 +21,6 @@ from benchmark.closed_loop.neuroncap.riding import NeuroncapRides
 from benchmark.closed_loop.neuroncap.switches import Switches
 from benchmark.closed_loop.wire.images import ImageFormat
 from benchmark.closed_loop.wire.model import http_planner
-from benchmark.closed_loop.wire.observed import SCENE
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
 from benchmark.machine.workers import LocalProcesses
@@ -77,8 +76,7 @@ def test_a_drive_over_sockets_is_the_drive_of_this_process(
 
 @pytest.mark.parametrize("name", ["vad-mini", "uniad-mini", "sparsedrive-mini", "diffusiondrive-mini"])
 def test_the_first_plan_of_a_miniature_is_the_same_within_a_millimetre(name: str) -> None:
-    # DiffusionDrive draws its noise by the name of the scene, which the wire does not have.
-    scene = scene_on_straight_road(seconds=3.0, name=SCENE)
+    scene = scene_on_straight_road(seconds=3.0)
     scene = replace(scene, cameras=tuple(camera.resized(448, 256) for camera in scene.cameras))
     stage = replace(staged(scene, timeout_s=120.0), sensor=SchematicSensor("first"), most_plans=1)
     built = planner(name)
