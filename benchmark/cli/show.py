@@ -198,16 +198,18 @@ def submit_check_command(
     json_output: JsonOption = False,
 ) -> None:
     """Check a stranger's records of runs and drives: who planned, and every number, computed anew from the plans."""
-    from adapters.known_planners import own_planner_like
     from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.records.run import RunRecord
-    from benchmark.runs.submissions.checking import check_submission, facts_of_record
-    from benchmark.runs.submissions.findings import Level
 
     api.worker_count(workers)
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}; name the one that holds the submitted records")
     require_root(data, tables, out)
+
+    from adapters.known_planners import own_planner_like
+    from benchmark.records.run import RunRecord
+    from benchmark.runs.submissions.checking import check_submission, facts_of_record
+    from benchmark.runs.submissions.findings import Level
+
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     opener = partial(api.open_split, source, out=out, workers=workers)
     sound, findings = check_submission(folder, source.name, opener, own_planner_like)
