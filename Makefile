@@ -3,11 +3,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 
-PIP := $(BIN)/python -m pip --disable-pip-version-check
+PIP_OPTIONS := --disable-pip-version-check
+PIP := $(BIN)/python -m pip $(PIP_OPTIONS)
+# An environment that holds the built wheel and what it asks for, nothing else.
+INSTALLED := build/installed
 # PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: setup browser demo paper test check bench attack clean
+.PHONY: setup browser demo paper test check wheel wheel-check docs bench attack clean
 
 setup: $(VENV)/.complete
 
@@ -17,7 +20,7 @@ $(VENV)/.complete: pyproject.toml constraints.txt
 	@echo "setting up $(CURDIR)/$(VENV): torch, nuscenes-devkit, ray, transformers, the tools of the tests and what they need"
 	@echo "about 0.6 GB to fetch and 2.3 GB on disk, minutes; CUDA libraries, where they come along, are some 6 GB more on disk"
 	@$(PYTHON) -m venv $(VENV)
-	@$(torch_without_cuda)
+	@$(call torch_without_cuda,$(BIN)/python)
 	@$(PIP) install --quiet --constraint constraints.txt --editable ".[dev]"
 	@$(BIN)/python -c "import torch; print('set up, with torch', torch.__version__)"
 	@touch $@
@@ -26,9 +29,9 @@ $(VENV)/.complete: pyproject.toml constraints.txt
 define torch_without_cuda
 if [ "$$(uname -s)" != Linux ]; then :; \
 elif [ -e /dev/nvidia0 ] || command -v nvidia-smi >/dev/null 2>&1; then echo "an NVIDIA GPU is here: torch with CUDA"; \
-elif ! $(BIN)/python -c "import signal, urllib.request as u; signal.alarm(5); u.urlopen('$(TORCH_CPU)/torch/')" >/dev/null 2>&1; \
+elif ! $(1) -c "import signal, urllib.request as u; signal.alarm(5); u.urlopen('$(TORCH_CPU)/torch/')" >/dev/null 2>&1; \
 then echo "no GPU here, but PyTorch's index of builds without CUDA does not answer: torch is what pip finds"; \
-elif $(PIP) install --quiet --no-deps --index-url $(TORCH_CPU) $$(grep -m1 '^torch==' constraints.txt); \
+elif $(1) -m pip $(PIP_OPTIONS) install --quiet --no-deps --index-url $(TORCH_CPU) $$(grep -m1 '^torch==' constraints.txt); \
 then echo "no GPU here: torch without CUDA, from PyTorch's own index"; \
 else echo "PyTorch's index has no build without CUDA for this machine: torch is what pip finds"; fi
 endef
@@ -54,6 +57,31 @@ test: check
 	@{ command -v "$${CHROMIUM:-chromium}" && command -v "$${CHROMEDRIVER:-chromedriver}"; } >/dev/null 2>&1 || \
 	  echo "there is no Chromium with its driver here: the tests of the site in a browser were skipped; make browser installs it"
 
+# dist/: the wheel is made from the source archive, so that leftovers of this folder get into neither.
+wheel: setup
+	rm -rf dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct 2>/dev/null || echo 1600000000) \
+	  $(BIN)/python -m build --no-isolation --outdir dist . >/dev/null
+	@$(BIN)/python tests/packaging/contents.py dist/*
+
+# The built wheel in an empty environment: doctor, numerics, a tiny town, planners, a drive, the site; and then the demo.
+wheel-check: wheel
+	rm -rf $(INSTALLED)
+	$(PYTHON) -m venv $(INSTALLED)
+	@$(call torch_without_cuda,$(INSTALLED)/bin/python)
+	$(INSTALLED)/bin/python -m pip $(PIP_OPTIONS) install --quiet --constraint constraints.txt dist/*.whl
+	$(INSTALLED)/bin/python -I tests/packaging/check_installed.py --demo
+
+$(VENV)/.docs: $(VENV)/.complete
+	@$(PIP) install --quiet --constraint constraints.txt --editable ".[docs]"
+	@touch $@
+
+# build/docs/index.html: opens from disk. Then every link is followed, and the longer lines of code of the pages run.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 PYTHONPATH=. $(BIN)/python -m mkdocs build --quiet
+	@$(BIN)/python tests/documentation/built_site.py build/docs
+	CHALLENGER_BENCH_LONG_LINES=1 $(BIN)/pytest tests/documentation/test_lines.py
+
 bench: setup
 	for script in bench/[a-z]*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
@@ -62,4 +90,4 @@ attack: setup
 	$(BIN)/python bench/attack.py --seed $${SEED:-0} --count $${COUNT:-500}
 
 clean:
-	rm -rf $(VENV) challenger-out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) challenger-out build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -33,7 +33,7 @@ from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.plan_rows import known_native
+from benchmark.runs.planner_facts import known_native
 from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:

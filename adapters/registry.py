@@ -1,4 +1,7 @@
-"""Planners by name: of the table (`adapters.models`), of installed packages, ``module:Class``, ``http://HOST:PORT``."""
+"""Planners by name: of the table (`adapters.models`), of installed packages, ``module:Class``, ``http://HOST:PORT``.
+
+Planners of other packages are built in a process of their own (`benchmark.supervision`), here never.
+"""
 
 import contextlib
 import importlib
@@ -17,15 +20,17 @@ from benchmark.errors import InputError, did_you_mean
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.plan_rows import FAILURES
+from benchmark.runs.planner_facts import facts_of
+from benchmark.supervision.limits import Supervision
+from benchmark.supervision.planner import Identity, Maker, identity_of, supervised
 
 ENTRY_POINT_GROUP = "challenger_bench.adapters"
 _MAKER_OF_NETWORKS = "adapters.checkpoints.loading:planner_of"
 _MAKER_OVER_HTTP = "benchmark.closed_loop.wire.model:http_planner"
 _CONTRACT = ("reset", "plan")
 _LONGEST_NAME = 100
-_STRANGERS_ERRORS = (Exception, SystemExit)
-"""What foreign code may raise; `sys.exit` in it must not end the command as if it had succeeded."""
+_BUILT_FROM = "adapters.registry:planner_with_facts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,8 @@ class NamedPlanner:
         precision: Passed to planners that take one.
         as_published: Passed to planners that take it.
         over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``.
+        supervision: Limits of a process of its own; ``None`` of planners that run in this one.
+        identity: Who it says that it is, if it runs in a process of its own.
     """
 
     name: str
@@ -51,9 +58,13 @@ class NamedPlanner:
     precision: str | None = None
     as_published: tuple[str, ...] = ()
     over_http: Mapping[str, Any] | None = None
+    supervision: Supervision | None = None
+    identity: Identity | None = None
 
     def __call__(self) -> Planner:
-        """Build it."""
+        """Build it; one with a process of its own is built there when a scene begins."""
+        if self.supervision is not None and self.identity is not None:
+            return supervised(self._maker, self.identity, self.supervision)
         return planner(
             self.name,
             checkpoint=self.checkpoint,
@@ -63,6 +74,13 @@ class NamedPlanner:
             as_published=self.as_published,
             over_http=self.over_http,
         )
+
+    @property
+    def _maker(self) -> Maker:
+        return _maker(
+            self.name, self.checkpoint, seed=self.seed, device=self.device, precision=self.precision,
+            as_published=self.as_published,
+        )  # fmt: skip
 
 
 def planner_factory(
@@ -75,18 +93,22 @@ def planner_factory(
     precision: str | None = None,
     as_published: Sequence[str] = (),
     over_http: Mapping[str, Any] | None = None,
+    supervision: Supervision | None = None,
 ) -> NamedPlanner:
     """A planner that several processes can build; it is built once here, so that mistakes show at once.
+
+    A planner of another package is built in a process of its own each time.
 
     Args:
         name: What `planner` takes, as all that follows.
         checkpoint: Weights file, if not the planner's own.
-        data: The data set; a planner that needs the data set itself cannot be rebuilt elsewhere.
+        data: The data set, for planners of this process; what needs the data set itself cannot be rebuilt elsewhere.
         seed: Of whatever is drawn.
         device: cpu, cuda, cuda:1.
         precision: float32, bfloat16.
         as_published: What networks do as in their published runs (`adapters.as_published`).
         over_http: How planners behind HTTP are asked.
+        supervision: Limits of planners of other packages.
 
     Returns:
         The factory with the planner's identity.
@@ -95,17 +117,24 @@ def planner_factory(
         InputError: As `planner` does.
     """
     published = tuple(as_published)
-    built = planner(
-        name,
-        checkpoint=checkpoint,
-        data=data,
-        seed=seed,
-        device=device,
-        precision=precision,
-        as_published=published,
-        over_http=over_http,
-    )
-    facts = facts_of(built, made_by=made_by(name))
+    identity, limits = None, None
+    if is_foreign(name):
+        limits = supervision or Supervision()
+        maker = _maker(name, checkpoint, seed=seed, device=device, precision=precision, as_published=published)
+        identity = identity_of(maker, limits)
+        facts = identity.facts
+        _require_name(facts.name, name)
+    else:
+        _, facts = planner_with_facts(
+            name,
+            checkpoint=checkpoint,
+            data=data,
+            seed=seed,
+            device=device,
+            precision=precision,
+            as_published=published,
+            over_http=over_http,
+        )
     settings = dict(facts.settings)
     if checkpoint is not None and checkpoint.is_file():
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
@@ -116,7 +145,43 @@ def planner_factory(
         known["code_sha256"] = content_key(facts.code_sha256, model.identity)
         known["miniature"] = model.miniature is not None
     facts = facts.model_copy(update=known)
-    return NamedPlanner(name, checkpoint, seed, facts, device, precision, published, over_http)
+    return NamedPlanner(name, checkpoint, seed, facts, device, precision, published, over_http, limits, identity)
+
+
+def is_foreign(name: str) -> bool:
+    """Whether a planner is of another package, and runs in a process of its own."""
+    return name not in MODELS and not is_address(name)
+
+
+def planner_with_facts(name: str, **given: Any) -> tuple[Planner, PlannerFacts]:
+    """Build a planner in this process, and say who it is.
+
+    Args:
+        name: As `planner` takes it.
+        given: Likewise.
+
+    Returns:
+        The planner and its identity.
+
+    Raises:
+        InputError: If it cannot be built, or its identity is none.
+    """
+    built = planner(name, **given)
+    return built, facts_of(built, made_by=made_by(name))
+
+
+def _maker(
+    name: str,
+    checkpoint: Path | None,
+    *,
+    seed: int,
+    device: str | None,
+    precision: str | None,
+    as_published: tuple[str, ...],
+) -> Maker:
+    require_known(name)
+    given = {"checkpoint": checkpoint, "seed": seed, "device": device, "precision": precision}
+    return Maker(name, _BUILT_FROM, {"name": name, **given, "as_published": as_published})
 
 
 def planner(
@@ -223,7 +288,7 @@ def _import(reference: str, name: str) -> Any:
         if not module_name or module_name.startswith("."):
             raise InputError(f"model {name!r} is not of the form package.module:Class") from error
         raise _raised(name, f"importing {module_name}", error) from error
-    except _STRANGERS_ERRORS as error:
+    except FAILURES as error:
         raise _raised(name, f"importing {module_name}", error) from error
     made: Any = module
     for part in attribute.split("."):
@@ -237,7 +302,7 @@ def _load(point: EntryPoint) -> Any:
     try:
         with _stdout_kept():
             return point.load()
-    except _STRANGERS_ERRORS as error:
+    except FAILURES as error:
         raise InputError(
             f"model {point.name!r} is installed as {point.value} but cannot be imported: {error}"
         ) from error
@@ -272,7 +337,7 @@ def _build(made: Any, name: str, offered: dict[str, Any]) -> Any:
             return made(**given)
     except InputError:
         raise
-    except _STRANGERS_ERRORS as error:
+    except FAILURES as error:
         raise _raised(name, "building it", error) from error
 
 
@@ -296,11 +361,20 @@ def _checked(built: Any, name: str) -> Planner:
             f"model {name!r} is no planner: it has no method {' and no method '.join(missing)}; a planner has "
             "reset(scene), plan(observation) -> Plan and a name (benchmark/planning.py)"
         )
-    if not isinstance(getattr(built, "name", None), str) or not built.name:
-        raise InputError(f"model {name!r} has no name; set the attribute name, a string that tables show")
-    if not built.name.isprintable() or len(built.name) > _LONGEST_NAME:
-        raise InputError(
-            f"model {name!r} has the name {built.name[:40]!r}; a name is at most {_LONGEST_NAME} printable characters"
-        )
+    try:
+        called = getattr(built, "name", None)
+    except FAILURES as error:
+        raise _raised(name, "asking for its name", error) from error
+    _require_name(called, name)
     typed: Planner = built
     return typed
+
+
+def _require_name(called: Any, name: str) -> None:
+    """Whether that is a name that tables can show."""
+    if not isinstance(called, str) or not called:
+        raise InputError(f"model {name!r} has no name; set the attribute name, a string that tables show")
+    if not called.isprintable() or len(called) > _LONGEST_NAME:
+        raise InputError(
+            f"model {name!r} has the name {called[:40]!r}; a name is at most {_LONGEST_NAME} printable characters"
+        )

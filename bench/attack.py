@@ -17,6 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from bench.attacking.campaign import Campaign, Result, run_campaign
+from bench.attacking.doors import Doors
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, FINE
 
@@ -30,13 +31,16 @@ def main() -> None:
     )
     parser.add_argument("--only", type=int, action="append", help="run this variant again; may be repeated")
     parser.add_argument("--kind", help="only kinds whose name holds this")
+    parser.add_argument("--doors", action="store_true", help="options and planners instead of files")
     options = parser.parse_args()
-    campaign = Campaign(options.folder, options.seed)
+    campaign: Campaign | Doors = (Doors if options.doors else Campaign)(options.folder, options.seed)
     # A child that collects garbage would copy every page that it shares with this process.
     gc.freeze()
-    numbers = options.only or [
-        number for number in range(options.count) if (options.kind or "") in TARGETS[number % len(TARGETS)].kind
-    ]
+    if isinstance(campaign, Doors):
+        kinds = [tried.kind for tried in campaign.tries[: options.count]]
+    else:
+        kinds = [TARGETS[number % len(TARGETS)].kind for number in range(options.count)]
+    numbers = options.only or [number for number, kind in enumerate(kinds) if (options.kind or "") in kind]
     results = list(run_campaign(campaign, numbers, again=bool(options.only)))
     print(table(results))
     for result in results:
@@ -44,7 +48,8 @@ def main() -> None:
             print(f"\n{result.verdict}: {result.kind}, {result.command}: {result.name}")
             print(f"  exit code {result.code}, {result.cpu_s} s of processor time, {result.peak_mb} MB")
             print(f"  {result.said or 'said nothing'}")
-            print(f"  again: python bench/attack.py --seed {options.seed} --only {result.number}")
+            doors = " --doors" if options.doors else ""
+            print(f"  again: python bench/attack.py{doors} --seed {options.seed} --only {result.number}")
     sys.exit(any(result.verdict in FALLEN for result in results))
 
 

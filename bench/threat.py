@@ -116,6 +116,7 @@ def measured(source: DataSet, data: str, setting: Setting, seed: int, options: a
         prior=prior,
         prior_fingerprint=prior().fingerprint,
         state=options.folder / "state",
+        timings=options.folder / "timings",
     )
     names = source.scene_names("val")[: options.limit]
     found = search_chains(search, source, names, LocalProcesses(1))

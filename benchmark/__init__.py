@@ -48,7 +48,10 @@ _DEFINED_IN: Final = {
     "adapters.result_files.planner": ["result_file_factory"],
     "adapters.result_files.writing.formats": ["write_results"],
     "benchmark.evaluation": ["evaluate", "EvalSettings"],
+    "benchmark.runs.shards": ["Shard"],
+    "benchmark.sharded": ["plan_shard", "merge_shards"],
     "benchmark.judging.splits": ["judge_split"],
+    "benchmark.challenge.scoring": ["ScoreSettings"],
     "benchmark.runs.driving": ["drive_split", "drive_planners", "DriveSettings"],
     "benchmark.runs.rescoring_drives": ["rescore_drives", "rescore_all_drives"],
     "benchmark.records.drives": ["DriveRecord", "load_drives", "find_drives"],
@@ -58,7 +61,12 @@ _DEFINED_IN: Final = {
     "benchmark.records.review": ["Verdict"],
     "benchmark.datasets.reviewed": ["record_verdicts", "scene_tokens"],
     "benchmark.metrics.frames": ["samples_frame"],
+    "benchmark.cards.data_card": ["write_data_card"],
+    "benchmark.cards.records_card": ["write_records_card"],
+    "benchmark.cards.writing": ["CardSettings"],
     "benchmark.datasets.infos.exporting": ["InfoSettings", "export_infos"],
+    "benchmark.datasets.exchange.exporting": ["export_scenarionet"],
+    "benchmark.datasets.exchange.openscenario": ["export_openscenario"],
     "benchmark.runs.rescoring": ["rescore", "rescore_all"],
     "benchmark.runs.submissions.checking": ["check_submission"],
     "benchmark.runs.reproducing": ["reproduce", "published_numbers", "expected_file", "store_expected"],
@@ -67,11 +75,15 @@ _DEFINED_IN: Final = {
     "leaderboard.tables.transfer": ["transfer_matrices", "transfer_table", "agreement_table"],
     "leaderboard.tables.collision": ["run_tables"],
     "leaderboard.tables.slices": ["slice_tables"],
+    "leaderboard.publishing.checking": ["check_publishable"],
     "leaderboard.tables.disagreement": ["disagreement_table"],
     "leaderboard.figures.heat_map": ["write_heat_map"],
     "generation.build.settings": ["BuildSettings"],
     "generation.splits.building": ["build_frozen"],
     "generation.splits.packaged": ["frozen_split", "packaged_splits"],
+    "generation.splits.edited": ["edited_split"],
+    "generation.splits.packing": ["PackageContents", "pack_split"],
+    "generation.splits.unpacking": ["read_split_package"],
     "generation.search.hyperparameters": ["HyperParameters"],
     "generation.search.presets": ["hyper_parameters", "trajectory_model"],
     "generation.render.magicdrive.command": ["magicdrive_renderer"],
@@ -97,6 +109,9 @@ _RENAMED: Final = {
     "recorded_samples": "adapters.result_files.samples:samples_of_data",
     "data_contents": "benchmark.datasets.contents:contents",
     "data_statistics": "benchmark.datasets.statistics:statistics",
+    "challenge_rules": "benchmark.challenge.rules:read_rules",
+    "check_challenge": "benchmark.challenge.checking:check_entry",
+    "score_challenge": "benchmark.challenge.scoring:score_entries",
     "check_data": "benchmark.datasets.integrity.check:check_tables",
     "explain_protocols": "benchmark.protocols.explain.pictures:explain",
     "generate": "generation.build.split:build_split",
@@ -108,6 +123,9 @@ _FACE: Final = {name: f"{module}:{name}" for module, names in _DEFINED_IN.items(
 
 if TYPE_CHECKING:
     from benchmark.api import (
+        PackageContents as PackageContents,
+        edited_split as edited_split,
+        read_split_package as read_split_package,
         BuildSettings as BuildSettings,
         FilmSettings as FilmSettings,
         HyperParameters as HyperParameters,
@@ -119,6 +137,7 @@ if TYPE_CHECKING:
         agreement_table as agreement_table,
         build_frozen as build_frozen,
         build_town as build_town,
+        check_publishable as check_publishable,
         disagreement_table as disagreement_table,
         drive_settings as drive_settings,
         drive_tables as drive_tables,
@@ -136,6 +155,7 @@ if TYPE_CHECKING:
         magicdrive_renderer as magicdrive_renderer,
         open_data as open_data,
         open_split as open_split,
+        pack_split as pack_split,
         packaged_splits as packaged_splits,
         plan_file_factory as plan_file_factory,
         recognise as _open_results,
@@ -168,8 +188,16 @@ if TYPE_CHECKING:
         write_pictures as write_pictures,
         write_sheets as write_sheets,
     )
+    from benchmark.cards.data_card import write_data_card as write_data_card
+    from benchmark.cards.records_card import write_records_card as write_records_card
+    from benchmark.cards.writing import CardSettings as CardSettings
+    from benchmark.challenge.checking import check_entry as _check_challenge
+    from benchmark.challenge.rules import read_rules as _challenge_rules
+    from benchmark.challenge.scoring import ScoreSettings as ScoreSettings, score_entries as _score_challenge
     from benchmark.cli.demonstration import demo as demo, full_demo as full_demo, stale_demo as stale_demo
     from benchmark.datasets.contents import contents as _data_contents
+    from benchmark.datasets.exchange.exporting import export_scenarionet as export_scenarionet
+    from benchmark.datasets.exchange.openscenario import export_openscenario as export_openscenario
     from benchmark.datasets.infos.exporting import InfoSettings as InfoSettings, export_infos as export_infos
     from benchmark.datasets.integrity.check import check_tables as _check_data
     from benchmark.datasets.reviewed import record_verdicts as record_verdicts, scene_tokens as scene_tokens
@@ -220,10 +248,14 @@ if TYPE_CHECKING:
         rescore_drives as rescore_drives,
     )
     from benchmark.runs.submissions.checking import check_submission as check_submission
+    from benchmark.runs.shards import Shard as Shard
     from benchmark.scene import Scene as Scene
+    from benchmark.sharded import merge_shards as merge_shards, plan_shard as plan_shard
     from benchmark.sheets.writing import SheetSettings as SheetSettings
 
     QualityDefinition = _QualityDefinition
+    challenge_rules = _challenge_rules
+    check_challenge = _check_challenge
     check_data = _check_data
     data_contents = _data_contents
     data_statistics = _data_statistics
@@ -232,6 +264,7 @@ if TYPE_CHECKING:
     generate = _generate
     open_results = _open_results
     recorded_samples = _recorded_samples
+    score_challenge = _score_challenge
 else:
     __all__ = ("__version__", *_FACE)
 

@@ -161,3 +161,5 @@ DETECTION_CLASS_OF_CATEGORY: Final = {
 """Class of the detection task of nuScenes by category; other categories are not detected."""
 DETECTION_CLASSES: Final = tuple(dict.fromkeys(DETECTION_CLASS_OF_CATEGORY.values()))
 """Classes of the detection task of nuScenes, in the order that the table above has them: that of networks' outputs."""
+LARGEST_SEED = (1 << 63) - 1
+"""Of a command and of a planner; from 0."""

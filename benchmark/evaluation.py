@@ -8,17 +8,19 @@ changed protocol never needs the planner.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError, did_you_mean
 from benchmark.judging.kept import judged_facts
 from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.pages import keep_pages
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import LocalProcesses, map_ordered
@@ -26,12 +28,14 @@ from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
+from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, write_record
 from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.failures import write_failures
-from benchmark.runs.plan_rows import PlannerFactory, facts_of, rows_path
-from benchmark.runs.run_directory import run_directory, tidy
+from benchmark.runs.plan_rows import PlannerFactory, rows_path, supervision_said
+from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.run_directory import note_times, run_directory, tidy, timing_path
 from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
 from benchmark.runs.whole_split import work_through
 
@@ -53,6 +57,7 @@ class EvalSettings:
         workers: Number of processes; the result does not depend on it.
         seed: Seed of the intervals.
         fresh: Plan again even where plans are kept.
+        timings: Folder for notes on how long planning took, one file a record; without it none are kept.
     """
 
     protocols: tuple[str, ...] = STANDARD
@@ -61,6 +66,7 @@ class EvalSettings:
     workers: int = 1
     seed: int = 0
     fresh: bool = False
+    timings: Path | None = None
 
     def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
         """The scenes that will run.
@@ -145,7 +151,96 @@ def evaluate(
         InputError: If the split, a scene or a protocol is unknown, the data is broken, or another command is writing
             the same record.
     """
-    settings = settings or EvalSettings()
+    return evaluate_together(data, split, [(planner, settings or EvalSettings())], out, reopen=reopen)[0]
+
+
+def evaluate_together(
+    data: "DataSet",
+    split: str,
+    planners: Sequence[tuple[Planner | PlannerFactory, EvalSettings]],
+    out: Path,
+    *,
+    reopen: Callable[[], "DataSet"] | None = None,
+) -> list[RunRecord]:
+    """`evaluate` for several planners; those that need no network read each scene together.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        planners: Planners, or factories, each with its settings.
+        out: Folder of run directories.
+        reopen: As for `evaluate`.
+
+    Returns:
+        Their records, the same as one by one.
+
+    Raises:
+        InputError: As for `evaluate`.
+    """
+    records: list[RunRecord] = []
+    waiting: list[_Planned] = []
+    for planner, settings in planners:
+        planned = _planned(data, split, planner, out, settings)
+        if waiting and not all(planned.goes_with(other) for other in waiting):
+            records += _evaluated(data, split, waiting, out, reopen)
+            waiting = []
+        waiting.append(planned)
+    return [*records, *_evaluated(data, split, waiting, out, reopen)]
+
+
+def runs_of(
+    data: "DataSet",
+    split: str,
+    planners: Sequence[tuple[Planner | PlannerFactory, EvalSettings]],
+    out: Path,
+) -> Iterator[tuple[Run, Planner, PlannerFactory | None, EvalSettings, tuple[str, ...]]]:
+    """What `evaluate_together` would run, for whoever does a part of it (`benchmark.sharded`); arguments as there.
+
+    Yields:
+        The run, its planner, what builds the planner elsewhere, if anything, its settings, and all its scenes.
+    """
+    for planner, settings in planners:
+        planned = _planned(data, split, planner, out, settings)
+        yield planned.run, planned.ready, planned.factory, planned.settings, planned.scenes
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """A run that is about to begin.
+
+    Attributes:
+        run: The run.
+        ready: Its planner.
+        factory: What builds it in another process, if anything.
+        settings: Which scenes, judged by whom, in how many processes.
+        scenes: The scenes that will run.
+    """
+
+    run: Run
+    ready: Planner
+    factory: PlannerFactory | None
+    settings: EvalSettings
+    scenes: tuple[str, ...]
+
+    @property
+    def portable(self) -> bool:
+        """Whether it may run in other processes."""
+        return self.factory is not None and not isinstance(self.ready, RemotePlanner)
+
+    @property
+    def light(self) -> bool:
+        """Whether reading a scene takes longer than its planner does, and several of them fit into memory."""
+        return self.portable and self.run.planner.weights_sha256 is None and not remembers_across_scenes(self.ready)
+
+    def goes_with(self, other: "_Planned") -> bool:
+        """Whether both can be done scene by scene together."""
+        same = (self.scenes, self.settings.workers) == (other.scenes, other.settings.workers)
+        return same and self.light and other.light and self.run.directory != other.run.directory
+
+
+def _planned(
+    data: "DataSet", split: str, planner: Planner | PlannerFactory, out: Path, settings: EvalSettings
+) -> _Planned:
     if settings.workers < 1:
         raise InputError(f"--workers must be at least 1, got {settings.workers}")
     factory = None if hasattr(planner, "plan") else planner
@@ -153,58 +248,108 @@ def evaluate(
     if remembers_across_scenes(ready):
         require_whole_split(ready.name, settings.scenes, settings.limit, settings.workers)
     facts = facts_of(ready) if factory is None else factory.facts
-    versions = {name: protocol(name).version for name in settings.protocols}
+    if facts.weights_sha256 is not None:
+        keep_pages()
+    for name in settings.protocols:
+        protocol(name)
     scenes, every_scene = settings.chosen(data, split), data.scene_names(split)
     directory = run_directory(out, data.name, split, facts, () if len(scenes) == len(every_scene) else scenes)
     run = Run(directory, data.fingerprint(), split, facts, settings.protocols, settings.fresh)
+    return _Planned(run, ready, factory, settings, scenes)
+
+
+def _evaluated(
+    data: "DataSet",
+    split: str,
+    planned: Sequence[_Planned],
+    out: Path,
+    reopen: Callable[[], "DataSet"] | None,
+) -> list[RunRecord]:
+    """Records of runs that go together, or of a single one."""
+    if not planned:
+        return []
+    runs, workers, scenes = [each.run for each in planned], planned[0].settings.workers, planned[0].scenes
     elsewhere = None
-    if factory is not None and settings.workers > 1 and not isinstance(ready, RemotePlanner):
+    if workers > 1 and all(each.portable for each in planned):
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
-        elsewhere = partial(work_in_worker, run, opener, factory)
-    described = {
-        "planner": facts,
-        "data": {"name": data.name, "version": data.version, "fingerprint": run.fingerprint},
+        elsewhere = partial(work_in_worker, runs, opener, [each.factory for each in planned if each.factory])
+    shared = _of_the_data(data, split, scenes, out, workers)
+    with ExitStack() as writing:
+        for run in runs:
+            writing.enter_context(only_writer(run.directory))
+        label = f"{', '.join(run.planner.name for run in runs[:3])}{', ...' if len(runs) > 3 else ''} on {split}"
+        if remembers_across_scenes(planned[0].ready):
+            found: Iterator[list[SceneResult]] = (
+                [result] for result in work_through(runs[0], data, planned[0].ready, scenes)
+            )
+        else:
+            here = partial(work_here, runs, data, [each.ready for each in planned])
+            found = _results(scenes, here, elsewhere, workers, label)
+        rows: list[Rows] = [Rows() for _ in runs]
+        seconds: list[dict[str, float | None]] = [{} for _ in runs]
+        for results in progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)):
+            for place, result in enumerate(results):
+                rows[place].add(result.rows)
+                seconds[place][result.scene] = result.seconds
+        return [
+            # Rows are by scene and time, in whatever order scenes were planned.
+            _written(each, shared, own.in_order_of(scenes), spent, out)
+            for each, own, spent in zip(planned, rows, seconds, strict=True)
+        ]
+
+
+def _of_the_data(data: "DataSet", split: str, scenes: tuple[str, ...], out: Path, workers: int) -> dict[str, Any]:
+    """What a record says of the data set and of the machine."""
+    return {
+        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
         "split": split,
         "scenes": list(scenes),
-        "scenes_in_split": len(every_scene),
-        "scene_facts": judged_facts(data, scenes, out, LocalProcesses(settings.workers)),
+        "scenes_in_split": len(data.scene_names(split)),
+        "scene_facts": judged_facts(data, scenes, out, LocalProcesses(workers)),
         "realism": stored_realism(data.root, data.version),
         "frozen_split": frozen_split_of(data.provenance()),
         "review": data.review(split).facts,
         "generated": generated_facts(data.provenance()),
-        "plans_from": getattr(factory, "plans_from", None),
-        "config": {"protocols": list(settings.protocols), "seed": settings.seed},
         "environment": environment_facts(),
     }
-    with only_writer(directory):
-        label = f"{facts.name} on {split}"
-        if remembers_across_scenes(ready):
-            found = work_through(run, data, ready, scenes)
-        else:
-            found = _results(scenes, partial(work_here, run, data, ready), elsewhere, settings.workers, label)
-        results = list(progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)))
-        # Rows are by scene and time, in whatever order scenes were planned.
-        results.sort(key=lambda result: scenes.index(result.scene))
-        rows = [row for result in results for row in result.rows]
-        record = write_record(directory, described, rows, versions, seed=settings.seed)
-        write_failures(directory, record.rows)
-        # Looking plans up in a file says nothing of how fast their planner was.
-        timed = PLANS_SHA256 not in facts.settings
-        tidy(directory, {rows_path(directory, each.scene): each.seconds if timed else None for each in results})
+
+
+def _written(
+    planned: _Planned, shared: Mapping[str, Any], rows: Rows, seconds: Mapping[str, float | None], out: Path
+) -> RunRecord:
+    """Write the record of one run."""
+    facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
+    described = {
+        **shared,
+        "planner": facts,
+        "plans_from": getattr(planned.factory, "plans_from", None),
+        "config": {
+            "protocols": list(settings.protocols),
+            "seed": settings.seed,
+            **supervision_said(planned.factory),
+        },
+    }
+    versions = {name: protocol(name).version for name in settings.protocols}
+    record = write_record(directory, described, rows, versions, seed=settings.seed)
+    write_failures(directory, record.rows)
+    tidy(directory, {rows_path(directory, scene) for scene in seconds})
+    # Looking plans up in a file says nothing of how fast their planner was.
+    if settings.timings is not None and PLANS_SHA256 not in facts.settings:
+        note_times(timing_path(settings.timings, out, directory), seconds)
     return record
 
 
-def _was_there(result: SceneResult) -> bool:
-    return result.seconds is None
+def _was_there(results: Sequence[SceneResult]) -> bool:
+    return all(result.seconds is None for result in results)
 
 
 def _results(
     scenes: tuple[str, ...],
-    here: Callable[[str], SceneResult],
-    elsewhere: Callable[[str], SceneResult] | None,
+    here: Callable[[str], list[SceneResult]],
+    elsewhere: Callable[[str], list[SceneResult]] | None,
     workers: int,
     label: str,
-) -> Iterator[SceneResult]:
+) -> Iterator[list[SceneResult]]:
     """Results in the order of the scenes; the first scene is done here and tells whether more processes pay."""
     started = time.perf_counter()
     yield from map_ordered(here, scenes[:1], workers=1, label=label)

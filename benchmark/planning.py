@@ -232,6 +232,40 @@ class PlannerLateError(InputError):
     """A planner elsewhere took too long; how long it may take is the machine's matter."""
 
 
+class PlannerFailedError(Exception):
+    """A planner in a process of its own failed, as others fail that raise.
+
+    Attributes:
+        text: The traceback there, or what happened if there is none.
+    """
+
+    def __init__(self, line: str, text: str) -> None:
+        """What was raised, in a line, and with its traceback."""
+        super().__init__(line)
+        self.text = text
+
+
+class PlannerLostError(PlannerFailedError):
+    """Its process ended or had to be ended: the sample fails, and the rest of its scene; `Planner.reset` begins anew.
+
+    Attributes:
+        late: Whether it took too long.
+    """
+
+    def __init__(self, sentence: str, *, late: bool = False) -> None:
+        """What happened, without anything that differs between two runs."""
+        super().__init__(sentence, sentence)
+        self.late = late
+
+
+@runtime_checkable
+class SupervisedPlanner(Protocol):
+    """A planner in a process of its own, which is watched over there: nobody else needs to look at the clock."""
+
+    def seed_generators(self, seed: int) -> None:
+        """Global generators of its process begin there at the next `Planner.reset`."""
+
+
 @runtime_checkable
 class RemotePlanner(Protocol):
     """A planner elsewhere: it holds one scene at a time, and may go away half-way and come back remembering nothing."""

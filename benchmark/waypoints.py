@@ -5,7 +5,7 @@ import numpy as np
 from benchmark.geometry import Floats
 
 
-def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float) -> Floats:
+def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float | Floats) -> Floats:
     """Waypoints as positions of the lidar origin, x right, y forward: what every protocol reads.
 
     From ``ego`` the reference point moves ahead along the heading of each step (`chord_headings`), because the lidar
@@ -14,7 +14,7 @@ def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float) -> F
     Args:
         waypoints: (..., N, 2) metres.
         frame: ``lidar`` or ``ego`` (`benchmark.planning.PlanFrame`).
-        lidar_ahead_m: Lidar origin ahead of the rear axle.
+        lidar_ahead_m: Lidar origin ahead of the rear axle; one number, or (...) of them.
 
     Returns:
         (..., 6, 2) metres.
@@ -22,16 +22,17 @@ def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float) -> F
     if frame == "lidar":
         return waypoints
     heading = chord_headings(waypoints, start_heading_rad=0.0)
-    ahead = waypoints + lidar_ahead_m * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return points_in_lidar(ahead, lidar_ahead_m)
+    own = np.asarray(lidar_ahead_m, np.float64)[..., None]
+    ahead = waypoints + own[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return points_in_lidar(ahead, own)
 
 
-def points_in_lidar(points_ego: Floats, lidar_ahead_m: float) -> Floats:
+def points_in_lidar(points_ego: Floats, lidar_ahead_m: float | Floats) -> Floats:
     """Points of the ego frame in the lidar frame: a rigid motion, unlike that of a plan, which moves its own point.
 
     Args:
         points_ego: (..., 2) x forward, y left of the rear axle, metres.
-        lidar_ahead_m: Lidar origin ahead of the rear axle.
+        lidar_ahead_m: Lidar origin ahead of the rear axle; what is broadcast against (...).
 
     Returns:
         (..., 2) x right, y forward of the lidar origin.

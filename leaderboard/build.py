@@ -9,8 +9,9 @@ from urllib.parse import quote
 
 from benchmark.drawing.plots import DARK, page_size
 from benchmark.errors import InputError
-from benchmark.machine.storage import file_name, write_bytes, writing_to
+from benchmark.machine.storage import file_name, is_left_over, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport
+from benchmark.records.challenge_scores import ChallengeScores
 from benchmark.records.drives import DriveRecord
 from benchmark.records.quality import QualityRecord
 from benchmark.records.run import RunRecord
@@ -26,10 +27,12 @@ from leaderboard.paper.runtime_chart import runtime_charts
 from leaderboard.selection import one_run_each
 from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
+from leaderboard.tables.challenges import CHALLENGES, challenge_tables
 from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
 from leaderboard.tables.drives import drive_tables
 from leaderboard.tables.loops import DISAGREEMENTS, loop_tables
 from leaderboard.tables.pages import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text, table_files
+from leaderboard.tables.pressure import pressure_tables
 from leaderboard.tables.published import published_tables
 from leaderboard.tables.quality import quality_tables
 from leaderboard.tables.slices import SLICES
@@ -76,6 +79,7 @@ def leaderboard_files(
     sheets: Sheets = NO_SHEETS,
     ablations: Sequence[AblationReport] = (),
     drives: Sequence[DriveRecord] = (),
+    challenges: Sequence[ChallengeScores] = (),
 ) -> Files:
     """The leaderboard's files without the site.
 
@@ -85,13 +89,14 @@ def leaderboard_files(
         sheets: Scene sheets: statistics, manoeuvres, search and runtime are made from them.
         ablations: Ablation studies.
         drives: Records of drives.
+        challenges: Scores of entries of challenges.
 
     Returns:
         ``README.md`` with the tables under ``exact`` and the planners' own protocols first; per table, LaTeX, CSV and
         JSON, and per other protocol a page, below ``tables/<data set>/``; heat maps and the other figures (PNG and SVG)
         below ``figures/<data set>/``; the published numbers apart from ours below ``published/``.
     """
-    return _made(records, quality, sheets, ablations, drives).files
+    return _made(records, quality, sheets, ablations, drives, challenges).files
 
 
 @dataclass(slots=True)
@@ -136,11 +141,13 @@ def _made(
     sheets: Sheets,
     ablations: Sequence[AblationReport],
     drives: Sequence[DriveRecord],
+    challenges: Sequence[ChallengeScores],
     *,
     site: bool = False,
 ) -> _Made:
     """Tables and figures; ``README.md`` names the site if there is one."""
-    found = leaderboard_tables(records) if records or not (quality or sheets.splits or ablations or drives) else []
+    others = bool(quality or sheets.splits or ablations or drives or challenges)
+    found = leaderboard_tables(records) if records or not others else []
     made = _Made()
     sections = ["# Leaderboard", "", "Made from run records by `challenger-bench leaderboard`; do not edit.", ""]
     if site:
@@ -150,6 +157,7 @@ def _made(
     for data_set in found:
         sections += _add_data_set(made, data_set, sheets, [record for each in found for record in each.records])
     sections += _add_closed_loop(made, drives)
+    sections += _add_challenges(made, challenges)
     sections += _add_quality(made, quality)
     sections += _add_paper(made, found, sheets, ablations)
     for name, tables in generation_tables(sheets, ablations).items():
@@ -204,6 +212,7 @@ def write_leaderboard(
     ablations: Sequence[AblationReport] = (),
     drives: Sequence[DriveRecord] = (),
     *,
+    challenges: Sequence[ChallengeScores] = (),
     site: bool = True,
 ) -> list[Path]:
     """Write the leaderboard; what an earlier one had and the records no longer give is removed.
@@ -215,6 +224,7 @@ def write_leaderboard(
         sheets: Scene sheets.
         ablations: Ablation studies.
         drives: Records of drives.
+        challenges: Scores of entries of challenges.
         site: Whether to write the site too.
 
     Returns:
@@ -223,7 +233,7 @@ def write_leaderboard(
     Raises:
         InputError: If a file cannot be written, or the site's folder holds something else.
     """
-    files = _all_files(records, quality, sheets, ablations, drives, site=site)
+    files = _all_files(records, quality, sheets, ablations, drives, challenges, site=site)
     if site:
         _require_own(folder / SITE_FOLDER)
     for name, content in files.items():
@@ -244,6 +254,7 @@ def stale_files(
     ablations: Sequence[AblationReport] = (),
     drives: Sequence[DriveRecord] = (),
     *,
+    challenges: Sequence[ChallengeScores] = (),
     site: bool = True,
 ) -> list[str]:
     """Files of a leaderboard that differ from what the records say.
@@ -255,12 +266,13 @@ def stale_files(
         sheets: Scene sheets.
         ablations: Ablation studies.
         drives: Records of drives.
+        challenges: Scores of entries of challenges.
         site: Whether the site belongs to it.
 
     Returns:
         One sentence for each file that is missing, differs or is left over; empty if the leaderboard is current.
     """
-    found, files = [], _all_files(records, quality, sheets, ablations, drives, site=site)
+    found, files = [], _all_files(records, quality, sheets, ablations, drives, challenges, site=site)
     for name, content in files.items():
         path = folder / name
         if not path.is_file():
@@ -342,7 +354,7 @@ def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
     lines: list[str] = []
     for name in sorted({record.facts.data.name for record in drives}):
         own = [record for record in drives if record.facts.data.name == name]
-        tables = [*drive_tables(own), *loop_tables(own, made.records)]
+        tables = [*drive_tables(own), *loop_tables(own, made.records), *pressure_tables(own)]
         made.place(name, CLOSED_LOOP, tables)
         page, path = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(file_name(name), "closed-loop")
         made.files[path] = page_text(page, tables).encode()
@@ -350,6 +362,17 @@ def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
         lines += [f"## {page}", "", *(table.markdown() for table in tables if table not in scenes)]
         if scenes:
             lines += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(path)}).", ""]
+    return lines
+
+
+def _add_challenges(made: _Made, challenges: Sequence[ChallengeScores]) -> list[str]:
+    """Add the tables of challenges, beside those of the planners on the same recordings; their sections."""
+    lines: list[str] = []
+    for scores in challenges:
+        tables = challenge_tables(scores)
+        made.place(scores.base.name, CHALLENGES, tables)
+        lines += [f"## {escape_markdown(scores.base.name)}: challenge {escape_markdown(scores.challenge)}", ""]
+        lines += [table.markdown() for table in tables]
     return lines
 
 
@@ -363,11 +386,12 @@ def _all_files(
     sheets: Sheets,
     ablations: Sequence[AblationReport],
     drives: Sequence[DriveRecord],
+    challenges: Sequence[ChallengeScores],
     *,
     site: bool,
 ) -> dict[str, bytes | Path]:
     """Every file; a path as value means a copy of that file, so that pictures are not all held at once."""
-    made = _made(records, quality, sheets, ablations, drives, site=site)
+    made = _made(records, quality, sheets, ablations, drives, challenges, site=site)
     if not site:
         return dict(made.files)
     shown = {figure.path for figure in made.figures}
@@ -377,8 +401,13 @@ def _all_files(
 
 
 def _require_own(folder: Path) -> None:
-    """Refuse to write into, and later clear, a folder that is not a site of ours."""
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / INDEX_PATH).is_file():
+    """Refuse to write into, and later clear, a folder that is not a site of ours.
+
+    Empty folders and unfinished files are nobody's: who is killed before a first site has its first file leaves some.
+    """
+    if not (folder / INDEX_PATH).is_file() and any(
+        not path.is_dir() and not is_left_over(path) for path in folder.rglob("*")
+    ):
         raise InputError(
             f"{folder} holds files that are not the leaderboard's (it has no {INDEX_PATH}); move it away, name another "
             "folder with --to, or leave the site out with --no-site"

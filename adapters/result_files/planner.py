@@ -18,7 +18,7 @@ from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, PlansFrom
 from benchmark.report.words import counted
 from benchmark.runs.code_identity import code_sha256
-from benchmark.runs.plan_rows import known_native
+from benchmark.runs.planner_facts import known_native
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet

@@ -14,9 +14,9 @@ from adapters.checkpoints.cache import Provenance, load_weights, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
 from adapters.models import Model, miniature, resolve
 from adapters.training.card import card_of
-from adapters.training.frame_store import FrameStore, build_frames, frames_key
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
+from adapters.training.mixture import ADVERSARIAL_SPLIT, Frames, MixedFrames, gathered, require_made_from
 from adapters.training.phases import Phase
 from adapters.training.plan_figures import Images, figures, plan_figures
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
@@ -31,7 +31,6 @@ from benchmark.machine.storage import (
     write_bytes,
     write_json,
 )
-from benchmark.machine.workspace import cache_root
 from benchmark.weights.tensors import read_tensors
 from benchmark.weights.training_run import tensors_key
 
@@ -70,6 +69,7 @@ class PlannerTraining:
         judged_on: Data set on whose split ``val`` the result is measured; on held-out scenes of the split if none.
         device: Where to compute: cpu, cuda, auto.
         workers: Processes that gather the frames.
+        adversarial: Roots of adversarial scenes made from scenes of the split, learned from as well.
     """
 
     model: str
@@ -84,6 +84,7 @@ class PlannerTraining:
     judged_on: Path | None = None
     device: str = "auto"
     workers: int = 1
+    adversarial: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         if self.model != ENCODER_NAME:
@@ -113,10 +114,18 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     given = _given_weights(training)
     data = open_data(training.data_root)
     judge = None if training.judged_on is None else open_data(training.judged_on)
-    folder = cache_root() / "training" / frames_key(data, training.split)[:16]
-    store = build_frames(training.data_root, training.split, folder, workers=training.workers)
-    held_out = store.scenes[::HELD_OUT_EVERY] if len(store.scenes) > 1 else ()
-    learned = [number for name in store.scenes if name not in held_out for number in store.frames_of(name)]
+    sources = {root: require_made_from(root, data, training.split) for root in training.adversarial}
+    recorded = gathered(training.data_root, training.split, workers=training.workers)
+    held_out = recorded.scenes[::HELD_OUT_EVERY] if len(recorded.scenes) > 1 else ()
+    store: Frames = recorded
+    if sources:
+        more = [gathered(root, ADVERSARIAL_SPLIT, workers=training.workers) for root in sources]
+        store = MixedFrames([recorded, *more])
+    # What was made from a held-out scene is held out as well.
+    made_from = {name: source for of_root in sources.values() for name, source in of_root.items()}
+    learned = [
+        number for name in store.scenes if made_from.get(name, name) not in held_out for number in store.frames_of(name)
+    ]
     if training.model == ENCODER_NAME:
         return _train_encoder(training, store, learned)
     checked = _Checked(miniature(training.model), data, held_out)
@@ -150,7 +159,7 @@ def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
     return facts
 
 
-def _train_encoder(training: PlannerTraining, store: FrameStore, learned: Sequence[int]) -> dict[str, Any]:
+def _train_encoder(training: PlannerTraining, store: Frames, learned: Sequence[int]) -> dict[str, Any]:
     torch.manual_seed(content_seed("network", ENCODER_NAME, training.seed))
     network = ImageEncoder()
     phase = Phase("all", lambda _: ImageEncoderObjective(network), _ENCODER_RECIPE)
@@ -173,7 +182,7 @@ def _train_encoder(training: PlannerTraining, store: FrameStore, learned: Sequen
 
 def _train_miniature(
     training: PlannerTraining,
-    store: FrameStore,
+    store: Frames,
     learned: Sequence[int],
     given: Mapping[str, Mapping[str, Tensor]],
     checked: "_Checked",
@@ -206,7 +215,7 @@ def _train_miniature(
 
 def _write_miniature(
     training: PlannerTraining,
-    store: FrameStore,
+    store: Frames,
     learned: Sequence[int],
     phases: Sequence[Phase],
     weights: Mapping[str, Tensor],
@@ -282,7 +291,7 @@ def _take(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
     network.load_state_dict(fitting, strict=False)
 
 
-def _frames_for_anchors(store: FrameStore, learned: Sequence[int]) -> list[TrainingFrame]:
+def _frames_for_anchors(store: Frames, learned: Sequence[int]) -> list[TrainingFrame]:
     """Frames from all over the split, without their images."""
     step = max(min(ANCHORS_EVERY, len(learned) // ANCHOR_FRAMES), 1)
     frames = (store.frame(number) for number in learned[::step])
@@ -299,7 +308,7 @@ def _halved(value: Tensor) -> Tensor:
     return value.half() if value.is_floating_point() and value.numel() >= HALF_FROM else value
 
 
-def _provenance(training: PlannerTraining, store: FrameStore, tensors: Mapping[str, Tensor]) -> Provenance:
+def _provenance(training: PlannerTraining, store: Frames, tensors: Mapping[str, Tensor]) -> Provenance:
     return Provenance(
         model=training.model,
         source=f"challenger-bench train planner --model {training.model}",
@@ -314,7 +323,7 @@ def _provenance(training: PlannerTraining, store: FrameStore, tensors: Mapping[s
 
 def _facts(
     training: PlannerTraining,
-    store: FrameStore,
+    store: Frames,
     learned: Sequence[int],
     phases: Sequence[Phase],
     tensors: Mapping[str, Tensor],
@@ -323,6 +332,7 @@ def _facts(
         "model": training.model,
         "data": training.data_root.resolve().name,
         "split": training.split,
+        **({"adversarial": [root.resolve().name for root in training.adversarial]} if training.adversarial else {}),
         "frames_identity": store.identity,
         "frames": len(learned),
         "scenes": len(store.scenes),

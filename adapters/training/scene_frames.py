@@ -12,10 +12,12 @@ from adapters.camera_inputs import MINIATURE_IMAGE, RGB_MEAN_STD, camera_images,
 from adapters.camera_inputs import lidar_to_image as lidar_to_image_of
 from adapters.checkpoints.sightings import detected_classes, map_lines
 from adapters.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STEPS, LINE_POINTS
+from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses
 from benchmark.geometry import Bools, Floats, to_global
 from benchmark.planning import Observation
+from benchmark.records.off_path import excursions_of, worth_following
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
@@ -55,12 +57,13 @@ def scene_arrays(data: DataSet, name: str) -> Arrays:
         InputError: If the scene is broken, or an image is missing.
     """
     scene, truths = data.scene(name), data.truth(name)
+    excursions = excursions_of(data.provenance(), name)
     classes = np.array(detected_classes(scene), np.int64)
     motion = _motion(scene)
     poses = planar_lidar_poses(scene)
     frames = [
         _of_camera(observation)
-        | _of_ego(observation, truth)
+        | _of_ego(observation, truth, worth_following(excursions, *_seconds(scene, observation.index)))
         | _of_agents(scene, motion, classes, observation)
         | _of_map(scene.road_map, poses[observation.index])
         for observation, truth in zip(data.observations(name), truths, strict=True)
@@ -97,14 +100,21 @@ def _of_camera(observation: Observation) -> Arrays:
     return {"images": pixels, "lidar2img": lidar_to_image_of(observation, MINIATURE_IMAGE)}
 
 
-def _of_ego(observation: Observation, truth: SampleTruth) -> Arrays:
+def _seconds(scene: Scene, keyframe: int) -> tuple[Floats, Floats]:
+    """Seconds from the start of the scene: () of a key frame, (6,) of the steps of a plan that is made there."""
+    now = np.array((scene.timestamps_us[scene.keyframes[keyframe]] - scene.timestamps_us[0]) * 1e-6)
+    return now, now + PLAN_STEP_S * np.arange(1, PLAN_STEPS + 1)
+
+
+def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Arrays:
+    """What is known of the ego; ``shows`` (6,) says which steps of its future a planner may learn from."""
     return {
         "timestamp_s": np.array(observation.timestamp_us * 1e-6),
         "global_T_lidar": lidar_pose(observation),
         "can_bus": can_bus_vector(observation.ego),
         "command": np.array(observation.command, np.int64),
         "ego_future": truth.ego_future[:, :2].astype(np.float32),
-        "ego_future_valid": truth.ego_future_valid,
+        "ego_future_valid": truth.ego_future_valid & shows,
     }
 
 

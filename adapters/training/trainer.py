@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from adapters.training.frame_store import FrameStore
 from adapters.training.frames import BatchObjective, Objective, TrainingFrame
+from adapters.training.mixture import Frames
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
 from benchmark.machine.progress import Count, progress
@@ -68,7 +68,7 @@ class Recipe:
 
 def fit(
     objective: Objective,
-    store: FrameStore,
+    store: Frames,
     frames: Sequence[int],
     recipe: Recipe,
     out: Path,
@@ -145,7 +145,7 @@ def as_channels_last(network: nn.Module) -> None:
             module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-def clip_of(store: FrameStore, frames: Sequence[int], recipe: Recipe, length: int, draw: int) -> list[TrainingFrame]:
+def clip_of(store: Frames, frames: Sequence[int], recipe: Recipe, length: int, draw: int) -> list[TrainingFrame]:
     """The clip of a draw: every frame ends one clip before any ends a second one.
 
     Args:
@@ -213,7 +213,7 @@ def learning_rate(recipe: Recipe, step: int) -> float:
 
 
 def _take_step(
-    run: TrainingRun[nn.Module], objective: Objective, store: FrameStore, frames: Sequence[int], recipe: Recipe
+    run: TrainingRun[nn.Module], objective: Objective, store: Frames, frames: Sequence[int], recipe: Recipe
 ) -> dict[str, float]:
     torch.manual_seed(content_seed("training step", recipe.seed, run.step))
     for group in run.optimiser.param_groups:

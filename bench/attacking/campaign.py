@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from random import Random
-from typing import Final
+from typing import Final, Protocol
 
 from bench.attacking.children import Ended, run_command
 from bench.attacking.mutations import FORMS
@@ -96,6 +96,7 @@ class Campaign:
         self.folder = folder.resolve()
         self.seed = seed
         self.targets = targets
+        self.results = RESULTS.format(seed=seed)
         preload()
         self.valid = make_valid(self.folder)
         self.numbers: dict[str, str] = {}
@@ -204,7 +205,17 @@ def known_results(path: Path) -> dict[int, Result]:
     return found
 
 
-def run_campaign(campaign: Campaign, numbers: Iterable[int], *, again: bool = False) -> Iterator[Result]:
+class Runnable(Protocol):
+    """What `run_campaign` runs: attacks by number, with a folder and the name of the list of results in it."""
+
+    folder: Path
+    results: str
+
+    def run(self, number: int) -> Result:
+        """Make one attack, and say what became of it."""
+
+
+def run_campaign(campaign: Runnable, numbers: Iterable[int], *, again: bool = False) -> Iterator[Result]:
     """Run attacks, and keep what became of them below the campaign's folder.
 
     Args:
@@ -215,7 +226,7 @@ def run_campaign(campaign: Campaign, numbers: Iterable[int], *, again: bool = Fa
     Yields:
         A result for each, kept ones included.
     """
-    path = campaign.folder / RESULTS.format(seed=campaign.seed)
+    path = campaign.folder / campaign.results
     known = {} if again else known_results(path)
     began = time.monotonic()
     for done, number in enumerate(numbers):

@@ -46,31 +46,65 @@ def patience_s() -> float:
     return HANG_S * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
-def run_command(arguments: list[str], folder: Path, cache: Path) -> Ended:
+def run_command(arguments: list[str], folder: Path, cache: Path, *, patience: float | None = None) -> Ended:
     """Run a command of the command line.
 
     Args:
         arguments: What follows ``challenger-bench``.
         folder: Current directory of the command; what it prints is kept beside it.
         cache: The user's cache of the command.
+        patience: How long it may take on the wall, seconds; `patience_s` by default.
 
     Returns:
         How it ended.
     """
+    allowed = patience_s() if patience is None else patience
+    child, printed = begin_command(arguments, folder, cache, bounded=patience is None)
+    return end_command(child, printed, allowed)
+
+
+def begin_command(
+    arguments: list[str], folder: Path, cache: Path, *, bounded: bool = False
+) -> tuple[int, tuple[Path, Path]]:
+    """Begin a command in a process group of its own.
+
+    Args:
+        arguments: What follows ``challenger-bench``.
+        folder: Its current directory.
+        cache: The user's cache of the command.
+        bounded: Whether its processor time is.
+
+    Returns:
+        The process, and the files of what it prints, for `end_command`.
+    """
     printed = folder.with_name(f"{folder.name}.out"), folder.with_name(f"{folder.name}.err")
-    patience, began = patience_s(), time.monotonic()
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
-        _be_command(arguments, folder, cache, printed)
+        _be_command(arguments, folder, cache, printed, bounded=bounded)
+    return child, printed
+
+
+def end_command(child: int, printed: tuple[Path, Path], patience: float) -> Ended:
+    """Wait for a command, and end what is left of its process group.
+
+    Args:
+        child: From `begin_command`.
+        printed: From there, too; the files are removed.
+        patience: How long it may take from now, seconds.
+
+    Returns:
+        How it ended.
+    """
+    began = time.monotonic()
     code, usage = _await(child, began + patience * _OVER)
     wall = time.monotonic() - began
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)
-    out, err = (path.read_text(errors="replace") for path in printed)
+    out, err = (path.read_text(errors="replace") if path.exists() else "" for path in printed)
     for path in printed:
-        path.unlink()
+        path.unlink(missing_ok=True)
     cpu = usage.ru_utime + usage.ru_stime
     # Kilobytes on Linux, bytes on macOS.
     peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
@@ -94,13 +128,14 @@ def _await(child: int, deadline: float) -> tuple[int, resource.struct_rusage]:
         time.sleep(_LOOK_S)
 
 
-def _be_command(arguments: list[str], folder: Path, cache: Path, printed: tuple[Path, Path]) -> None:
+def _be_command(arguments: list[str], folder: Path, cache: Path, printed: tuple[Path, Path], *, bounded: bool) -> None:
     """Become the command; never returns."""
     code = 1
     try:
         os.setsid()
         seconds = int(HANG_S * _OVER)
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+        if bounded:
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         os.chdir(folder)
         for path, number in zip(printed, (1, 2)):

@@ -169,6 +169,14 @@ _ROOT_COMMANDS: Final[dict[str, tuple[tuple[str, ...], Numbers]]] = {
     "sheets": (("sheets", *_OUT, "--data", "{in}"), written("**/*.jsonl", "**/*.png", "**/*.jpg")),
     "data check": (("data", "check", "{in}"), printed),
 }
+_FILM: Final = ("--format", "png", "--fps", "1", "--until", "3", "--width", "320", "--layout", "birdseye")
+
+
+def _reviewed(_: Ended, folder: Path) -> str:
+    """The verdicts that stand beside the root."""
+    return (folder.parent / "reviewed" / "root" / "review.json").read_text()
+
+
 _GENERATED_COMMANDS: Final[dict[str, tuple[tuple[str, ...], Numbers]]] = {
     "eval": ((*_EVAL, "--data", "{in}", "--split", "adv", *_MODEL), printed_json),
     "data stats": (("data", "stats", "{in}", "--workers", "1"), printed),
@@ -337,6 +345,71 @@ _RECORDS: Final = tuple(
         ("run records", f"rescore, {form}", ("rescore", "--records", "{in}", *_READ, *_OUT, "--json"), printed_json),
     )
 )
+_NEWER: Final = (
+    *(
+        _file(
+            "verdict files",
+            f"data review --verdicts, {form}",
+            "reviewed",
+            form,
+            ("data", "review", "{in}/root", "--verdicts", f"{{in}}/said.{form}", *_OUT),
+            files=(f"said.{form}",),
+            numbers=_reviewed,
+            named=(*(_of_bytes(variants.JSONS) if form == "json" else ()), *SPARSE),
+            other_files=True,
+            rewrites=True,
+        )
+        for form in ("csv", "json")
+    ),
+    _file(
+        "verdict files",
+        "eval of a root with review.json",
+        "judged",
+        "json",
+        (*_EVAL, "--data", "{in}", *_MODEL),
+        files=("review.json",),
+        named=(*_of_bytes(variants.JSONS), *SPARSE),
+        other_files=True,
+    ),
+    *(
+        _file(
+            "records of drives",
+            f"{command}, {form}",
+            "drives",
+            form,
+            arguments,
+            files=files,
+            numbers=numbers,
+            named=(*_of_bytes(variants.JSONS), *SPARSE),
+            lists_faults=command == "rescore",
+            rewrites=command == "rescore",
+        )
+        for form, files in (("json", ("**/drive.json", "**/summary.json")), ("jsonl", ("**/drives.jsonl",)))
+        for command, arguments, numbers in (
+            (
+                "leaderboard",
+                ("leaderboard", "--records", "{in}", "--to", "{out}", "--no-site", "--out", "{out}"),
+                written("**/*.csv", "**/*.json"),
+            ),
+            ("rescore", ("rescore", "--records", "{in}", *_READ, *_OUT, "--json"), printed_json),
+        )
+    ),
+    *(
+        _file(
+            "sheets",
+            f"film, {name}",
+            "shown",
+            form,
+            ("film", *_READ, "--out", "{in}", "--split", "val", "--to", "{out}", *_FILM),
+            files=(f"sheets/**/{name}",),
+            numbers=written("**/*.png"),
+            named=(*_of_bytes(variants.JSONS), *SPARSE),
+            other_files=True,
+            keeps_work=True,
+        )
+        for name, form in (("sheet.json", "json"), ("split.json", "json"))
+    ),
+)
 TARGETS: Final[tuple[Target, ...]] = (
     *_WEIGHTS,
     *_FILES,
@@ -345,6 +418,7 @@ TARGETS: Final[tuple[Target, ...]] = (
         for command in _ROOT_COMMANDS
     ),
     *_RECORDS,
+    *_NEWER,
     *(
         _root("pictures of roots", command, "samples/CAM_*/*.jpg", form="bytes", named=SPARSE)
         for command in ("data show", "sheets", "data check")

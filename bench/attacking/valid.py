@@ -46,12 +46,17 @@ def make_valid(folder: Path) -> Path:
     write_weights(valid)
     write_plans(valid)
     _by_command(valid, "eval", "--model", "constant-velocity")
+    _by_command(valid, "sheets", "--split", "val", "--pictures", "none")
+    shutil.copytree(valid / "made", valid / "shown")
     (valid / "made" / "runs").rename(valid / "records")
     for name in RESULT_FORMATS:
         _by_command(valid, "eval", "--model", "constant-velocity", "--dump-results", name)
         (written,) = (path for path in (valid / "made" / "result-files").rglob(f"{name}/*") if path.is_file())
         written.rename(valid / f"{name}{written.suffix}")
     shutil.rmtree(valid / "made" / "runs")
+    _by_command(valid, "drive", "--split", "val", "--model", "stop", "--agents", "idm")
+    (valid / "made" / "drives").rename(valid / "drives")
+    write_verdicts(valid)
     _by_command(valid, "generate", *SEARCH, "--freeze", "frozen.json")
     (valid / "made" / "data" / "root" / "adv").rename(valid / "generated")
     shutil.rmtree(valid / "generated" / ".challenger")
@@ -66,6 +71,22 @@ def write_recorded(root: Path) -> None:
     scene = scene_on_straight_road(_CARS, seconds=8.0)
     finish_data_set(plan, [write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})])
     shutil.rmtree(root / ".challenger")
+
+
+def write_verdicts(folder: Path) -> None:
+    """What somebody says of the scene of the root, in both forms, beside a root of its own."""
+    reviewed = folder / "reviewed"
+    shutil.copytree(folder / "root", reviewed / "root", ignore=shutil.ignore_patterns("*.jpg"))
+    (scene,) = json.loads((reviewed / "root" / VERSION / "scene.json").read_text())
+    said = {"verdict": "rejected", "reason": "a car stands in another", "inspector": "somebody"}
+    (reviewed / "said.json").write_text(json.dumps({scene["name"]: said}, indent=1))
+    (reviewed / "said.csv").write_text(f"scene,verdict,reason\n{scene['name']},accept,looks right\n")
+    shutil.copytree(reviewed / "root", folder / "judged")
+    ended = run_command(
+        ["data", "review", "judged", "--verdicts", "reviewed/said.csv"], folder, folder / "cache", patience=600.0
+    )
+    if ended.code:
+        raise InputError(f"data review failed on what is valid: {ended.err.strip()}; mend it first")
 
 
 def write_weights(folder: Path) -> None:

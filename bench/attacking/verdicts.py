@@ -88,10 +88,12 @@ def is_a_list(said: str, places: tuple[Path, ...]) -> bool:
 
 def is_one_sentence(said: str, places: tuple[Path, ...]) -> bool:
     """Whether a refusal is one printable sentence that names a path; warnings and progress may come before it."""
+    return is_sentence(said) and any(str(place) in said.splitlines()[-1] for place in places)
+
+
+def is_sentence(said: str) -> bool:
+    """Whether a refusal is one printable sentence; warnings and progress may come before it."""
     *before, last = said.splitlines() or [""]
     if not all(map(_BEFORE.match, before)) or not said.endswith("\n"):
         return False
-    sentence = re.fullmatch(r"error: (.*)", last)
-    if sentence is None or len(last) > _LONGEST_SENTENCE or not last.isprintable():
-        return False
-    return any(str(place) in last for place in places)
+    return last.startswith("error: ") and len(last) <= _LONGEST_SENTENCE and last.isprintable()

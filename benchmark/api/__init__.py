@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from benchmark.records.run import RunRecord
     from benchmark.records.scenes import Sheets
     from benchmark.sheets.writing import SheetSettings, WrittenSheets
+    from benchmark.supervision.limits import Supervision
     from generation.build.surrogate import PlannerUnderTest
     from generation.render.contract import Renderer
 
@@ -65,10 +66,14 @@ if TYPE_CHECKING:
     from generation.sources.importing import ImportSettings as ImportSettings, import_scenarionet as import_scenarionet
     from generation.sources.mini import TownSettings as TownSettings, build_town as build_town
     from generation.splits.building import build_frozen as build_frozen
+    from generation.splits.edited import edited_split as edited_split
     from generation.splits.packaged import frozen_split as frozen_split, packaged_splits as packaged_splits
+    from generation.splits.packing import PackageContents as PackageContents, pack_split as pack_split
+    from generation.splits.unpacking import read_split_package as read_split_package
     from leaderboard.figures.heat_map import write_heat_map as write_heat_map
     from leaderboard.films.film import FilmSettings as FilmSettings
     from leaderboard.films.filming import write_films as write_films
+    from leaderboard.publishing.checking import check_publishable as check_publishable
     from leaderboard.tables.collision import run_tables as run_tables
     from leaderboard.tables.disagreement import disagreement_table as disagreement_table
     from leaderboard.tables.drives import drive_tables as drive_tables
@@ -192,7 +197,9 @@ def open_split(
 
         tell(f"rendering split {split} of the embedded data set (once, some minutes)")
         target, executor = workspace(out).split_root(source.name, split), LocalProcesses(worker_count(workers))
-        settings = BuildSettings(out=target, renderer=schematic_renderer(), frames=frames, executor=executor)
+        timings = workspace(out).timings_of(target)
+        drawing = schematic_renderer()
+        settings = BuildSettings(out=target, renderer=drawing, frames=frames, executor=executor, timings=timings)
         build_split(source, split, settings)
         return target
 
@@ -255,6 +262,7 @@ def load_planner(
     precision: str | None = None,
     as_published: "Sequence[str]" = (),
     over_http: "Mapping[str, Any] | None" = None,
+    supervision: "Supervision | None" = None,
 ) -> "NamedPlanner":
     """A planner by name, for `benchmark.evaluate`.
 
@@ -268,6 +276,7 @@ def load_planner(
         as_published: What a network does as in its published runs: ``memory``, ``can-once``, ``can-after``, or ``all``
             that it knows of these (docs/models.md).
         over_http: How a model server is asked: ``image_format``, ``deadline_s``.
+        supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
 
     Returns:
         What builds it in any process.
@@ -288,6 +297,7 @@ def load_planner(
         precision=precision,
         as_published=as_published,
         over_http=over_http,
+        supervision=supervision,
     )
 
 
@@ -315,7 +325,13 @@ def model_that_runs(name: str, checkpoint: Path | None = None, *, data: str | Pa
 
 
 def planner_under_test(
-    name: str, checkpoint: Path | None = None, *, data: str | Path = "mini", seed: int = 0, workers: int = 0
+    name: str,
+    checkpoint: Path | None = None,
+    *,
+    data: str | Path = "mini",
+    seed: int = 0,
+    workers: int = 0,
+    supervision: "Supervision | None" = None,
 ) -> "PlannerUnderTest":
     """A planner that decides about generated scenes: the surrogate of a build, or who drives in an ablation.
 
@@ -325,6 +341,7 @@ def planner_under_test(
         data: The data set that scenes are generated from.
         seed: For planners that take one.
         workers: Processes that run it; 0 takes all processors.
+        supervision: As in `load_planner`.
 
     Returns:
         The planner, and whether it looks at images.
@@ -334,7 +351,7 @@ def planner_under_test(
     """
     from generation.build.surrogate import PlannerUnderTest
 
-    factory = load_planner(name, checkpoint, data=data, seed=seed)
+    factory = load_planner(name, checkpoint, data=data, seed=seed, supervision=supervision)
     return PlannerUnderTest(factory, images=looks_at_images(name) is not False, workers=worker_count(workers))
 
 
@@ -360,7 +377,7 @@ def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSet
     from generation.nuscenes_writer.plan import STATE_FOLDER
 
     hyper = said_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
-    runtime = kept_runtime(dataset.root / STATE_FOLDER)
+    runtime = kept_runtime(dataset.root / STATE_FOLDER, workspace(root.parent).timings_of(dataset.root))
     return write(dataset, split, root, settings, runtime=runtime, hyper=hyper)
 
 
@@ -370,7 +387,8 @@ def write_leaderboard(
     """Write tables, figures and site from everything that an output folder holds.
 
     Args:
-        out: The output folder: run records, records of drives, scene sheets, video quality, ablation studies.
+        out: The output folder: run records, records of drives, scene sheets, video quality, ablation studies, scores
+            of challenges.
         to: Folder of the leaderboard; ``<out>/leaderboard`` by default.
         records: Folders of run records and of records of drives, if not ``<out>/runs`` and ``<out>/drives``.
         site: Whether to write the site too.
@@ -381,20 +399,26 @@ def write_leaderboard(
     Raises:
         InputError: If there is nothing to show, records cannot stand in one table, or files cannot be written.
     """
+    from benchmark.records.challenge_scores import find_scores
     from leaderboard.build import write_leaderboard as write
 
     found, quality, sheets, ablations, drives = _shown(out, records)
-    return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, site=site)
+    challenges = find_scores(workspace(out).challenge_root())
+    return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site)
 
 
 def stale_leaderboard(
     out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
 ) -> list[str]:
     """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
+    from benchmark.records.challenge_scores import find_scores
     from leaderboard.build import stale_files
 
     found, quality, sheets, ablations, drives = _shown(out, records)
-    return stale_files(found, to or out / "leaderboard", quality, sheets, ablations, drives, site=site)
+    challenges = find_scores(workspace(out).challenge_root())
+    return stale_files(
+        found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site
+    )
 
 
 def _shown(
@@ -413,7 +437,8 @@ def _shown(
     ablations = find_ablations(space.ablation_root())
     own = [space.drive_root()] if space.drive_root().is_dir() else []
     drives = find_drives(*(folders or own))
-    others = bool(quality or sheets.splits or ablations or drives)
+    scored = any(space.challenge_root().glob("scores-*.json"))
+    others = bool(quality or sheets.splits or ablations or drives or scored)
     no_runs = others and folders is None and not space.run_root().exists()
     roots = folders or [space.run_root()]
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))

@@ -6,7 +6,9 @@ from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
+    from benchmark.closed_loop.agents.adversary import AdversaryMaker
     from benchmark.closed_loop.drives.sensors import Sensor
     from benchmark.machine.workers import Executor
     from benchmark.runs.driving import DriveSettings
@@ -27,6 +29,13 @@ def drive_settings(
     *,
     engine: str = "default",
     agents: str = "replay",
+    adversary_knows: str = "motion",
+    adversary_every_s: float = 1.0,
+    adversary_others: str = "replay",
+    adversary_rounds: int | None = None,
+    adversary_candidates: int | None = None,
+    adversary_tracks: "Path | None" = None,
+    ladder: "Sequence[str] | None" = None,
     sensor: str = "none",
     accept_torch_tensors: bool = False,
     latency_ms: int = 0,
@@ -43,7 +52,16 @@ def drive_settings(
     Args:
         split: The split; generated ones have pictures in a style of their own.
         engine: ``default``, ``neuroncap@code`` or ``neuroncap@paper``, with departures as its switches are named.
-        agents: ``replay`` or ``idm``; NeuroNCAP's never react.
+        agents: ``replay``, ``idm``, or ``adversary``, which the search of open loop plans anew while the ego drives
+            (docs/adversary-in-the-loop.md); NeuroNCAP's never react.
+        adversary_knows: What it expects of the ego: ``plan``, ``motion`` (that it keeps its speed and its turn), or
+            ``nothing``.
+        adversary_every_s: Seconds between its plans.
+        adversary_others: Everybody else beside an adversary: ``replay`` or ``idm``.
+        adversary_rounds: Refinement rounds of its search; those of open loop by default.
+        adversary_candidates: Candidates of each round; those of open loop by default.
+        adversary_tracks: A record of drives against an adversary: its tracks are driven again, and nothing is planned.
+        ladder: Reference drivers that drive every encounter with an adversary too; all by default.
         sensor: ``none``, ``schematic``, or the address of a renderer's server (docs/model-servers.md).
         accept_torch_tensors: Whether a renderer's pictures may be saved tensors, which are pickles.
         latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
@@ -61,13 +79,38 @@ def drive_settings(
     Raises:
         InputError: If there is no such engine, policy or sensor, or they do not go together.
     """
+    from benchmark.closed_loop.agents.adversary import ADVERSARY
     from benchmark.closed_loop.engines import rides_of
+    from benchmark.closed_loop.world import ENGINE
+    from benchmark.drivers.driving import LADDER
     from benchmark.machine.workers import LocalProcesses
     from benchmark.runs.driving import DriveSettings
 
+    drivers = [driver.value for driver in LADDER]
+    if ladder is not None and (strange := [name for name in ladder if name not in drivers]):
+        raise InputError(f"there is no reference driver {strange[0]!r}; there are {', '.join(drivers)}")
+    pursuit: AdversaryMaker | None = None
+    if adversary_tracks is not None:
+        if agents != ADVERSARY:
+            raise InputError("--adversary-tracks are driven by an adversary; add --agents adversary")
+        pursuit, runs = _given_tracks(adversary_tracks, split)
+    elif agents == ADVERSARY and engine == ENGINE:
+        from generation.in_the_loop.making import InTheLoop
+        from generation.in_the_loop.settings import AdversarySettings
+
+        pursuit = InTheLoop.of(
+            AdversarySettings.of(
+                knows=adversary_knows,
+                every_s=adversary_every_s,
+                others=adversary_others,
+                rounds=adversary_rounds,
+                candidates=adversary_candidates,
+            )
+        )
     return DriveSettings(
         engine=engine,
-        maker=rides_of(engine, agents, latency_ms, scenarios),
+        maker=rides_of(engine, agents, latency_ms, scenarios, pursuit),
+        ladder=tuple(drivers if ladder is None else ladder),
         agents=agents,
         sensor=_sensor(sensor, split, tensors=accept_torch_tensors),
         runs=runs,
@@ -79,6 +122,25 @@ def drive_settings(
         timeout_s=timeout_s,
         seed=seed,
     )
+
+
+def _given_tracks(directory: "Path", split: str) -> "tuple[AdversaryMaker, int]":
+    """Adversaries on the tracks of a record of drives, and how many runs of each scene there are."""
+    from benchmark.closed_loop.agents.adversary import GivenTracks
+    from benchmark.records.drives import load_drives
+    from benchmark.runs.drive_rows import track_of
+
+    record = load_drives(directory)
+    tracks = {(row.scene, row.run): track_of(row) for row in record.rows}
+    known = {at: track for at, track in tracks.items() if track is not None}
+    if len(known) < len(tracks) or record.facts.split != split:
+        raise InputError(
+            f"{directory} holds no track of an adversary for each of its drives of {split}; name the record of a "
+            "planner that was driven with --agents adversary through the same split"
+        )
+    others = str(record.facts.measured.agents_facts.get("others", "replay"))
+    facts = {"tracks_of": record.planner, "record": record.content_id, "others": others}
+    return GivenTracks(known, others, facts), record.facts.runs
 
 
 def require_sensor(sensor: str) -> None:

@@ -67,7 +67,7 @@ def write_drive_films(
         InputError: If there is no such drive, the data set is another one, or a film cannot be written.
     """
     from benchmark import api
-    from benchmark.closed_loop.engines import rides_of
+    from benchmark.closed_loop.engines import rides_as
     from benchmark.runs.drive_sheets import driven_sheet
     from leaderboard.films.drive_film import DRIVE_FPS
     from leaderboard.films.encoding import require_webm
@@ -84,7 +84,7 @@ def write_drive_films(
     how, watched = settings or FilmSettings(fps=DRIVE_FPS), {} if watch is None else {"watch": watch}
     for record, name, rows in chosen:
         measured = record.facts.measured
-        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
+        maker = rides_as(measured)
         for row in rows:
             with tempfile.TemporaryDirectory() as folder:
                 driven = driven_sheet(Path(folder), driven_on, record, row, maker, _sensor(record))

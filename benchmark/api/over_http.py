@@ -7,6 +7,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from benchmark.closed_loop.wire.server import PlannerServer
+    from benchmark.planning import Planner
+    from benchmark.supervision.limits import Supervision
 
 
 def serve_planner(
@@ -19,6 +21,7 @@ def serve_planner(
     device: str | None = None,
     precision: str | None = None,
     seed: int = 0,
+    supervision: "Supervision | None" = None,
 ) -> "PlannerServer":
     """A planner as a model server for NeuroNCAP, or for whoever speaks its protocol.
 
@@ -31,6 +34,7 @@ def serve_planner(
         device: Where a network runs.
         precision: Of a network.
         seed: For planners that take one.
+        supervision: Limits of a planner of another package, which runs in a process of its own (docs/planners.md).
 
     Returns:
         It listens; ``with`` answers in a thread, `serve` until interrupted.
@@ -38,13 +42,19 @@ def serve_planner(
     Raises:
         InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
     """
-    from adapters.registry import planner
+    from adapters.registry import is_foreign, planner, planner_factory
     from benchmark.api import model_that_runs
     from benchmark.closed_loop.wire.server import PlannerServer
     from benchmark.closed_loop.wire.session import Session
 
     runs = model_that_runs(name, checkpoint, data="")
-    built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    built: Planner
+    if is_foreign(runs):
+        built = planner_factory(
+            runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision, supervision=supervision
+        )()
+    else:
+        built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
     return PlannerServer(Session(built, tensors=accept_torch_tensors, seed=seed), host, port)
 
 

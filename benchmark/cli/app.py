@@ -1,17 +1,21 @@
 """The command line: which commands there are, and errors of the user as one sentence and exit code 2."""
 
+import errno
 import sys
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from benchmark.cli import (
+    card,
+    challenge,
     data,
     demo,
     drive,
     evaluate,
     generate,
     models,
+    packages,
     reproduce,
     review,
     serve,
@@ -23,6 +27,7 @@ from benchmark.cli import (
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
+from benchmark.machine.garbage import collect_rarely
 
 app = typer.Typer(
     name="challenger-bench",
@@ -34,16 +39,22 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 data.app.command("review")(review.data_review_command)
+data.app.command("pack")(packages.data_pack_command)
+data.app.command("unpack")(packages.data_unpack_command)
+data.app.command("card")(card.data_card_command)
+show.leaderboard_app.command("card")(card.records_card_command)
 app.add_typer(data.app, name="data")
 app.add_typer(train.app, name="train")
 app.add_typer(weights.app, name="weights")
 app.add_typer(show.leaderboard_app, name="leaderboard")
+app.add_typer(challenge.app, name="challenge")
 app.command("generate")(generate.generate_command)
 app.command("ablate")(generate.ablate_command)
 app.command("eval")(evaluate.eval_command)
 app.command("drive")(drive.drive_command)
 app.command("serve")(serve.serve_command)
 app.command("models")(models.models_command)
+app.command("merge")(evaluate.merge_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)
 app.command("quality")(evaluate.quality_command)
@@ -54,18 +65,28 @@ app.command("demo")(demo.demo_command)
 app.command("reproduce")(reproduce.reproduce_command)
 app.command("doctor")(verify.doctor_command)
 
+_LONGEST_SENTENCE: Final = 1000
+_OF_A_PLACE: Final = frozenset((errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR))
+"""What the operating system says of a path that somebody gave, wherever it is first used."""
+
 
 def main() -> None:
     """Run the command line; errors of the user are one sentence and exit code 2."""
+    collect_rarely()
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     command = typer.main.get_command(app)
     try:
+        _require_text(arguments)
         code = command.main(arguments, prog_name="challenger-bench", standalone_mode=False)
     except InputError as error:
         if debug:
             raise
         code = _fail(str(error))
+    except OSError as error:
+        if debug or error.errno not in _OF_A_PLACE or error.filename is None:
+            raise
+        code = _fail(f"cannot use {error.filename}: {error.strerror}; name another place")
     except typer.TyperException as error:
         message = str(error.format_message() if hasattr(error, "format_message") else error)
         # The help that stands in for a missing command has many lines and is no error to explain.
@@ -76,9 +97,25 @@ def main() -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+def _require_text(arguments: list[str]) -> None:
+    """Refuse bytes that are no text: they could stand neither in a record nor on a terminal."""
+    for argument in arguments:
+        if not argument.isascii() and argument != argument.encode(errors="replace").decode():
+            raise InputError(f"{argument} is not text in UTF-8; name it otherwise")
+
+
 def _fail(sentence: str) -> int:
-    typer.echo(f"error: {sentence}", err=True)
+    typer.echo(f"error: {_fit_to_show(sentence)}", err=True)
     return 2
+
+
+def _fit_to_show(sentence: str) -> str:
+    """A sentence in one line that a terminal can show and somebody can read, whatever was given."""
+    shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in sentence)
+    if len(shown) <= _LONGEST_SENTENCE:
+        return shown
+    half = _LONGEST_SENTENCE // 2
+    return f"{shown[:half]} ... {shown[-half:]}"
 
 
 def _help(text: str) -> int:

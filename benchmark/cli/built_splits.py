@@ -11,7 +11,7 @@ from benchmark.cli.what_next import say_next
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from benchmark.datasets.roots import DataSet
     from generation.build.settings import BuildSettings
@@ -51,7 +51,13 @@ class Built:
 
 
 def splits_to_build(
-    split: str, seed: int, seeds: str | None, from_file: str | None, freeze: Path | None, context: typer.Context
+    split: str,
+    seed: int,
+    seeds: str | None,
+    from_file: str | None,
+    freeze: Path | None,
+    context: typer.Context,
+    recordings: "Callable[[], DataSet]",
 ) -> tuple[SplitToBuild, ...]:
     """The splits that a command builds.
 
@@ -62,6 +68,7 @@ def splits_to_build(
         from_file: What ``--from`` says.
         freeze: What ``--freeze`` says.
         context: Which options were given.
+        recordings: Opens them; called only for edited scenes, which are compared with them.
 
     Returns:
         They; one without ``--seeds``.
@@ -74,7 +81,18 @@ def splits_to_build(
     from generation.splits.seeds import file_of_seed, frozen_of_seed, seeds_of
 
     if from_file is not None:
-        _require_no_search(split, context)
+        edited = is_edited(from_file)
+        _require_no_search(split, context, but=("freeze",) if edited else ())
+        if edited:
+            if seeds is not None:
+                raise InputError("--seeds belongs to a search, and edited scenes have none; leave it out")
+            if freeze is not None:
+                require_freezable(split, freeze)
+            from generation.splits.edited import edited_split, read_edited
+
+            # Before the recordings, which may have to be built.
+            files = read_edited(Path(from_file))
+            return (SplitToBuild(split, seed, freeze, edited_split(recordings(), Path(from_file), files)),)
     if seeds is None:
         found: tuple[SplitToBuild, ...] = (
             SplitToBuild(split, seed, freeze, None if from_file is None else frozen_split(from_file)),
@@ -99,6 +117,14 @@ def splits_to_build(
     return found
 
 
+def is_edited(from_file: str) -> bool:
+    """Whether ``--from`` names ScenarioNet files of edited scenes: one, or a folder of them."""
+    from generation.splits.packaged import packaged_splits
+
+    path = Path(from_file)
+    return from_file not in packaged_splits() and (path.suffix.lower() == ".pkl" or path.is_dir())
+
+
 def frozen_scenes(
     wanted: "Sequence[SplitToBuild]", names: tuple[str, ...] | None, limit: int | None
 ) -> tuple[str, ...]:
@@ -114,6 +140,10 @@ def build_one(
     if one.frozen is not None:
         from generation.splits.building import build_frozen
 
+        if one.freeze is not None and not settings.dry_run:
+            from generation.splits.format import write_frozen
+
+            write_frozen(one.freeze, one.frozen.frozen)
         built = build_frozen(source, one.frozen, settings, as_split=one.split)
         return Built(built.summary(), built.as_json())
     from generation.build.split import build_split
@@ -146,12 +176,12 @@ def say_built(
     )
 
 
-def _require_no_search(split: str, context: typer.Context) -> None:
+def _require_no_search(split: str, context: typer.Context, but: tuple[str, ...] = ()) -> None:
     """Refuse options of the search beside a frozen split."""
     if split != "adv":
         raise InputError(f"--from builds split adv, not {split}; leave --split out")
     for name in OF_THE_SEARCH:
-        if _is_given(context, name):
+        if name not in but and _is_given(context, name):
             option = {"changes": "set"}.get(name, name).replace("_", "-")
             raise InputError(f"--{option} belongs to a search, and --from does not search; leave one of them out")
 

@@ -203,6 +203,7 @@ def data_import_command(
     ),
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
+    split: Annotated[str, typer.Option(help="Name of the split; adv for adversarial scenes.")] = "val",
     workers: WorkersOption = 0,
     json_output: JsonOption = False,
 ) -> None:
@@ -214,7 +215,8 @@ def data_import_command(
         raise InputError(f"cannot import {form!r}; the form that can be imported is scenarionet")
     require_place(out, "--out")
     width, height = image_size(size)
-    settings = ImportSettings(width, height, frames.value, images=renderer is not QuickRendererName.NONE)
+    images = renderer is not QuickRendererName.NONE
+    settings = ImportSettings(width, height, frames.value, images=images, split=split)
     names = import_scenarionet(source, out, settings, workers=api.worker_count(workers))
     if json_output:
         print_json({"root": str(out), "scenes": names})
@@ -227,6 +229,9 @@ def data_build_command(
     root: Annotated[Path | None, typer.Option(help="Where to; the user's cache if not given.")] = None,
     town_scenes: Annotated[int, typer.Option(help="Evaluation scenes.")] = 10,
     train_scenes: Annotated[int, typer.Option(help="Training scenes.")] = 0,
+    off_path: Annotated[
+        bool, typer.Option("--off-path", help="The ego of training scenes gets off its path and comes back.")
+    ] = False,
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
     renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
@@ -240,7 +245,7 @@ def data_build_command(
 
     width, height = image_size(size)
     images = renderer is not QuickRendererName.NONE
-    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images)
+    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images, off_path)
     target = root or cache_root() / settings.folder_name(EMBEDDED)
     require_place(target, "--root")
     typer.echo(str(build_town(target, settings, workers=api.worker_count(workers))))

@@ -53,6 +53,7 @@ def demo(
     source = open_root(town, name="demo")
     settings = BuildSettings(
         out=space.split_root("demo", "adv"),
+        timings=space.timings_of(space.split_root("demo", "adv")),
         # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
         hyper=hyper_parameters("near", {"candidates": 64, "candidate_limit": 5}),
         per_scene=1,
@@ -84,8 +85,9 @@ def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int
     records, planners = [], (*baselines(), *miniatures())
     for place, name in enumerate(planners, start=1):
         api.tell(f"{name} on {split} ({place} of {counted(len(planners), 'planner')})")
-        settings = EvalSettings(workers=processes)
-        records.append(evaluate(dataset, split, planner_factory(name), api.workspace(out).run_root(), settings))
+        runs = api.workspace(out).run_root()
+        settings = EvalSettings(workers=processes, timings=api.workspace(out).timings_of(runs))
+        records.append(evaluate(dataset, split, planner_factory(name), runs, settings))
     return records
 
 
@@ -122,8 +124,10 @@ def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> l
             dataset = api.open_split(source, split, out, workers=workers, frames="keyframes")
         records += _evaluate_built_in(dataset, split, out, processes)
     driver = api.planner_under_test("uniad-mini", data=EMBEDDED, workers=workers)
+    study = api.workspace(out).ablation_root() / source.name / driver.factory.facts.name
     settings = BuildSettings(
-        out=api.workspace(out).ablation_root() / source.name / driver.factory.facts.name,
+        out=study,
+        timings=api.workspace(out).timings_of(study),
         hyper=hyper_parameters("default", {"candidate_limit": FULL_DEMO_VEHICLES}),
         renderer=api.schematic_renderer(),
         frames="keyframes",

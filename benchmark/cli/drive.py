@@ -19,6 +19,7 @@ from benchmark.cli.options import (
     ImageFormatOption,
     JsonOption,
     LimitOption,
+    MemoryLimitOption,
     OutOption,
     ScenesOption,
     SeedOption,
@@ -61,6 +62,22 @@ class AgentsName(StrEnum):
 
     REPLAY = "replay"
     IDM = "idm"
+    ADVERSARY = "adversary"
+
+
+class KnowsName(StrEnum):
+    """What an adversary expects of the ego."""
+
+    PLAN = "plan"
+    MOTION = "motion"
+    NOTHING = "nothing"
+
+
+class OthersName(StrEnum):
+    """How those behave who are beside an adversary."""
+
+    REPLAY = "replay"
+    IDM = "idm"
 
 
 class ScenariosName(StrEnum):
@@ -86,8 +103,26 @@ def drive_command(
         EngineName, typer.Option(help="Who drives the plans (docs/closed-loop.md).")
     ] = EngineName.DEFAULT,
     agents: Annotated[
-        AgentsName, typer.Option(help="The others: their tracks, or keeping distance.")
+        AgentsName,
+        typer.Option(help="The others: their tracks, keeping distance, or one of them challenges the ego."),
     ] = AgentsName.REPLAY,
+    adversary_knows: Annotated[
+        KnowsName, typer.Option(help="adversary: expects that the ego drives its plan, keeps its motion, or stays.")
+    ] = KnowsName.MOTION,
+    adversary_every: Annotated[float, typer.Option(help="adversary: seconds between its plans, at most 3.")] = 1.0,
+    adversary_others: Annotated[
+        OthersName, typer.Option(help="adversary: how everybody else behaves.")
+    ] = OthersName.REPLAY,
+    adversary_rounds: Annotated[
+        int | None, typer.Option(min=0, help="adversary: refinement rounds of its search; 5 if not given.")
+    ] = None,
+    adversary_candidates: Annotated[
+        int | None, typer.Option(min=1, help="adversary: candidates of each round; 256 if not given.")
+    ] = None,
+    adversary_tracks: Annotated[
+        Path | None,
+        typer.Option(help="adversary: drives the tracks of this record of drives once more, and plans nothing."),
+    ] = None,
     sensor: Annotated[
         str, typer.Option(help="What cameras see: none, schematic or http://HOST:PORT; blind planners have none.")
     ] = "none",
@@ -104,6 +139,7 @@ def drive_command(
     baselines: Annotated[
         bool, typer.Option("--baselines/--no-baselines", help="Also the five that every table has.")
     ] = True,
+    memory_limit: MemoryLimitOption = None,
     device: Annotated[
         str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
     ] = None,
@@ -121,15 +157,21 @@ def drive_command(
 ) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models
+    from benchmark.cli.beforehand.names import require_models, supervision_of
     from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place
 
     _require_engine(engine, agents, latency, scenarios)
+    about_adversary = (adversary_knows, adversary_every, adversary_others, adversary_rounds, adversary_candidates)
+    if agents is not AgentsName.ADVERSARY and about_adversary != _USUAL_ADVERSARY:
+        raise InputError(
+            f"--agents {agents.value} has no adversary; add --agents adversary or leave --adversary-... out"
+        )
     names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
     require_models(model, checkpoint, data=data, device=device, precision=precision)
+    supervision = replace(supervision_of(model, None, memory_limit), sample_s=timeout)
     for each in model:
         _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
     require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
@@ -152,6 +194,7 @@ def drive_command(
             device=device,
             precision=precision,
             over_http=over_http,
+            supervision=supervision,
         )
         if each in model
         else api.load_planner(each, data=data)
@@ -163,6 +206,12 @@ def drive_command(
         split,
         engine=engine.value,
         agents=agents.value,
+        adversary_knows=adversary_knows.value,
+        adversary_every_s=adversary_every,
+        adversary_others=adversary_others.value,
+        adversary_rounds=adversary_rounds,
+        adversary_candidates=adversary_candidates,
+        adversary_tracks=adversary_tracks,
         sensor=sensor,
         accept_torch_tensors=accept_torch_tensors,
         latency_ms=latency,
@@ -190,6 +239,10 @@ def drive_command(
     )
     if not sound:
         raise typer.Exit(1)
+
+
+_USUAL_ADVERSARY: Final = (KnowsName.MOTION, 1.0, OthersName.REPLAY, None, None)
+"""What says nothing about an adversary."""
 
 
 def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenarios: ScenariosName) -> None:

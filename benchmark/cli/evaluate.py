@@ -19,10 +19,13 @@ from benchmark.cli.options import (
     ImageFormatOption,
     JsonOption,
     LimitOption,
+    MemoryLimitOption,
     OutOption,
     RecordsOption,
+    SampleLimitOption,
     ScenesOption,
     SeedOption,
+    ShardOption,
     SliceName,
     SplitOption,
     TablesOption,
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
     from benchmark.machine.workspace import Workspace
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
+    from benchmark.runs.shards import Shard
 
 
 def eval_command(
@@ -83,8 +87,11 @@ def eval_command(
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     as_published: AsPublishedOption = None,
     image_format: ImageFormatOption = None,
+    sample_limit: SampleLimitOption = None,
+    memory_limit: MemoryLimitOption = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
+    shard: ShardOption = None,
     allow_partial: Annotated[
         bool, typer.Option("--allow-partial", help="Print rates even where the planner failed on samples.")
     ] = False,
@@ -108,12 +115,13 @@ def eval_command(
 ) -> None:
     """Run planners on a split, write run records, and print the table."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models, require_published_runs
+    from benchmark.cli.beforehand.names import require_models, require_published_runs, supervision_of
     from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place, require_plans
-    from benchmark.evaluation import EvalSettings, evaluate, require_whole_split
+    from benchmark.evaluation import EvalSettings, evaluate_together, require_whole_split
     from benchmark.protocols import PROTOCOLS, STANDARD
     from benchmark.records.reproduction import find_reproductions, with_reproductions
+    from benchmark.runs.shards import Shard
 
     if not model and plans is None and not results:
         raise InputError(
@@ -123,7 +131,9 @@ def eval_command(
     if native is not None and plans is None and not results:
         raise InputError("--native belongs to --plans and --results; planners that --model names say it themselves")
     shown, count = _protocols_to_show(protocol), api.worker_count(workers)
+    mine = None if shard is None else Shard.named(shard)
     require_models(model, checkpoint, data=data, device=device, precision=precision)
+    supervision = supervision_of(model, sample_limit, memory_limit)
     published = tuple(each.value for each in as_published or ())
     if require_published_runs(model, checkpoint, published, data=data):
         require_whole_split("the model", name_list(scenes), limit, workers)
@@ -140,7 +150,9 @@ def eval_command(
         say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
         return
     judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)]))
-    settings = EvalSettings(judges, name_list(scenes), limit, count, seed)
+    run_root = api.workspace(out).run_root()
+    timings = api.workspace(out).timings_of(run_root)
+    settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings)
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(
@@ -152,12 +164,12 @@ def eval_command(
             precision=precision,
             as_published=published,
             over_http={} if image_format is None else {"image_format": image_format.value},
+            supervision=supervision,
         )
         for each in model
     ]
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     dataset = api.open_split(source, split, out, workers=workers)
-    run_root = api.workspace(out).run_root()
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
@@ -171,7 +183,13 @@ def eval_command(
         names = ", ".join(factory.facts.name for factory in factories)
         say_plan([f"would run {names} on {where}"], json_output=json_output)
         return
-    records = [evaluate(dataset, split, each, run_root, _also_by_its_own(settings, each)) for each in factories]
+    planners = [(each, _also_by_its_own(settings, each)) for each in factories]
+    if mine is not None:
+        _plan_shard(
+            dataset, split, planners, run_root, mine, json_output=json_output, again=same_place(data, out, tables)
+        )
+        return
+    records = evaluate_together(dataset, split, planners, run_root)
     records = with_reproductions(records, find_reproductions([run_root]))
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
@@ -188,6 +206,64 @@ def eval_command(
     )
     if not sound:
         raise typer.Exit(1)
+
+
+def merge_command(
+    data: DataOption = "mini",
+    out: OutOption = api.OUT,
+    tables: TablesOption = None,
+    workers: WorkersOption = 0,
+    wide: WideOption = False,
+    json_output: JsonOption = False,
+) -> None:
+    """Judge runs that were planned in shards (`eval --shard`) and write their records, as if they were never cut."""
+    from benchmark.cli.beforehand.data_sets import require_root
+    from benchmark.sharded import merge_shards
+    from leaderboard.tables.collision import run_tables
+
+    root = api.workspace(out).run_root()
+    count = api.worker_count(workers)
+    require_root(data, tables, out)
+    if not root.is_dir():
+        raise InputError(f"there are no runs at {root}; plan shards first with: challenger-bench eval --shard 1/2")
+    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    opener = partial(api.open_split, source, out=out, workers=workers)
+    records = list(merge_shards(root, opener, source.name, workers=count))
+    if json_output:
+        print_json(
+            [
+                {"directory": str(each.directory), "status": each.run.status, "samples": len(each.rows)}
+                for each in records
+            ]
+        )
+        return
+    for table in run_tables(source.name, records, None, allow_partial=True):
+        typer.echo(table.plain(wide=wide))
+
+
+def _plan_shard(
+    dataset: "DataSet",
+    split: str,
+    planners: "Sequence[tuple[PlannerFactory, EvalSettings]]",
+    root: Path,
+    shard: "Shard",
+    *,
+    json_output: bool,
+    again: str,
+) -> None:
+    """Plan one shard and say what is left to do."""
+    from benchmark.sharded import plan_shard
+
+    found = plan_shard(dataset, split, planners, root, shard)
+    if json_output:
+        print_json(
+            [{"directory": str(each.directory), "planned": each.planned, "scenes": each.scenes} for each in found]
+        )
+    for each in found:
+        typer.echo(
+            f"{each.directory}: shard {shard}, {each.planned} of {counted(each.scenes, 'scene')}", err=json_output
+        )
+    say_next(f"shard {shard} is planned", (f"merge{again}", "when all shards are"), json_output=json_output)
 
 
 def rescore_command(

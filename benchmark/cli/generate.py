@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.built_splits import build_one, frozen_scenes, say_built, splits_to_build
+from benchmark.cli.built_splits import build_one, frozen_scenes, is_edited, say_built, splits_to_build
 from benchmark.cli.options import (
     AddressOption,
     AskedLook,
@@ -28,11 +28,13 @@ from benchmark.cli.options import (
     Layout,
     LimitOption,
     LosslessOption,
+    MemoryLimitOption,
     OutOption,
     Preset,
     PresetOption,
     RenderDeviceOption,
     RendererName,
+    SampleLimitOption,
     SamplesOption,
     ScenesOption,
     SeedOption,
@@ -58,6 +60,7 @@ from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from benchmark.cli.beforehand.data_sets import Ahead
+    from benchmark.datasets.roots import DataSet
     from benchmark.machine.workers import Executor
     from generation.labels.manoeuvres import Manoeuvre
     from generation.render.contract import Renderer
@@ -68,7 +71,10 @@ def generate_command(
     split: SplitOption = "adv",
     from_file: Annotated[
         str | None,
-        typer.Option("--from", help="Rebuild a frozen split, a file or mini-adv-3, without a search."),
+        typer.Option(
+            "--from",
+            help="Rebuild a frozen split, a file or mini-adv-3, or build edited ScenarioNet files; no search.",
+        ),
     ] = None,
     freeze: Annotated[
         Path | None, typer.Option(help="Also write the result as a frozen split, a few kB a scene, to this file.")
@@ -82,6 +88,8 @@ def generate_command(
     adversaries: Annotated[int, typer.Option(min=1, help="Adversaries in each scene.")] = 1,
     surrogate: Annotated[str | None, typer.Option(help="Keep only scenes in which this planner collides.")] = None,
     surrogate_checkpoint: Annotated[Path | None, typer.Option(help="Weights of the surrogate.")] = None,
+    sample_limit: SampleLimitOption = None,
+    memory_limit: MemoryLimitOption = None,
     vehicles: Annotated[int | None, typer.Option(min=1, help="Vehicles to try per scene, at most.")] = None,
     per_scene: Annotated[int | None, typer.Option(min=1, help="Keep at most so many variants of a scene.")] = None,
     variants: Annotated[
@@ -139,12 +147,23 @@ def generate_command(
 ) -> None:
     """Build a split, adv or val-r, from recorded scenes; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_root, require_source
+    from benchmark.cli.beforehand.names import supervision_of
     from benchmark.cli.beforehand.places import require_place
     from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
 
     _require_generated(split)
-    wanted = splits_to_build(split, seed, seeds, from_file, freeze, context)
+    if from_file is not None and is_edited(from_file):
+        first = require_root(data, tables, out)
+        require_place(out, "--out")
+        if dry_run and first.builds:
+            say_plan(first.plan(f"build split {split} from the edited scenes of {from_file}"), json_output=json_output)
+            return
+
+    def recordings() -> "DataSet":
+        return api.open_data(data, tables=tables, workers=workers, out=out)
+
+    wanted = splits_to_build(split, seed, seeds, from_file, freeze, context, recordings)
     frozen = wanted[0].frozen
     shortcuts = {"candidate_limit": vehicles, "candidates": candidates, "rounds": rounds, "parked": parked or None}
     shortcuts["solvable"] = False if keep_unsolvable else None
@@ -155,6 +174,7 @@ def generate_command(
     if surrogate is None and surrogate_checkpoint is not None:
         raise InputError("--surrogate-checkpoint belongs to --surrogate; name the planner that it is for")
     _require_tools(surrogate, surrogate_checkpoint, data, device, denoiser)
+    supervision = supervision_of([] if surrogate is None else [surrogate], sample_limit, memory_limit)
     if renderer is RendererName.MAGICDRIVE:
         _require_magicdrive(render_device, weights_folder, dry_run=dry_run)
     pixels, named = image_size(size), name_list(scenes)
@@ -180,7 +200,9 @@ def generate_command(
 
     under_test = None
     if surrogate is not None:
-        under_test = api.planner_under_test(surrogate, surrogate_checkpoint, data=data, seed=seed, workers=workers)
+        under_test = api.planner_under_test(
+            surrogate, surrogate_checkpoint, data=data, seed=seed, workers=workers, supervision=supervision
+        )
     drawing: Renderer | None = None
     if renderer is RendererName.SCHEMATIC:
         drawing = api.schematic_renderer(pixels)
@@ -202,9 +224,11 @@ def generate_command(
         # Estimates for a GPU are wanted on machines that have none.
         rendering = None if dry_run else rendering_executor(place, render_device)
     # Last: the embedded data set takes minutes to build the first time, and a mistyped option should not.
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    source = recordings()
+    root = api.workspace(out).split_root(source.name, wanted[0].split)
     settings = BuildSettings(
-        out=api.workspace(out).split_root(source.name, wanted[0].split),
+        out=root,
+        timings=api.workspace(out).timings_of(root),
         hyper=hyper,
         prior=trajectory_model(
             preset.value,
@@ -237,10 +261,10 @@ def generate_command(
     )
     if photorealistic is not None:
         typer.echo(photorealistic.estimate(source.scene(source_scenes(source, settings)[0])).plain(), err=True)
-    own = [
-        replace(settings, out=api.workspace(out).split_root(source.name, one.split), seed=one.seed, freeze=one.freeze)
-        for one in wanted
-    ]
+    space, own = api.workspace(out), []
+    for one in wanted:
+        root = space.split_root(source.name, one.split)
+        own.append(replace(settings, out=root, timings=space.timings_of(root), seed=one.seed, freeze=one.freeze))
     built = []
     for one, of_split in zip(wanted, own, strict=True):
         built.append(build_one(source, one, of_split, unlike, profile=profile))
@@ -313,6 +337,8 @@ def _require_cluster(place: "Executor", ahead: "Ahead") -> None:
 def ablate_command(
     model: Annotated[str, typer.Option("--model", help="Planner that has to drive.")] = "constant-velocity",
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    sample_limit: SampleLimitOption = None,
+    memory_limit: MemoryLimitOption = None,
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
@@ -337,6 +363,7 @@ def ablate_command(
 ) -> None:
     """Run the paper's ablation: full search, without refinement (MTR), without scoring (TS), without both."""
     from benchmark.cli.beforehand.data_sets import require_source
+    from benchmark.cli.beforehand.names import supervision_of
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.storage import file_name
     from generation.search.departures import told
@@ -344,6 +371,7 @@ def ablate_command(
 
     hyper = hyper_parameters(preset.value, {"candidate_limit": vehicles, "candidates": candidates}, changes or ())
     _require_tools(model, checkpoint, data, device, denoiser)
+    supervision = supervision_of([model], sample_limit, memory_limit)
     drawing, place = api.schematic_renderer(image_size(size)), executor_of(executor, address, workers)
     ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
@@ -355,10 +383,12 @@ def ablate_command(
     from generation.build.ablation import ablate, ablation_estimate
     from generation.build.settings import BuildSettings
 
-    planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers)
+    planner = api.planner_under_test(model, checkpoint, data=data, seed=seed, workers=workers, supervision=supervision)
     source = api.open_data(data, tables=tables, workers=workers, out=out)
+    study = api.workspace(out).ablation_root() / source.name / file_name(planner.factory.facts.name)
     settings = BuildSettings(
-        out=api.workspace(out).ablation_root() / source.name / file_name(planner.factory.facts.name),
+        out=study,
+        timings=api.workspace(out).timings_of(study),
         hyper=hyper,
         prior=trajectory_model(preset.value, denoiser, device),
         source_split=source_split,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from benchmark import api
+from benchmark.constants import LARGEST_SEED
 from benchmark.errors import InputError
 
 if TYPE_CHECKING:
@@ -186,8 +187,15 @@ RecordsOption = Annotated[
         help="Folder of run records, if not <out>/runs; may be repeated, and name single runs.",
     ),
 ]
+ShardOption = Annotated[
+    str | None,
+    typer.Option("--shard", metavar="<k/n>", help="Plan every n-th scene alone, for `merge`: 3/40 is the third of 40."),
+]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
-SeedOption = Annotated[int, typer.Option("--seed", help="Seed; on this kind of processor, the same bytes each time.")]
+SeedOption = Annotated[
+    int,
+    typer.Option("--seed", min=0, max=LARGEST_SEED, help="Seed; on this kind of processor, the same bytes each time."),
+]
 WorkersOption = Annotated[int, typer.Option("--workers", help="Processes; 0 takes all processors.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Machine-readable output on stdout, nothing else there.")]
 WideOption = Annotated[
@@ -246,6 +254,16 @@ AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT 
 ImageFormatOption = Annotated[
     ImageFormatName | None,
     typer.Option("--image-format", help="How a model at http:// is sent pictures: torch (NeuroNCAP's) or png."),
+]
+SampleLimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--sample-limit", help="Seconds that a planner of another package may take for a plan; 120 unless told."
+    ),
+]
+MemoryLimitOption = Annotated[
+    float | None,
+    typer.Option("--memory-limit", help="GiB that a planner of another package may hold; no limit unless told."),
 ]
 WeightsFolderOption = Annotated[
     Path | None, typer.Option("--weights-folder", help="Folder that holds published weights, if not the cache.")

@@ -35,7 +35,7 @@ def opened_results(
     """
     from adapters.result_files.recognition import AUTO, recognise, require_format
     from adapters.result_files.writing.formats import require_writable
-    from benchmark.runs.plan_rows import known_native
+    from benchmark.runs.planner_facts import known_native
 
     if dump is not None:
         require_writable(dump)

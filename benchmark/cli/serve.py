@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.options import SeedOption
+from benchmark.cli.options import MemoryLimitOption, SampleLimitOption, SeedOption
 
 
 def serve_command(
@@ -24,13 +24,16 @@ def serve_command(
     ] = None,
     precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
+    sample_limit: SampleLimitOption = None,
+    memory_limit: MemoryLimitOption = None,
     seed: SeedOption = 0,
 ) -> None:
     """Answer a simulator's requests with a planner's plans, over HTTP, until interrupted."""
-    from benchmark.cli.beforehand.names import require_models
+    from benchmark.cli.beforehand.names import require_models, supervision_of
     from benchmark.cli.beforehand.over_http import require_server
 
     require_models([model], checkpoint, data="", device=device, precision=precision)
+    supervision = supervision_of([model], sample_limit, memory_limit)
     require_server(host, port)
     server = api.serve_planner(
         model,
@@ -41,6 +44,7 @@ def serve_command(
         device=device,
         precision=precision,
         seed=seed,
+        supervision=supervision,
     )
     if server.is_open:
         api.tell(

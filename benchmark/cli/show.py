@@ -1,6 +1,6 @@
 """Commands that show results: ``sheets``, ``film`` and ``leaderboard``."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -102,6 +102,21 @@ def leaderboard_command(
     to: Annotated[Path | None, typer.Option(help="Folder of the tables, if not <out>/leaderboard.")] = None,
     site: Annotated[bool, typer.Option("--site/--no-site", help="Whether to write the site too.")] = True,
     check: Annotated[bool, typer.Option("--check", help="Only say whether the written tables are current.")] = False,
+    publish_check: Annotated[
+        Path | None,
+        typer.Option(
+            "--publish-check",
+            help="Only say what of a site, a leaderboard or an --out should not leave the house, or needs a server.",
+        ),
+    ] = None,
+    may_show: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--may-show",
+            metavar="<str>",
+            help="Data set whose licence allows to show its pictures, for --publish-check; may be repeated.",
+        ),
+    ] = None,
     json_output: JsonOption = False,
 ) -> None:
     """Write tables (Markdown, LaTeX, CSV, JSON), figures and site from run records, scene sheets and studies."""
@@ -109,6 +124,12 @@ def leaderboard_command(
         return
     from benchmark.cli.beforehand.places import require_folder, require_place
 
+    if publish_check is not None:
+        if check:
+            raise InputError("--check and --publish-check are two questions; ask them one after the other")
+        raise typer.Exit(_say_publishable(publish_check, may_show or (), json_output=json_output))
+    if may_show:
+        raise InputError("--may-show belongs to --publish-check; add it or leave it out")
     folder = to or out / "leaderboard"
     for place in records or ():
         require_folder(place, "--records")
@@ -134,6 +155,25 @@ def leaderboard_command(
         (f"leaderboard --check{same_place('mini', out)}", "whether it is current, after further runs"),
         json_output=json_output,
     )
+
+
+def _say_publishable(folder: Path, may_show: "Sequence[str]", *, json_output: bool) -> int:
+    """Say what of a folder should not be published; the exit code."""
+    from leaderboard.publishing.checking import check_publishable
+
+    root, found = check_publishable(folder, may_show=may_show)
+    if json_output:
+        print_json({"folder": str(root), "findings": [each.as_json() for each in found]})
+    else:
+        for each in found:
+            typer.echo(each.sentence())
+        said = (
+            counted(len(found), "finding")
+            if found
+            else "nothing that tells of this machine, nothing that needs a server"
+        )
+        typer.echo(f"{root}: {said}")
+    return 1 if found else 0
 
 
 @leaderboard_app.command("slices")

@@ -66,6 +66,10 @@ def train_planner_command(
         Path | None, typer.Option(help="Weights to start from, where names and shapes agree.")
     ] = None,
     judged_on: Annotated[Path | None, typer.Option(help="Data set whose split val gives the scores.")] = None,
+    adversarial: Annotated[
+        list[Path] | None,
+        typer.Option(help="Root of adversarial scenes made from the split, learned from as well; repeatable."),
+    ] = None,
     seed: SeedOption = 0,
     device: DeviceOption = "auto",
     workers: WorkersOption = 0,
@@ -83,12 +87,15 @@ def train_planner_command(
     listed_scenes(data, split)
     if judged_on is not None:
         listed_scenes(judged_on, "val")
+    for root in adversarial or ():
+        listed_scenes(root, "adv")
     from adapters.training.planners import PlannerTraining, train_planner
 
-    processes, start = api.worker_count(workers), (image_encoder, start_from, judged_on)
-    print_json(
-        train_planner(PlannerTraining(model, data, split, out, steps, seed, learning_rate, *start, device, processes))
+    start, more = (image_encoder, start_from, judged_on), tuple(adversarial or ())
+    training = PlannerTraining(
+        model, data, split, out, steps, seed, learning_rate, *start, device, api.worker_count(workers), more
     )
+    print_json(train_planner(training))
 
 
 @app.command("judge")

@@ -2,17 +2,25 @@
 
 from typing import Final
 
-from benchmark.closed_loop.drives.default_engine import POLICIES, DefaultRides
+from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryMaker, GivenTracks
+from benchmark.closed_loop.drives.default_engine import AGENTS, DefaultRides
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.neuroncap.riding import RECORDED, SCENARIOS, NeuroncapRides
 from benchmark.closed_loop.neuroncap.switches import Switches
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
+from benchmark.records.drive_schema import Measured
 
 ENGINES: Final = (ENGINE, "neuroncap@code", "neuroncap@paper")
 
 
-def rides_of(engine: str, agents: str = "replay", latency_ms: int = 0, scenarios: str = RECORDED) -> RideMaker:
+def rides_of(
+    engine: str,
+    agents: str = "replay",
+    latency_ms: int = 0,
+    scenarios: str = RECORDED,
+    adversary: AdversaryMaker | None = None,
+) -> RideMaker:
     """What begins rides of an engine.
 
     Args:
@@ -20,6 +28,7 @@ def rides_of(engine: str, agents: str = "replay", latency_ms: int = 0, scenarios
         agents: How the others behave.
         latency_ms: So much later does a plan take effect.
         scenarios: What scenes are driven with, in NeuroNCAP's engine.
+        adversary: Who puts an adversary among the agents; without anybody only drives with stored tracks begin.
 
     Returns:
         It.
@@ -31,14 +40,33 @@ def rides_of(engine: str, agents: str = "replay", latency_ms: int = 0, scenarios
         raise InputError(
             f"there is no engine {engine!r}; {did_you_mean(engine, ENGINES)}there are {', '.join(ENGINES)}"
         )
-    if agents not in POLICIES:
-        raise InputError(f"there are no agents {agents!r}; {did_you_mean(agents, POLICIES)}there are replay and idm")
+    if agents not in AGENTS:
+        known = " and ".join([", ".join(AGENTS[:-1]), AGENTS[-1]])
+        raise InputError(f"there are no agents {agents!r}; {did_you_mean(agents, AGENTS)}there are {known}")
     if scenarios not in SCENARIOS:
         raise InputError(f"there are no scenarios {scenarios!r}; there are {', '.join(SCENARIOS)}")
     if engine == ENGINE:
         if scenarios != RECORDED:
             raise InputError(f"scenarios are of NeuroNCAP's engine; take --engine {ENGINES[1]} or leave them out")
-        return DefaultRides(agents, 1000 * latency_ms)
+        return DefaultRides(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None)
     if agents != "replay" or latency_ms:
         raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
     return NeuroncapRides(Switches.named(engine), scenarios)
+
+
+def rides_as(measured: Measured) -> RideMaker:
+    """What begins the rides of a record again: an adversary drives its stored tracks.
+
+    Args:
+        measured: What the record measured.
+
+    Returns:
+        As `rides_of`; an adversary needs its track, which `benchmark.runs.redriving` takes from each row.
+
+    Raises:
+        InputError: As of `rides_of`.
+    """
+    stored = (
+        GivenTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None
+    )
+    return rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios, stored)

@@ -11,6 +11,7 @@ Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -168,7 +169,7 @@ def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], e
         row = INSTANTS * number
         # Making a key costs as much as replaying a sub-step.
         key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
-        memory, moved = course.policy.act(memory, others, key)
+        memory, moved = course.policy.act(memory, replace(others, plan=_active(plans, others.time_us)), key)
         boxes.append(moved.boxes)
         present.append(moved.present)
         velocities.append(moved.velocity)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import NUSCENES_TABLES
+from benchmark.datasets.devkit_import import devkit_module
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, camera_mounts, read_rows, read_scene_tables
@@ -177,9 +178,9 @@ def _require_masks(root: Path, maps: list[Row]) -> None:
 
 
 def _devkit_with(root: Path, version: str, tables: Tables) -> Any:
-    from nuscenes.nuscenes import NuScenes
+    as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
 
-    class NuScenesWithRows(NuScenes):  # type: ignore[misc]
+    class NuScenesWithRows(as_published):  # type: ignore[misc]
         """Is given its rows instead of reading files; it reads tables that nobody here does."""
 
         def __load_table__(self, table: str) -> list[Row]:

@@ -10,6 +10,7 @@ import shapely
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
 from benchmark.constants import MAP_LAYERS
+from benchmark.datasets.devkit_import import devkit_module
 from benchmark.datasets.schema.beside import ARC_LINE, MAP_LINKS, MAP_NODE, MAP_RECORD, require_records
 from benchmark.datasets.schema.rows import shown
 from benchmark.datasets.tables import Row
@@ -206,8 +207,7 @@ def centerline_of(arcline_paths: Sequence[Row]) -> Floats:
     Raises:
         ValueError: If the paths have no length.
     """
-    from nuscenes.map_expansion.arcline_path_utils import discretize_lane
-
+    discretize_lane = devkit_module("nuscenes.map_expansion.arcline_path_utils").discretize_lane
     points = np.array(discretize_lane(list(arcline_paths), CENTERLINE_STEP_M), dtype=np.float64)[:, :2]
     moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
     if moved.sum() < 2:

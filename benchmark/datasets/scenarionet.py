@@ -19,6 +19,8 @@ from benchmark.constants import (
     FRAMES_PER_KEYFRAME,
     OFFICIAL_LOCATIONS,
 )
+from benchmark.datasets.exchange.own_words import Exchanged
+from benchmark.datasets.exchange.scene_of_own import OwnFile, adversaries_of, own_block, scene_of_own
 from benchmark.datasets.scenarionet_map import map_of_features
 from benchmark.datasets.scenarionet_tracks import SourceTrack, objects_of_tracks, read_track
 from benchmark.datasets.scenarionet_values import name_of, real_numbers
@@ -95,6 +97,9 @@ def find_scenarionet(folder: Path) -> tuple[Path, ...]:
 def read_scenarionet(path: Path) -> Scene:
     """Read one ScenarioNet file.
 
+    A file that `benchmark.datasets.exchange` wrote is the scene that it was made of, but for what was edited since
+    (`benchmark.datasets.exchange.scene_of_own`). Of any other file:
+
     Steps (usually 10 Hz) are resampled to 12 Hz; each sixth frame is a keyframe, and the scene ends with the last
     keyframe. The name is the scenario's if that is like ``scene-0061``, else ``scene-2000`` to ``scene-9999`` by hash
     of the scenario's id. The location is the file's own if it is an official nuScenes one, else ``boston-seaport``,
@@ -102,7 +107,8 @@ def read_scenarionet(path: Path) -> Scene:
 
     In nuScenes files the ego's position is ``ego_pose`` (the rear axle), agents' positions are box centres, and the
     last half second is left out: there ScenarioNet joins two sources of ego poses, which jump by up to a metre. In
-    other files the ego's position is its box centre; heights are made relative to the ground under the ego.
+    other files the ego's position is its box centre; heights are made relative to the ground under the ego. Tracks that
+    the metadata's ``adversaries`` names are the adversaries.
 
     Args:
         path: The file.
@@ -114,9 +120,26 @@ def read_scenarionet(path: Path) -> Scene:
     Raises:
         InputError: If the file is refused, broken, or its numbers make no sense.
     """
+    return read_exchanged(path).scene
+
+
+def read_exchanged(path: Path) -> Exchanged:
+    """The same with how the scene was made, which files say that were exported here; as `read_scenarionet`."""
     recording = _read_recording(path)
     tracks = _tracks_of(recording)
     ego = _ego_of(recording, tracks)
+    others = {name: track for name, track in tracks.items() if track is not ego}
+    own = own_block(recording.metadata, path)
+    if own is not None:
+        _require_steady(recording, ego)
+        value = recording.value
+        return scene_of_own(OwnFile(path, own, recording.metadata, value["tracks"], others, ego, value["map_features"]))
+    scene = _foreign_scene(recording, ego, others)
+    return Exchanged(scene, scene.name)
+
+
+def _foreign_scene(recording: _Recording, ego: SourceTrack, others: Mapping[str, SourceTrack]) -> Scene:
+    """The scene of a file of somebody else."""
     frame_seconds = _frame_seconds(recording, ego)
     position = _ego_position(recording, ego)
     ground_z = None if recording.is_nuscenes else position[:, 2].copy()
@@ -124,12 +147,11 @@ def read_scenarionet(path: Path) -> Scene:
         position[:, 2] = 0.0
     road_map, shift = map_of_features(
         recording.value["map_features"],
-        path=path,
+        path=recording.path,
         location=_location(recording),
         official=_is_official(recording.metadata.get("map")),
         ego_path=position[:, :2],
     )
-    others = {name: track for name, track in tracks.items() if track is not ego}
     keyframes = np.arange(0, len(frame_seconds), FRAMES_PER_KEYFRAME)
     agents, annotations = objects_of_tracks(
         others, recording.seconds, frame_seconds, keyframes, shift=shift, ground_z=ground_z
@@ -151,6 +173,7 @@ def read_scenarionet(path: Path) -> Scene:
         cameras=(),
         lidar=standard_lidar(),
         road_map=road_map,
+        adversaries=adversaries_of(recording.metadata, agents.ids, recording.path),
     )
     return replace(scene, description=described([*place_and_light(recording.metadata), *traffic_and_road(scene)]))
 
@@ -205,8 +228,8 @@ def _ego_of(recording: _Recording, tracks: Mapping[str, SourceTrack]) -> SourceT
     return tracks[name]
 
 
-def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
-    """12 Hz times from the first step to the last whole keyframe."""
+def _require_steady(recording: _Recording, ego: SourceTrack) -> None:
+    """Refuse an ego that is not always there, or jumps."""
     if not ego.valid.all():
         raise InputError(
             f"{recording.path}: the ego is not there at step {int(np.argmin(ego.valid))}; a recording needs its ego "
@@ -218,6 +241,11 @@ def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
             f"{recording.path}: the ego moves at {moved.max():.3g} m/s after step {int(np.argmax(moved))}; positions "
             "must be metres and without jumps, fetch the file again"
         )
+
+
+def _frame_seconds(recording: _Recording, ego: SourceTrack) -> Floats:
+    """12 Hz times from the first step to the last whole keyframe."""
+    _require_steady(recording, ego)
     half_second = FRAMES_PER_KEYFRAME / FRAME_HZ
     count = int(np.floor(recording.seconds[-1] / half_second + 1e-6)) + 1
     if recording.is_nuscenes:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmark.datasets.devkit_import import devkit_module
 from benchmark.errors import InputError, did_you_mean
 from benchmark.foreign.files import one_line
 from benchmark.machine.storage import read_json
@@ -138,8 +139,7 @@ def _unsaid(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 def _official(present: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Official nuScenes splits, reduced to the scenes that are here; empty ones are left out."""
-    from nuscenes.utils.splits import create_splits_scenes
-
     here = set(present)
+    create_splits_scenes = devkit_module("nuscenes.utils.splits").create_splits_scenes
     reduced = {name: tuple(sorted(here & set(scenes))) for name, scenes in create_splits_scenes().items()}
     return {name: scenes for name, scenes in reduced.items() if scenes}

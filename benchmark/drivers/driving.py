@@ -131,11 +131,11 @@ def drive(situation: Situation, rungs: Sequence[Rung] = RUNGS) -> list[Motion]:
     """
     simulated = [rung for rung in rungs if rung.driver in (Driver.IDM, *REACTING)]
     moved = dict(zip(simulated, _simulate(situation, simulated)))
-    return [moved[rung] if rung in moved else _given(situation, rung) for rung in rungs]
+    return [moved[rung] if rung in moved else given(situation, rung) for rung in rungs]
 
 
-def _given(situation: Situation, rung: Rung) -> Motion:
-    """The recording, or the speed of the start kept."""
+def given(situation: Situation, rung: Rung) -> Motion:
+    """The motion of a driver who looks at nobody: the recording, or the speed of the start kept."""
     times, station, speed = situation.times, situation.station, situation.speed
     last = len(times) - 1
     free_from = last
@@ -148,39 +148,81 @@ def _given(situation: Situation, rung: Rung) -> Motion:
 def _simulate(situation: Situation, rungs: Sequence[Rung]) -> list[Motion]:
     if not rungs:
         return []
-    count, instants = len(rungs), len(situation.times)
-    idm = np.array([rung.driver is Driver.IDM for rung in rungs])
-    free = np.where(idm, 0, instants - 1)
-    station = np.broadcast_to(situation.station, (count, instants)).copy()
-    speed = np.broadcast_to(situation.speed, (count, instants)).copy()
-    unsafe = np.zeros((count, instants - 1), np.bool_)
-    reasons: list[int | None] = [None] * count
-    memory = Reactions.fresh([rung.driver for rung in rungs])
-    free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
-    for step in range(instants - 1):
-        around = situation.relations.around(step, station[:, step])
+    advancing = Advancing(situation, rungs)
+    for step in range(len(situation.times) - 1):
+        advancing.step(step, situation, step)
+    return advancing.motions()
+
+
+class Advancing:
+    """Drivers under way: each step needs to know everybody at its beginning, and nothing of later.
+
+    Args:
+        situation: The recording that they follow until they react, and its path.
+        rungs: R who drive, all of whom decide by themselves (`REACTING`, and who keeps distance).
+    """
+
+    def __init__(self, situation: Situation, rungs: Sequence[Rung]) -> None:
+        count, instants = len(rungs), len(situation.times)
+        self._situation, self._rungs = situation, tuple(rungs)
+        self._idm = np.array([rung.driver is Driver.IDM for rung in rungs])
+        self.free_from = np.where(self._idm, 0, instants - 1)
+        """(R,) as in `Motion`; the last step while a driver follows the recording."""
+        self.station = np.broadcast_to(situation.station, (count, instants)).copy()
+        """(R, K) metres along the path: driven up to now, recorded from then on."""
+        self.speed = np.broadcast_to(situation.speed, (count, instants)).copy()
+        """(R, K) m/s, likewise."""
+        self._unsafe = np.zeros((count, instants - 1), np.bool_)
+        self._reasons: list[int | None] = [None] * count
+        self._memory = Reactions.fresh([rung.driver for rung in rungs])
+        self._free_speed = max(SLOWEST_REACTING_M_S, float(situation.speed.max()))
+
+    def step(self, step: int, seen: Situation, instant: int) -> None:
+        """Decide and drive 0.1 s.
+
+        Args:
+            step: Number of the step.
+            seen: Everybody at its beginning.
+            instant: Which of the instants of ``seen`` that is.
+        """
+        rungs, idm = self._rungs, self._idm
+        station, speed = self.station, self.speed
+        around = seen.relations.around(instant, station[:, step])
         now, before = speed[:, step], speed[:, max(step - 1, 0)]
-        watched = _Watched(situation, around, step, station[:, step], now, (now - before) / STEP_S)
-        latched = free <= step
+        watched = _Watched(seen, around, instant, station[:, step], now, (now - before) / STEP_S)
+        latched = self.free_from <= step
         found, targets = watched.reactions(rungs, latched | (now >= SLOWEST_REACTING_M_S))
-        seen = watched.seen(found | watched.in_the_way(idm))
-        found &= seen
+        visible_ones = watched.seen(found | watched.in_the_way(idm))
+        found &= visible_ones
         verdict = found.any(axis=1)
-        unsafe[:, step] = verdict
+        self._unsafe[:, step] = verdict
         for row in np.flatnonzero(verdict & ~latched).tolist():
             # The largest target for FSM; the others' are all alike, and so the first of them.
-            reasons[row], free[row] = int(np.argmax(np.where(found[row], targets[row], -1.0))), step
+            self._reasons[row] = int(np.argmax(np.where(found[row], targets[row], -1.0)))
+            self.free_from[row] = step
         latched |= verdict
         target = np.where(found, targets, 0.0).max(axis=1, initial=0.0)
-        reacted = memory.react(verdict[:, None], now[:, None], target[:, None])[:, 0]
-        following = now + STEP_S * idm_acceleration(now, free_speed, *watched.leaders(seen & idm[:, None]))
+        reacted = self._memory.react(verdict[:, None], now[:, None], target[:, None])[:, 0]
+        asked = idm_acceleration(now, self._free_speed, *watched.leaders(visible_ones & idm[:, None]))
+        following = now + STEP_S * asked
         after = np.maximum(np.where(idm, following, np.where(verdict, reacted, now)), 0.0)
         speed[:, step + 1] = np.where(latched, after, speed[:, step + 1])
         station[:, step + 1] = np.where(latched, station[:, step] + STEP_S * after, station[:, step + 1])
-    return [
-        Motion(rung, situation.times, station[row], speed[row], unsafe[row], int(free[row]), reasons[row])
-        for row, rung in enumerate(rungs)
-    ]
+
+    def motions(self) -> list[Motion]:
+        """What they have done."""
+        return [
+            Motion(
+                rung,
+                self._situation.times,
+                self.station[row],
+                self.speed[row],
+                self._unsafe[row],
+                int(self.free_from[row]),
+                self._reasons[row],
+            )
+            for row, rung in enumerate(self._rungs)
+        ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,6 +99,34 @@ class Relations:
         along, across = _components(path, places.station, velocity)
         return cls(path, times, boxes, present, velocity, tracks.hides, places, along, across)
 
+    @classmethod
+    def now(
+        cls, path: EgoPath, time: float, boxes: Floats, present: Bools, velocity: Floats, hides: Bools, behind_m: float
+    ) -> "Relations":
+        """Relate agents to a path at the only instant of which anything is known.
+
+        Args:
+            path: The path.
+            time: Seconds.
+            boxes: (N, 5) agents.
+            present: (N,) who is there.
+            velocity: (N, 2) metres a second.
+            hides: (N,) who can hide a car.
+            behind_m: Station behind which nobody matters.
+
+        Returns:
+            The relations, with one instant.
+        """
+        found = placed(path, boxes[present], outlines_from=behind_m)
+        filled = {name: np.zeros((len(boxes), 1)) for name in Places.__dataclass_fields__}
+        for name, array in filled.items():
+            array[present, 0] = getattr(found, name)
+        places = Places(**filled)
+        along, across = _components(path, places.station, velocity[:, None])
+        return cls(
+            path, np.array([time]), boxes[:, None], present[:, None], velocity[:, None], hides, places, along, across
+        )
+
     def around(self, instant: int, stations: Floats) -> "Around":
         """What R egos on the path have around them at an instant.
 

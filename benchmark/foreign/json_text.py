@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -109,24 +110,69 @@ def read_json_lines(path: Path, limits: Limits = JSON) -> list[Any]:
     Raises:
         InputError: If it is absent, unreadable, a line is not JSON, or it is more than the limits allow.
     """
+    return [parse_line(path, number, line, limits) for number, line in read_lines(path, limits)]
+
+
+def read_lines(path: Path, limits: Limits = JSON) -> Iterator[tuple[int, str]]:
+    """Lines of a file of JSON lines, unread.
+
+    Args:
+        path: The file.
+        limits: How large it may be, and a line of it.
+
+    Yields:
+        Number, from 1, and text of each line.
+
+    Raises:
+        InputError: If it is absent, unreadable, not text, or more than the limits allow.
+    """
     try:
         text = _bytes(path, limits).decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not text ({error}); fetch or make it again") from error
-    rows = []
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > limits.line_bytes:
             raise InputError(
                 f"{path} line {number} is longer than {in_words(limits.line_bytes)}; it is damaged or something else, "
                 "fetch or make it again"
             )
-        try:
-            rows.append(parse_json(line.encode(), limits))
-        except ValueError as error:
-            raise InputError(
-                f"{path} line {number} is not valid JSON ({one_line(error)}); it may be truncated"
-            ) from error
-    return rows
+        yield number, line
+
+
+def parse_line(path: Path, number: int, line: str, limits: Limits = JSON) -> Any:
+    """The value of one line of a file.
+
+    Args:
+        path: The file, for the message.
+        number: Of the line.
+        line: Its text.
+        limits: How many values it may have, and how deep.
+
+    Returns:
+        The value.
+
+    Raises:
+        InputError: If it is not JSON, or more than the limits allow.
+    """
+    try:
+        return parse_json(line.encode(), limits)
+    except ValueError as error:
+        raise InputError(f"{path} line {number} is not valid JSON ({one_line(error)}); it may be truncated") from error
+
+
+def is_plain(data: bytes, limits: Limits = JSON) -> bool:
+    """Whether a JSON text is surely within the limits and surely holds Unicode alone; a faster parser may have it then.
+
+    Args:
+        data: The text.
+        limits: How many values it may have, and how deep they may lie.
+
+    Returns:
+        ``False`` where `parse_json` has to look.
+    """
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
+        return False
+    return not (_is_deeper(data, limits.depth) or b"\xed" in data or b"\\ud" in data or b"\\uD" in data)
 
 
 def _bytes(path: Path, limits: Limits) -> bytes:

@@ -62,11 +62,19 @@ RESULTS: Final = Limits("result file", 8 * GIB, values=8_000_000, memory_bytes=G
 cost grows with the file (`for_file`)."""
 ANSWER: Final = Limits("answer of a planner", 64 * 1024, values=10_000)
 """One text file of a folder of results."""
+PLANNER_ANSWER: Final = Limits(
+    "answer of a planner's process", 64 * MIB, depth=16, values=4_000_000, content_bytes=64 * MIB
+)
+"""A plan with its modes and forecasts, or what was raised; some kilobytes."""
 RESULT_FILES: Final = 40_000
 """Files of a folder of results, one a sample."""
 PLAN_COLUMNS: Final = 64
 VERDICTS: Final = Limits("file of verdicts", 64 * MIB, depth=8, values=1_000_000, line_bytes=64 * 1024)
 """One a scene, with a reason of a few words; all of nuScenes has 1,000 scenes."""
+PACKAGE: Final = Limits("package of a split", 256 * MIB, values=1000, name_characters=200, content_bytes=256 * MIB)
+"""Frozen splits have some kilobytes a scene; values are files."""
+SETTINGS: Final = Limits("file of settings", 256 * 1024)
+"""TOML that people write: rules of a challenge have a page."""
 PICTURE: Final = Limits("picture", 256 * MIB, values=64_000_000)
 """Values are pixels: cameras have 1.4 to 12 million."""
 WIRE_REQUEST: Final = Limits("request", 64 * MIB, depth=8, values=10_000)

@@ -131,7 +131,7 @@ def _linear_algebra() -> MachineCheck:
         "linear algebra",
         False,
         f"NumPy's {worst} is wrong by {errors[worst]:.1e} on this processor; install another NumPy build "
-        "(pip install --force-reinstall 'numpy>=1.26,<2') before trusting any number",
+        "(pip install --force-reinstall 'numpy>=1.26,<3') before trusting any number",
     )
 
 
@@ -142,8 +142,8 @@ def _numpy_version() -> MachineCheck:
     return MachineCheck(
         "numpy",
         False,
-        f"NumPy {np.__version__} has builds that compute wrong matrix products on recent processors; install 1.26 "
-        "(pip install 'numpy>=1.26,<2')",
+        f"NumPy {np.__version__} has builds that compute wrong matrix products on recent processors; "
+        "install a newer one (pip install 'numpy>=1.26,<3')",
     )
 
 

@@ -1,7 +1,7 @@
 """Files that are either whole or absent, and keys made of content.
 
-Everything the project writes goes through here: a temporary file beside the target, flushed to disk, then renamed.
-JSON is read by one door (`benchmark.foreign`), whoever wrote it.
+Everything the project writes goes through here: a file without a name, flushed to disk, then given its name. Whoever is
+killed in between leaves nothing behind. JSON is read by one door (`benchmark.foreign`), whoever wrote it.
 """
 
 import contextlib
@@ -12,12 +12,16 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Final
 from urllib.parse import quote
 
 from benchmark.errors import InputError
+from benchmark.foreign.json_text import parse_json as parse_json
 from benchmark.foreign.json_text import read_json as read_json
 from benchmark.foreign.json_text import read_json_lines as read_json_lines
+
+_PROC: Final = Path("/proc/self/fd")
+"""Where files without a name are found, to be given one."""
 
 
 def canonical_json(value: Any, *, indent: int | None = None) -> str:
@@ -133,19 +137,74 @@ def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
     Raises:
         InputError: If it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = _nameless(path.parent)
+        if descriptor is None:
+            _write_named(path, data, durable=durable)
+            return
+        with os.fdopen(descriptor, "wb") as stream:
+            _fill(stream, data, durable=durable)
+            _name(stream.fileno(), path)
+
+
+def _nameless(folder: Path) -> int | None:
+    """A file without a name in a folder; ``None`` on systems and file systems that have none."""
+    try:
+        return os.open(folder, os.O_WRONLY | os.O_TMPFILE, 0o666) if _PROC.exists() else None
+    except (OSError, AttributeError):
+        return None
+
+
+def _fill(stream: BinaryIO, data: bytes, *, durable: bool) -> None:
+    stream.write(data)
+    stream.flush()
+    if durable:
+        os.fsync(stream.fileno())
+
+
+def _name(descriptor: int, path: Path) -> None:
+    """Give a file without a name its name; what has that name is replaced.
+
+    Where there is something to replace, the file is called ``.<name>.part`` for a moment. It is whole then: whoever
+    comes upon it, of a process that was killed in that moment or that writes the same file now, puts it in its place.
+    """
+    nameless, temporary = _PROC / str(descriptor), path.with_name(f".{path.name}.part")
+    if not path.exists():
+        with contextlib.suppress(FileExistsError):
+            # A directory has to be given, or Python links the link in /proc and not the file.
+            os.link(nameless, path, src_dir_fd=descriptor, follow_symlinks=True)
+            return
+    while True:
         try:
-            with temporary.open("wb") as stream:
-                stream.write(data)
-                if durable:
-                    stream.flush()
-                    os.fsync(stream.fileno())
-            temporary.replace(path)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
+            os.link(nameless, temporary, src_dir_fd=descriptor, follow_symlinks=True)
+            break
+        except FileExistsError:
+            _put_in_place(temporary, path)
+    _put_in_place(temporary, path)
+
+
+def _put_in_place(temporary: Path, path: Path) -> None:
+    try:
+        temporary.replace(path)
+    except FileNotFoundError:
+        # Somebody else has put it there.
+        return
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _write_named(path: Path, data: bytes, *, durable: bool) -> None:
+    """Write a temporary file beside the target, then rename it."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("wb") as stream:
+            _fill(stream, data, durable=durable)
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def write_json(path: Path, value: Any, *, indent: int | None = 1) -> None:
@@ -156,6 +215,11 @@ def write_json(path: Path, value: Any, *, indent: int | None = 1) -> None:
 def write_json_lines(path: Path, rows: list[Any]) -> None:
     """Write one canonical JSON value a line, whole or not at all (see `write_bytes`)."""
     write_bytes(path, "".join(canonical_json(row) + "\n" for row in rows).encode())
+
+
+def is_left_over(path: Path) -> bool:
+    """Whether a file is one that a process was killed over (`write_bytes`)."""
+    return path.name.startswith(".") and path.suffix == ".part"
 
 
 def read_kept_json(path: Path) -> Any | None:

@@ -8,6 +8,7 @@ import functools
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from benchmark.errors import InputError
+from benchmark.machine.garbage import collect_rarely
 from benchmark.machine.progress import WATCH, Count, Work, progress
 
 if TYPE_CHECKING:
@@ -29,7 +31,7 @@ UNFINISHED_PER_WORKER: Final = 3
 """Units handed out to each worker: one that it works on, the others so that it never waits."""
 WAITING_PER_WORKER: Final = 60
 """Finished and unfinished units for each worker; one slow unit holds up the results of no more than these."""
-_SLOW_TO_IMPORT: Final = ("torch", "cv2", "shapely", "benchmark.datasets.nuscenes")
+_SLOW_TO_IMPORT: Final = ("cv2", "shapely", "benchmark.datasets.nuscenes")
 
 _number = 0
 
@@ -67,10 +69,13 @@ def single_threaded() -> None:
     """Make the numerical libraries of this process use one thread, whatever the environment says."""
     import cv2
     import numpy as np  # noqa: F401 - limits hold for the libraries that are loaded by then
-    import torch
     from threadpoolctl import threadpool_limits
 
-    torch.set_num_threads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    else:
+        # torch takes two seconds to import, which most planners do not need; it obeys these if it is imported later.
+        os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     cv2.setNumThreads(1)
     # numpy has no switch of its own, and its products round differently with more threads.
     threadpool_limits(1, user_api="blas")
@@ -123,7 +128,7 @@ class LocalProcesses:
     ) -> Iterator[Result]:
         workers, before = min(self.workers, total), set(multiprocessing.active_children())
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([*_SLOW_TO_IMPORT, *_module_of(function)])
+        context.set_forkserver_preload(_imported_before_the_first(function))
         begun = context.Value("i", 0)
         with (
             ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool,
@@ -223,6 +228,14 @@ def _module_of(function: Callable[..., Any]) -> tuple[str, ...]:
     return () if module == "__main__" else (module,)
 
 
+def _imported_before_the_first(function: Callable[..., Any]) -> list[str]:
+    """What the process that workers are copied from imports, so that none has to."""
+    module = _module_of(function)
+    # The process is started once; work that builds data is followed by work that plans with a network.
+    needs_torch = "torch" in sys.modules or any(name.partition(".")[0] == "generation" for name in module)
+    return [*(["torch"] if needs_torch else []), *_SLOW_TO_IMPORT, *module]
+
+
 def worker_number() -> int:
     """Number of this process among the workers of a command: 0, 1, ...; 0 where the command itself works."""
     return _number
@@ -236,6 +249,7 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
         _number = begun.value
         begun.value += 1
     WATCH.silence()
+    collect_rarely()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     single_threaded()
 

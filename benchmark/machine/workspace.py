@@ -19,6 +19,13 @@ DEMONSTRATED = "demo"
 EMBEDDED_NAMES = (EMBEDDED, DEMONSTRATED)
 """What ``--data`` takes beside the root of a data set; a folder of such a name is written ``./demo``."""
 
+TIMINGS_FOLDER = "timings"
+
+
+def timings_beside(made: Path) -> Path:
+    """Folder of notes on how long it took to make something that lies in no ``--out`` folder: beside it."""
+    return made.with_name(f"{made.name}.{TIMINGS_FOLDER}")
+
 
 def how_generated(split: str) -> str:
     """Options of ``generate`` that make a split; of a split of one seed, with another seed beside it."""
@@ -83,6 +90,22 @@ class Workspace:
     def ablation_root(self) -> Path:
         """Folder of all ablation studies."""
         return self.out / "ablation"
+
+    def challenge_root(self) -> Path:
+        """Verdicts on entries of challenges and their scores, a folder for each entry."""
+        return self.out / "challenge"
+
+    def timings_of(self, made: Path) -> Path:
+        """Folder of notes on how long it took to make something: outside of it, whose bytes are not the clock's.
+
+        Args:
+            made: Root of a data set, or a folder of run directories.
+
+        Returns:
+            Its place below ``<out>/timings``; `timings_beside` of what is not below the folder.
+        """
+        own = made.is_relative_to(self.out)
+        return self.out / TIMINGS_FOLDER / made.relative_to(self.out) if own else timings_beside(made)
 
     def rendering_root(self) -> Path:
         """Folder of what takes long to draw, kept between the stages of photorealistic rendering."""

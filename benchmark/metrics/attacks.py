@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
-from benchmark.records.row_schema import SampleRow
+from benchmark.records.columns import BriefRow
 from benchmark.records.run import RunRecord
 from benchmark.records.seed_splits import is_adversarial
 from benchmark.severity.attack import READINGS, Attack, Reading, any_known
@@ -72,12 +72,12 @@ def has_adversaries(record: RunRecord) -> bool:
 
 def says_severity(record: RunRecord) -> bool:
     """Whether a record says of every plan how severe it is; older ones do not."""
-    return all(row.severity is not None for row in record.rows if row.status == "ok")
+    return all(row.severity is not None for row in record.columns.brief if row.status == "ok")
 
 
-def counted_rows(record: RunRecord) -> list[SampleRow]:
+def counted_rows(record: RunRecord) -> list[BriefRow]:
     """Samples that have a plan and whose recording goes on for 3 s."""
-    return [row for row in record.rows if row.status == "ok" and row.complete and row.severity is not None]
+    return [row for row in record.columns.brief if row.status == "ok" and row.complete and row.severity is not None]
 
 
 def careful_survives(record: RunRecord, scene: str) -> bool | None:
@@ -99,7 +99,7 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
     survivors = {scene: careful_survives(record, scene) for scene in by_scene}
     for row in counted_rows(record):
         by_scene[row.scene].append(_attack(row, survivors[row.scene]))
-    missing = {row.scene for row in record.rows if row.status == "failed" and row.complete}
+    missing = {row.scene for row in record.columns.brief if row.status == "failed" and row.complete}
     return {
         scene: SceneAttack(
             tuple(found),
@@ -149,7 +149,7 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
     }
 
 
-def _attack(row: SampleRow, survives: bool | None) -> Attack:
+def _attack(row: BriefRow, survives: bool | None) -> Attack:
     contact = None if row.severity is None else row.severity.contact
     return Attack.of(contact is not None, None if contact is None else contact.at_fault, survives)
 

@@ -125,8 +125,9 @@ def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
 
 
 def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComparison:
-    rows = [row for row in record.rows if row.status == "ok"]
-    official = outcomes_of(rows, protocol)
+    brief = record.columns.brief
+    rows = [brief[place] for place in record.columns.planned]
+    official = outcomes_of(record.rows, protocol)
     both = compared(exact, official)
     removed = (before_mask(official) & ~official.collision)[both]
     wrong = both & (any_contact(exact) != any_contact(official))

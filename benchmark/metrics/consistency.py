@@ -54,21 +54,41 @@ def consistency(record: RunRecord) -> Consistency:
     Returns:
         The distances.
     """
-    sources = source_of_scenes(record)
+    sources, columns = source_of_scenes(record), record.columns
+    brief, place_of = columns.brief, {row: place for place, row in enumerate(columns.planned)}
     pairs = [
-        (first, second)
-        for first, second in pairwise(record.rows)
+        (at, at + 1)
+        for at, (first, second) in enumerate(pairwise(brief))
         if first.scene == second.scene and second.index == first.index + 1
     ]
     found = [
-        (apart(first, second), sources[first.scene])
+        (place_of[first], place_of[second], sources[brief[first].scene])
         for first, second in pairs
-        if first.plan and second.plan and first.recorded_future[0]
+        if first in place_of and second in place_of and not np.isnan(columns.moved[place_of[first], 0])
     ]
-    values = np.array([distances for distances, _ in found], np.float64).reshape(-1, COMMON_STEPS)
-    columns = np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
-    rates = ratios_over_scenes(columns, np.ones_like(columns), [scene for _, scene in found], seed=record.run.seed)
+    first, second = [one for one, _, _ in found], [other for _, other, _ in found]
+    values = plans_apart(columns.in_lidar[first], columns.moved[first], columns.in_lidar[second])
+    with_mean = np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
+    rates = ratios_over_scenes(with_mean, np.ones_like(with_mean), [scene for *_, scene in found], seed=record.run.seed)
     return Consistency(dict(zip((*INSTANTS, MEAN), rates, strict=True)), len(found), len(pairs) - len(found))
+
+
+def plans_apart(first: Floats, moved: Floats, second: Floats) -> Floats:
+    """`apart` for P pairs at once.
+
+    Args:
+        first: (P, 6, 2) waypoints planned at a sample, of the lidar origin in its frame.
+        moved: (P, 3) pose of the next sample's lidar in that of the first.
+        second: (P, 6, 2) waypoints planned at the next sample.
+
+    Returns:
+        (P, 5) metres at 0.5 to 2.5 s after the second sample.
+    """
+    # Straight ahead is pi/2 in the lidar frame: a pose there looks along its y axis.
+    pose = np.stack([moved[:, 0], moved[:, 1], moved[:, 2] - np.pi / 2], axis=-1)
+    later = to_global(second[:, :COMMON_STEPS], pose[:, None, :])
+    offset = later - first[:, 1 : COMMON_STEPS + 1]
+    return np.asarray(np.hypot(offset[..., 0], offset[..., 1]).reshape(-1, COMMON_STEPS))
 
 
 def apart(first: SampleRow, second: SampleRow) -> Floats:

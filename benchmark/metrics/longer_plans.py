@@ -37,7 +37,7 @@ def longer_rates(record: RunRecord) -> LongerRates | None:
     """
     sources = source_of_scenes(record)
     nearest = min(LONGER_HORIZON_STEPS.values())
-    rows = [row for row in record.rows if row.longer is not None and len(row.longer.collision) >= nearest]
+    rows = [row for row in record.columns.brief if row.longer is not None and len(row.longer.collision) >= nearest]
     if not rows:
         return None
     values = np.zeros((2, len(rows), len(HORIZONS)))

@@ -222,9 +222,11 @@ def _interval(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
         return low, high
     above = resampled(sums.numerators, sums.names, seed=seed)
     below = resampled(sums.denominators, sums.names, seed=seed)
-    for column in range(columns):
-        if np.count_nonzero(sums.denominators[:, column]) < 2:
-            continue
+    known = np.count_nonzero(sums.denominators, axis=0) >= 2
+    always = known & (below > 0).all(axis=0)
+    if always.any():
+        low[always], high[always] = np.percentile(above[:, always] / below[:, always], INTERVAL, axis=0)
+    for column in np.flatnonzero(known & ~always).tolist():
         drawn = below[:, column] > 0
         low[column], high[column] = np.percentile(above[drawn, column] / below[drawn, column], INTERVAL)
     return low, high

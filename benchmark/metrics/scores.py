@@ -1,9 +1,10 @@
 """What the samples of a record add to its collision rates, for everything that compares records."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
@@ -24,6 +25,7 @@ class Scored:
         values: (S, 4) at 1, 2, 3 s and their mean, 0..1.
         counted: (S,) whether the sample counts.
         failed: Samples without a plan.
+        kept: Sums that were asked for.
     """
 
     record: RunRecord
@@ -33,6 +35,9 @@ class Scored:
     values: Floats
     counted: Bools
     failed: frozenset[str]
+    kept: dict[tuple[bytes, frozenset[tuple[str, str]]], SceneSums] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def sums(self, unit_of: dict[str, str], only: Sequence[int] | None = None) -> SceneSums:
         """Add the samples up.
@@ -45,6 +50,13 @@ class Scored:
             Sums by unit.
         """
         rows = np.arange(len(self.tokens)) if only is None else np.array(only, dtype=np.int64)
+        # A planner is compared with all others, mostly on the same samples.
+        key = rows.tobytes(), frozenset(unit_of.items())
+        if key not in self.kept:
+            self.kept[key] = self._sums(unit_of, rows)
+        return self.kept[key]
+
+    def _sums(self, unit_of: dict[str, str], rows: NDArray[np.int64]) -> SceneSums:
         weights = np.repeat(self.counted[rows, None].astype(float), len(HORIZONS), axis=1)
         return sums_by_scene(self.values[rows] * weights, weights, [unit_of[self.scenes[row]] for row in rows])
 
@@ -79,8 +91,9 @@ def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
     """
     name = protocol_of(record, protocol)
     require_current(record, name)
-    planned = [row for row in record.rows if row.status == "ok"]
-    outcomes = outcomes_of(planned, name)
+    brief = record.columns.brief
+    planned = [brief[place] for place in record.columns.planned]
+    outcomes = outcomes_of(record.rows, name)
     return Scored(
         record=record,
         protocol=name,
@@ -88,7 +101,7 @@ def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
         scenes=tuple(row.scene for row in planned),
         values=with_average(PROTOCOLS[name].sample_values(outcomes)["collision"]).reshape(-1, len(HORIZONS)),
         counted=outcomes.counted,
-        failed=frozenset(row.sample_token for row in record.rows if row.status == "failed"),
+        failed=frozenset(row.sample_token for row in brief if row.status == "failed"),
     )
 
 

@@ -160,9 +160,12 @@ def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> Planner
             f"{named(first.record)} and {named(second.record)} are not of the same data, split and protocol; "
             "planners are compared on the same samples only"
         )
-    row_of = {name: row for row, name in enumerate(second.tokens)}
-    both = [(row, row_of[name]) for row, name in enumerate(first.tokens) if name in row_of]
-    both = [(mine, theirs) for mine, theirs in both if first.counted[mine] and second.counted[theirs]]
+    if first.tokens == second.tokens:
+        both = [(row, row) for row in np.flatnonzero(first.counted & second.counted).tolist()]
+    else:
+        row_of = {name: row for row, name in enumerate(second.tokens)}
+        both = [(row, row_of[name]) for row, name in enumerate(first.tokens) if name in row_of]
+        both = [(mine, theirs) for mine, theirs in both if first.counted[mine] and second.counted[theirs]]
     unit_of = source_of_scenes(first.record)
     sums = (
         first.sums(unit_of, [mine for mine, _ in both]),

@@ -7,7 +7,7 @@ no sample in a slice adds nothing to it. What a record does not say is not guess
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Final, Literal, cast, get_args
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from benchmark.metrics.rates import HORIZONS, Rate, ratios_over_scenes, with_ave
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.driving import COLUMNS as DRIVING_COLUMNS
-from benchmark.records.driving import sample_scores
-from benchmark.records.row_schema import CAUSES, PlaceName, SampleRow
+from benchmark.records.row_schema import CAUSES, PlaceName
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
 from benchmark.records.run_schema import LightName
 
@@ -80,6 +79,16 @@ def slicing(record: RunRecord, kind: SliceKind) -> Slicing | None:
         The slices, or ``None`` where the record does not say: older ones do not know places, speeds and light, and
         where there is no adversary there is no manoeuvre.
     """
+    key = ("slicing", kind)
+    # Beside the rows, what the record says of its scenes decides.
+    facts, sliced = record.columns.kept.get(key, (None, None))
+    if facts is not record.run:
+        sliced = _sliced(record, kind)
+        record.columns.kept[key] = record.run, sliced
+    return sliced if sliced is None else cast("Slicing", sliced)
+
+
+def _sliced(record: RunRecord, kind: SliceKind) -> Slicing | None:
     found = _labels(record, kind)
     if found is None:
         return None
@@ -112,11 +121,9 @@ def rates_by(record: RunRecord, kind: SliceKind, protocol: str) -> list[Slice]:
     """
     name, parts = protocol_of(record, protocol), slicing(record, kind)
     require_current(record, name)
-    planned = [place for place, row in enumerate(record.rows) if row.status == "ok"]
     if parts is None:
         return []
-    rows = [record.rows[place] for place in planned]
-    outcomes = outcomes_of(rows, name)
+    planned, outcomes = record.columns.planned, outcomes_of(record.rows, name)
     columns = PROTOCOLS[name].sample_values(outcomes)
     values = np.concatenate([with_average(one).reshape(-1, len(HORIZONS)) for one in columns.values()], axis=1)
     weights = np.where(np.isnan(values), False, outcomes.counted[:, None]).astype(np.float64)
@@ -135,10 +142,10 @@ def driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
         Slices with the ``mean`` of each column of `benchmark.records.driving`; empty where there are no scores.
     """
     parts = slicing(record, kind)
-    chosen = [place for place, row in enumerate(record.rows) if row.driving is not None]
-    if parts is None or not chosen or record.summary.driving is None:
+    chosen = [place for place, row in enumerate(record.columns.brief) if row.driven]
+    if parts is None or record.columns.driving is None or record.summary.driving is None:
         return []
-    values, known = sample_scores([driven for row in record.rows if (driven := row.driving) is not None])
+    values, known = record.columns.driving
     keys = [(column, "mean") for column in DRIVING_COLUMNS]
     return _slices(record, parts, chosen, np.ones(len(chosen), np.bool_), values, known.astype(np.float64), keys)
 
@@ -159,17 +166,13 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     """
     require_current(record, EXACT)
     parts = slicing(record, kind)
-    chosen = [place for place, row in enumerate(record.rows) if _collides(row)]
-    causes = [None if (said := record.rows[place].diagnosis) is None else said.cause for place in chosen]
+    chosen = np.flatnonzero(record.columns.collides(EXACT)).tolist()
+    causes = [None if (said := record.columns.brief[place].diagnosis) is None else said.cause for place in chosen]
     if parts is None or not chosen or None in causes:
         return []
     values = np.array([[cause == one for one in CAUSES] for cause in causes], np.float64)
     keys = [("cause", cause) for cause in CAUSES]
     return _slices(record, parts, chosen, np.ones(len(chosen), np.bool_), values, np.ones_like(values), keys)
-
-
-def _collides(row: SampleRow) -> bool:
-    return row.status == "ok" and row.outcomes[EXACT].counted and any(row.outcomes[EXACT].collision)
 
 
 def _slices(
@@ -183,7 +186,7 @@ def _slices(
 ) -> list[Slice]:
     """Ratios of S chosen rows with C values each, for every slice in which any of them counts."""
     members, count = parts.members[list(chosen)], len(parts.names)
-    sources, scenes = source_of_scenes(record), [record.rows[place].scene for place in chosen]
+    sources, scenes = source_of_scenes(record), [record.columns.brief[place].scene for place in chosen]
     spread = (weights[:, None, :] * members[:, :, None]).reshape(len(chosen), count * len(keys))
     rates = ratios_over_scenes(
         np.tile(values, (1, count)) * spread, spread, [sources[scene] for scene in scenes], seed=record.run.seed
@@ -202,7 +205,7 @@ def _slices(
 
 def _labels(record: RunRecord, kind: SliceKind) -> list[tuple[str, ...]] | None:
     """Of each row the slices that it is in; ``None`` where the record does not say."""
-    rows = record.rows
+    rows = record.columns.brief
     if kind == "command":
         return [(dict(enumerate(COMMANDS)).get(row.command, NOT_SAID),) for row in rows]
     if kind == "place":

@@ -12,7 +12,7 @@ from benchmark.pdm.comfort import disagreement, extended_comfort, states_between
 from benchmark.pdm.definition import DT_S
 from benchmark.pdm.motion import headed, tracked
 from benchmark.pdm.recording import RecordedScene
-from benchmark.pdm.scoring import beside, human_scores, judged
+from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged
 from benchmark.planning import Plan
 from benchmark.scene import Scene
 
@@ -98,9 +98,9 @@ def judge_scene(
 
 def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -> tuple[Floats, list[DrivenPlan]]:
     """Motions and verdicts of some plans, less what needs the plan before."""
-    around, own = recorded.surroundings(samples), np.arange(len(samples))
+    own = np.arange(len(samples))
+    around, references = _references(recorded, samples)
     plans = judged(tracked(poses, around.now), own, around)
-    references = judged(tracked(recorded.recorded_plans(samples), around.now), own, around)
     scores = beside(plans, references.course.progress_m, references.scores.multiplier)
     forgiven = human_scores(references).zeros()
     verdicts = [
@@ -118,6 +118,17 @@ def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -
         for row in own.tolist()
     ]
     return plans.states, verdicts
+
+
+def _references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[Surroundings, Judged]:
+    """Surroundings and the recorded futures as they are judged: the same for all planners that planned the samples."""
+    key = samples.tobytes()
+    if key not in recorded.references:
+        around = recorded.surroundings(samples)
+        plans = tracked(recorded.recorded_plans(samples), around.now)
+        recorded.references[key] = around, judged(plans, np.arange(len(samples)), around)
+    found: tuple[Surroundings, Judged] = recorded.references[key]
+    return found
 
 
 def _between_plans(samples: NDArray[np.int64], seconds: Floats, states: Floats) -> dict[int, float]:

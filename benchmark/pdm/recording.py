@@ -1,6 +1,6 @@
 """What a recorded scene gives to judge plans by: the car's motion, objects, road and route at its samples."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,11 @@ class RecordedScene:
         seconds: (K,) time of each key frame.
         motion: (K, 8) pose, velocity and acceleration of the rear axle: the first columns of a state.
         complete: (K,) whether the recording goes on for 3 s.
+        references: Kept by `benchmark.pdm.judging`, by the samples that they are of.
     """
 
     def __init__(self, scene: Scene) -> None:
+        self.references: dict[bytes, Any] = {}
         self._annotations = scene.annotations
         self._categories = scene.agents.categories
         self.seconds = scene.seconds[scene.keyframes]

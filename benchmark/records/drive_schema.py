@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from benchmark.records.run_schema import (
     Name,
@@ -15,7 +15,7 @@ from benchmark.records.stored import Stored
 SCHEMA: Final = 1
 """Version of the format of records of drives; raised whenever a field changes."""
 MOST_RUNS: Final = 10_000
-REASONS: Final = ("raised", "no plan", "unusable plan", "timeout")
+REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Fraction = Share | None
@@ -27,6 +27,8 @@ class Measured(Stored):
     Attributes:
         engine: Which engine drove.
         agents: How the others behave; ``replay`` in NeuroNCAP's engine.
+        agents_facts: What else they depend on: budget, knowledge and version of an adversary, and the policy of those
+            beside it. Not written where there is nothing.
         sensor: What cameras saw.
         sensor_facts: What else the pictures depend on.
         latency_ms: So much later than it was made did a plan take effect.
@@ -39,13 +41,24 @@ class Measured(Stored):
     sensor_facts: dict[str, Any] = Field(default_factory=dict)
     latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
     scenarios: Literal["recorded", "own", "official"] = "recorded"
+    agents_facts: dict[str, Any] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(write(self), "agents_facts")
 
     @property
     def world(self) -> str:
         """Engine, agents and latency, in words: what records of one table share, whatever their planners look at."""
-        agents = f", agents {self.agents}" if self.engine == "default" else ""
+        said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
+        agents = f", agents {self.agents}{f' ({said})' if said else ''}" if self.engine == "default" else ""
         scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
         return f"{self.engine}{scenarios}{agents}{f', latency {self.latency_ms} ms' if self.latency_ms else ''}"
+
+
+def _without_empty(written: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Without fields that say nothing: they are younger than records that must stay the same bytes."""
+    return {name: value for name, value in written.items() if name not in names or value}
 
 
 class DriveFacts(RecordFacts):
@@ -74,7 +87,7 @@ class DrivePlan(Stored):
 class FailureRow(Stored):
     """Why a drive failed: in a word, and what was raised."""
 
-    reason: Literal["raised", "no plan", "unusable plan", "timeout"]
+    reason: Literal["raised", "no plan", "unusable plan", "timeout", "died"]
     text: str
 
 
@@ -161,6 +174,48 @@ class TickRows(Stored):
     station: list[float]
 
 
+class AdversaryRow(Stored):
+    """Where an adversary went (`benchmark.closed_loop.agents.adversary.AdversaryTrack`).
+
+    Attributes:
+        agent: Its index in the scene.
+        uuid: Its instance identifier.
+        start: Frame of the scene at which it left its recording.
+        poses: x, y, yaw of its box centre at the frames from there on, as far as it was planned.
+        replanned: Frames at which it was planned anew; none of a track that was given.
+        scores: Of what was chosen there; null where it braked because no candidate was allowed.
+    """
+
+    agent: Annotated[int, Field(ge=0)]
+    uuid: str
+    start: Annotated[int, Field(ge=0)]
+    poses: list[Annotated[list[float], Field(min_length=3, max_length=3)]]
+    replanned: list[int] = Field(default_factory=list)
+    scores: list[float | None] = Field(default_factory=list)
+
+
+class LadderRow(Stored):
+    """What came of a reference driver in the same encounter (`benchmark.closed_loop.ladder.LadderOutcome`).
+
+    Attributes:
+        survives: Whether it touched nobody.
+        seconds: When it touched somebody.
+        agent: Whom, by instance identifier.
+        kind: What hit what.
+        at_fault: Whether it is to blame.
+    """
+
+    survives: bool
+    seconds: float | None = None
+    agent: str | None = None
+    kind: str | None = None
+    at_fault: bool | None = None
+
+
+CAREFUL: Final = "cc"
+"""The careful and competent human: whom an encounter is fair to."""
+
+
 class DriveRow(Stored):
     """One line of ``drives.jsonl``: one scene, one run.
 
@@ -176,6 +231,8 @@ class DriveRow(Stored):
         contact: The first contact.
         scores: Or null.
         failure: Or null.
+        adversary: Where an adversary that answers went; not written where there was none.
+        ladder: What came of reference drivers in the same encounter; not written where none drove.
     """
 
     scene: Name
@@ -189,6 +246,17 @@ class DriveRow(Stored):
     contact: ContactRow | None
     scores: ScoreRow | None
     failure: FailureRow | None
+    adversary: AdversaryRow | None = None
+    ladder: dict[str, LadderRow] | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _without_empty(write(self), "adversary", "ladder")
+
+    @property
+    def fair(self) -> bool | None:
+        """Whether a careful human survives the same encounter; ``None`` where nobody looked."""
+        return None if self.ladder is None or CAREFUL not in self.ladder else self.ladder[CAREFUL].survives
 
     @model_validator(mode="after")
     def _agree(self) -> Self:

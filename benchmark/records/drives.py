@@ -95,6 +95,10 @@ def values_of(row: DriveRow) -> dict[str, float | None]:
         "delta_v": None if contact is None else contact.delta_v_ego,
         **common,
     }
+    if row.ladder is not None:
+        own |= {f"survives_{name}": float(found.survives) for name, found in row.ladder.items()}
+    if row.fair is not None:
+        own["attributable"] = float(row.fair and contact is not None and contact.at_fault)
     terms, hd = scores.nuplan, scores.hd
     own["off_road"] = None if terms is None else 1.0 - terms.dac
     for name in ("score", "nc", "dac", "mp", "ddc", "p", "ttc", "c"):

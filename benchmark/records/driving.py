@@ -53,16 +53,33 @@ def summarise_driving(rows: Sequence[SampleRow], scenes: Sequence[str], *, seed:
     counted = [(row.driving, scene) for row, scene in zip(rows, scenes, strict=True) if row.driving is not None]
     if not counted:
         return None
-    values, known = sample_scores([driving for driving, _ in counted])
+    return driving_summary(
+        sample_scores([driving for driving, _ in counted]), [scene for _, scene in counted], len(rows), seed=seed
+    )
+
+
+def driving_summary(scores: tuple[Floats, Bools], scenes: Sequence[str], planned: int, *, seed: int) -> DrivingSummary:
+    """Means and shares from the columns of `sample_scores`.
+
+    Args:
+        scores: Of the S samples that have driving scores.
+        scenes: S names of what is drawn together.
+        planned: How many samples have a plan.
+        seed: Seed of the intervals.
+
+    Returns:
+        The summary.
+    """
+    values, known = scores
     weights = np.concatenate([known, known], axis=1).astype(np.float64)
     both = np.concatenate([values, values == 1.0], axis=1) * weights
-    found = ratios_over_scenes(both, weights, [scene for _, scene in counted], seed=seed)
+    found = ratios_over_scenes(both, weights, scenes, seed=seed)
     rates = [RateRow(**asdict(rate)) for rate in found]
     columns = {
         name: {"mean": mean, "ones": ones}
         for name, mean, ones in zip(COLUMNS, rates[: len(COLUMNS)], rates[len(COLUMNS) :], strict=True)
     }
-    return DrivingSummary(version=VERSION, columns=columns, counted=len(counted), incomplete=len(rows) - len(counted))
+    return DrivingSummary(version=VERSION, columns=columns, counted=len(scenes), incomplete=planned - len(scenes))
 
 
 def sample_scores(rows: Sequence[DrivingRow]) -> tuple[Floats, Bools]:

@@ -3,27 +3,44 @@
 ``run.json`` says what ran, ``samples.jsonl`` holds one row a sample, ``summary.json`` holds the rates and is derived
 from the rows alone. ``run.json`` names the hashes of the other two, and the three are replaced together
 (`benchmark.records.store`): a directory either is a record or is not.
-``timing.json`` beside them is not part of the record: everything else is the same bytes on every run.
+Every run gives the same bytes; how long it took is noted elsewhere (``<out>/timings``).
 """
 
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 
 from benchmark.errors import InputError
-from benchmark.machine.storage import content_key
+from benchmark.foreign.json_text import is_plain, parse_line
+from benchmark.foreign.limits import RECORD
+from benchmark.geometry import Bools
+from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import rates
 from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.protocols import protocol as definition_of
-from benchmark.records.driving import summarise_driving
+from benchmark.records.columns import RowColumns
+from benchmark.records.driving import driving_summary
 from benchmark.records.row_schema import SampleRow
+from benchmark.records.rows import Rows, columns_of
 from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
-from benchmark.records.store import ROWS_FILE, RUN_FILE, SUMMARY_FILE, read_each, read_files, replace_files, validated
+from benchmark.records.store import (
+    ROWS_FILE,
+    RUN_FILE,
+    SUMMARY_FILE,
+    read_each,
+    read_files,
+    replace_files,
+    require_own,
+    stored_head,
+    validated,
+)
 from benchmark.records.stored import Stored
 
 _Read = TypeVar("_Read", bound=Stored)
@@ -41,7 +58,8 @@ class RunRecord:
     Attributes:
         directory: Where it lies.
         run: What ran.
-        rows: One for each sample, by scene and time.
+        rows: One for each sample, by scene and time; kept compressed, so that going through them takes time
+            (`columns` does not).
         summary: Rates.
         label: What tells this version of the planner from others (`benchmark.records.planner_versions`), if there
             are others.
@@ -51,15 +69,28 @@ class RunRecord:
 
     directory: Path
     run: RunFacts
-    rows: tuple[SampleRow, ...]
+    rows: Sequence[SampleRow]
     summary: Summary
     label: str | None = None
     reproduced: str | None = None
+
+    def __post_init__(self) -> None:
+        """Keep the rows compressed, whoever made them."""
+        object.__setattr__(self, "rows", Rows.of(self.rows))
 
     @property
     def planner(self) -> str:
         """Name of the planner in tables."""
         return self.label or self.run.planner.name
+
+    @property
+    def columns(self) -> RowColumns:
+        """What tables read of the rows."""
+        return columns_of(self.rows)
+
+    def rows_of(self, scene: str) -> list[SampleRow]:
+        """Rows of one scene."""
+        return Rows.of(self.rows).of_scene(scene)
 
     @property
     def content_id(self) -> str:
@@ -128,7 +159,7 @@ def outcomes_of(rows: Sequence[SampleRow], protocol: str) -> Outcomes:
     Returns:
         The verdicts on the samples that have a plan, in their order.
     """
-    return Outcomes.from_rows([vars(row.outcomes[protocol]) for row in rows if row.status == "ok"])
+    return columns_of(rows).outcomes(protocol)
 
 
 def summarise(
@@ -150,15 +181,17 @@ def summarise(
     Returns:
         The summary.
     """
-    planned = [row for row in rows if row.status == "ok"]
+    columns = columns_of(rows)
+    planned = [columns.brief[place] for place in columns.planned]
     known = scene_facts or {}
     scenes = [known[row.scene].source if row.scene in known else row.scene for row in planned]
+    driven = [scene for row, scene in zip(planned, scenes) if row.driven]
     told = all(row.scene in known and known[row.scene].adversaries is not None for row in planned)
     protocols = {}
     for name, version in versions.items():
-        outcomes = outcomes_of(rows, name)
+        outcomes = columns.outcomes(name)
         found = rates(PROTOCOLS[name], outcomes, scenes, seed=seed)
-        decided = [failed for failed in scene_failures(rows, name).values() if failed is not None]
+        decided = [failed for failed in scene_failures(columns, name).values() if failed is not None]
         protocols[name] = ProtocolSummary(
             version=version,
             columns={
@@ -178,7 +211,7 @@ def summarise(
         failed=len(rows) - len(planned),
         coverage=len(planned) / len(rows) if rows else 0.0,
         protocols=protocols,
-        driving=summarise_driving(planned, scenes, seed=seed),
+        driving=None if columns.driving is None else driving_summary(columns.driving, driven, len(planned), seed=seed),
     )
 
 
@@ -195,11 +228,11 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
     return int((removed & outcomes.valid & enters[:, None]).sum())
 
 
-def scene_failures(rows: Sequence[SampleRow], protocol: str) -> dict[str, bool | None]:
+def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dict[str, bool | None]:
     """Which scenes a planner fails: those with a counted sample that collides at any step.
 
     Args:
-        rows: One for each sample.
+        rows: One for each sample, or their columns.
         protocol: Name of the protocol that judges.
 
     Returns:
@@ -210,22 +243,33 @@ def scene_failures(rows: Sequence[SampleRow], protocol: str) -> dict[str, bool |
         InputError: If the protocol is unknown or did not judge the rows.
     """
     counts_incomplete = definition_of(protocol).counts_incomplete
-    by_scene: dict[str, list[SampleRow]] = {}
-    for row in rows:
-        if row.status == "ok" and protocol not in row.outcomes:
-            raise InputError(f"scene {row.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore")
-        by_scene.setdefault(row.scene, []).append(row)
-    return {scene: _fails(by_scene[scene], protocol, counts_incomplete) for scene in sorted(by_scene)}
+    columns = columns_of(rows)
+    if protocol not in columns.failures:
+        unjudged = next((columns.brief[at] for at in columns.planned if protocol not in columns.brief[at].judged), None)
+        if unjudged is not None:
+            raise InputError(
+                f"scene {unjudged.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore"
+            )
+        hits, counted, places = columns.collides(protocol), columns.counted(protocol), columns.places_of_scenes
+        columns.failures[protocol] = {
+            scene: _fails(
+                hits[places[scene]], counted[places[scene]], _unknown(columns, places[scene], counts_incomplete)
+            )
+            for scene in sorted(places)
+        }
+    return dict(columns.failures[protocol])
 
 
-def _fails(rows: Sequence[SampleRow], protocol: str, counts_incomplete: bool) -> bool | None:
-    counted = [row.outcomes[protocol] for row in rows if row.status == "ok" and row.outcomes[protocol].counted]
-    if any(any(outcome.collision) for outcome in counted):
+def _fails(hits: Bools, counted: Bools, unknown: bool) -> bool | None:
+    if hits.any():
         return True
-    unknown = any(
-        row.status == "failed" and (row.complete or (counts_incomplete and any(row.recorded_future))) for row in rows
-    )
-    return None if unknown or not counted else False
+    return None if unknown or not counted.any() else False
+
+
+def _unknown(columns: RowColumns, places: Sequence[int], counts_incomplete: bool) -> bool:
+    """Whether the planner raised on a sample of these that could have shown a contact."""
+    rows = (columns.brief[place] for place in places)
+    return any(row.status == "failed" and (row.complete or (counts_incomplete and row.recorded)) for row in rows)
 
 
 def write_record(
@@ -248,6 +292,7 @@ def write_record(
     """
     if not rows:
         raise InputError(f"there are no samples to write to {directory}: the chosen scenes have none")
+    rows = Rows.of(rows)
     summary = summarise(rows, versions, seed=seed, scene_facts=facts.get("scene_facts"))
     run = RunFacts(
         schema=SCHEMA,
@@ -264,10 +309,10 @@ def write_record(
     written = replace_files(
         directory,
         run_naming,
-        [row.model_dump(mode="json") for row in rows],
+        "".join(f"{line}\n" for line in rows.lines()).encode(),
         summary.model_dump(mode="json", by_alias=True),
     )
-    return RunRecord(directory, run.model_copy(update={"files": written}), tuple(rows), summary)
+    return RunRecord(directory, run.model_copy(update={"files": written}), rows, summary)
 
 
 def load_record(directory: Path) -> RunRecord:
@@ -284,18 +329,39 @@ def load_record(directory: Path) -> RunRecord:
     """
 
     def read(model: type[_Read], file: str, stored: Any) -> _Read:
-        return validated(
-            model.model_validate,
-            stored,
-            lambda where, why: f"{directory / file} is not that of a valid run record: {where or 'the whole'}: {why}",
-        )
+        return validated(model.model_validate, stored, partial(_fault, directory / file))
 
-    raw_run, raw_rows, raw_summary = read_files(directory)
+    head = stored_head(directory)
+    if head["schema"] == SCHEMA:
+        rows = Rows.read(directory / ROWS_FILE, partial(_row, directory, head))
+        raw_run, raw_summary = head, read_json(directory / SUMMARY_FILE, RECORD)
+        require_own(directory, head)
+    else:
+        raw_run, raw_rows, raw_summary = read_files(directory)
+        rows = Rows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
     run = read(RunFacts, RUN_FILE, raw_run)
-    rows = tuple(read(SampleRow, ROWS_FILE, row) for row in raw_rows)
-    if list(dict.fromkeys(row.scene for row in rows)) != run.scenes:
+    if list(rows.columns.places_of_scenes) != run.scenes:
         raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
     return RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
+
+
+def _row(directory: Path, head: dict[str, Any], number: int, line: str) -> SampleRow:
+    """A line of ``samples.jsonl``, by the faster parser where it is sure to be sound."""
+    path = directory / ROWS_FILE
+    if is_plain(line.encode(), RECORD):
+        try:
+            return SampleRow.model_validate_json(line)
+        except ValidationError:
+            # What is wrong is said in the words and in the order of the slower way.
+            pass
+    value = parse_line(path, number, line, RECORD)
+    require_own(directory, head)
+    validated(RunFacts.model_validate, head, partial(_fault, directory / RUN_FILE))
+    return validated(SampleRow.model_validate, value, partial(_fault, path))
+
+
+def _fault(path: Path, where: str, why: str) -> str:
+    return f"{path} is not that of a valid run record: {where or 'the whole'}: {why}"
 
 
 def find_records(*roots: Path) -> list[RunRecord]:

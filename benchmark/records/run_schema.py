@@ -5,6 +5,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from benchmark.constants import LARGEST_SEED
 from benchmark.records.judgement import JudgementSummary, SplitRealism
 from benchmark.records.stored import Stored
 
@@ -15,7 +16,7 @@ AS_PUBLISHED: Final = "as_published"
 """Setting of a planner that does something as in its published runs: what, joined by ``+`` (docs/models.md)."""
 MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
-Seed = Annotated[int, Field(ge=0, lt=1 << 63)]
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 Version = Annotated[int, Field(ge=0, le=1000)]
 Told = str | int | float | bool | None
 """What is said of a machine: a record with anything else there is damaged."""

@@ -139,6 +139,8 @@ class Sheet(Stored):
         adversary_edges: For such a frame (as text) and each camera that sees an adversary: edges of its 3-D box as
             (x1, y1, x2, y2) in pixels of the picture, cut at the cell's borders.
         files: SHA-256 of each picture by its path below the sheet's folder.
+        drawn_by: Renderer that drew the images that the pictures are made of; null where the data set does not say, as
+            of recordings, and in older sheets.
     """
 
     schema_version: int = Field(alias="schema")
@@ -159,6 +161,7 @@ class Sheet(Stored):
     pictures: tuple[int, ...]
     adversary_edges: dict[str, dict[str, tuple[Segment, ...]]]
     files: dict[str, str]
+    drawn_by: str | None = None
 
     @property
     def manoeuvre(self) -> str | None:
@@ -357,6 +360,12 @@ def read_sheet(directory: Path) -> StoredSheet:
         InputError: If it is missing, damaged, of another version, or a picture is not the one that was written.
     """
     sheet = _read(directory / SHEET_FILE, Sheet)
+    count = len(sheet.timestamps_us)
+    if not count or {len(sheet.ego.x_m), len(sheet.ego.y_m), len(sheet.ego.yaw_rad)} != {count}:
+        raise InputError(
+            f"{directory / SHEET_FILE} has {count} frames and another number of ego poses, or none; run "
+            "challenger-bench sheets again"
+        )
     for name, expected in sheet.files.items():
         path = directory / name
         if not path.resolve().is_relative_to(directory.resolve()):

@@ -19,6 +19,7 @@ from benchmark.machine.storage import (
     read_json,
     read_json_lines,
     read_kept_json,
+    write_bytes,
     write_json,
     write_json_lines,
     writing_to,
@@ -100,7 +101,7 @@ def pending(directory: Path, name: str) -> Path:
 def replace_files(
     directory: Path,
     run: Callable[[dict[str, str]], dict[str, Any]],
-    rows: list[Any],
+    rows: list[Any] | bytes,
     summary: dict[str, Any],
     names: FileNames = RUN_FILES,
 ) -> dict[str, str]:
@@ -109,7 +110,7 @@ def replace_files(
     Args:
         directory: Run directory; nobody else may write to it (`benchmark.machine.storage.only_writer`).
         run: Contents of ``run.json``, given the SHA-256 of the other files by name.
-        rows: Contents of ``samples.jsonl``.
+        rows: Contents of ``samples.jsonl``, as values or as they are written.
         summary: Contents of ``summary.json``.
         names: What the files are called, if not as those of a run.
 
@@ -120,7 +121,10 @@ def replace_files(
         InputError: If they cannot be written.
     """
     settle(directory, names)
-    write_json_lines(pending(directory, names.rows), rows)
+    if isinstance(rows, bytes):
+        write_bytes(pending(directory, names.rows), rows)
+    else:
+        write_json_lines(pending(directory, names.rows), rows)
     write_json(pending(directory, names.summary), summary)
     hashes = {name: file_sha256(pending(directory, name)) for name in (names.rows, names.summary)}
     write_json(pending(directory, names.head), run(hashes))
@@ -177,7 +181,7 @@ def stored_schema(directory: Path) -> int:
     Raises:
         InputError: If ``run.json`` is absent or damaged, or its schema is newer than this version or never existed.
     """
-    return int(_run(directory)["schema"])
+    return int(stored_head(directory)["schema"])
 
 
 def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str) -> tuple[list[Any], Any]:
@@ -196,10 +200,25 @@ def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str
         InputError: If a file is absent, damaged, or does not belong to the head.
     """
     rows, summary = read_json_lines(directory / names.rows, RECORD), read_json(directory / names.summary, RECORD)
+    require_own(directory, head, names, again)
+    return rows, summary
+
+
+def require_own(directory: Path, head: dict[str, Any], names: FileNames = RUN_FILES, again: str = "eval") -> None:
+    """Whether rows and summary are those that the head of a record names.
+
+    Args:
+        directory: Of the record.
+        head: Contents of its first file.
+        names: What the files are called.
+        again: The command that makes such records.
+
+    Raises:
+        InputError: If one of them is not.
+    """
     for name in (names.rows, names.summary):
         if file_sha256(directory / name) != head["files"].get(name):
             raise InputError(_does_not_belong(directory, name, names, again))
-    return rows, summary
 
 
 def read_files(directory: Path) -> RecordFiles:
@@ -214,14 +233,25 @@ def read_files(directory: Path) -> RecordFiles:
     Raises:
         InputError: If a file is absent, damaged, does not belong to the others, or comes from a newer version.
     """
-    run = _run(directory)
+    run = stored_head(directory)
     rows, summary = read_own(directory, run, RUN_FILES, "eval")
     for schema in range(run["schema"], SCHEMA):
         run, rows, summary = UPGRADES[schema](run, rows, summary)
     return run, rows, summary
 
 
-def _run(directory: Path) -> dict[str, Any]:
+def stored_head(directory: Path) -> dict[str, Any]:
+    """Contents of ``run.json``, of any schema that this version reads.
+
+    Args:
+        directory: Run directory.
+
+    Returns:
+        The contents; nothing but the schema and the hashes' presence is checked.
+
+    Raises:
+        InputError: If it is absent or damaged, or its schema is newer than this version or never existed.
+    """
     run = read_json(directory / RUN_FILE, RECORD)
     if not isinstance(run, dict) or type(run.get("schema")) is not int or not isinstance(run.get("files"), dict):
         raise InputError(f"{directory / RUN_FILE} is not a run record: it has no schema number or no hashes of files")

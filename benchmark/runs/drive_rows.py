@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmark.closed_loop.agents.adversary import AdversaryTrack, Replanning
 from benchmark.closed_loop.drives.driving import Drive, Stage
 from benchmark.closed_loop.scores.scoring import DriveScores
 from benchmark.records.drive_schema import DriveRow
@@ -48,8 +49,32 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
             "contact": contact,
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
+            "adversary": None if drive.adversary is None else _adversary_row(stage, drive.adversary),
         }
     )
+
+
+def _adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
+    scores = [None if each.score is None else round(each.score, DECIMALS) + 0.0 for each in track.replanned]
+    return {
+        "agent": track.agent,
+        "uuid": stage.scene.agents.ids[track.agent],
+        "start": track.start,
+        "poses": track.poses.tolist(),
+        "replanned": [each.frame for each in track.replanned],
+        "scores": scores,
+    }
+
+
+def track_of(row: DriveRow) -> AdversaryTrack | None:
+    """The stored track of a drive's adversary, with nothing of what was considered; ``None`` where there was none."""
+    stored = row.adversary
+    if stored is None:
+        return None
+    replanned = tuple(
+        Replanning(frame, score, braked=score is None) for frame, score in zip(stored.replanned, stored.scores)
+    )
+    return AdversaryTrack(stored.agent, stored.start, np.array(stored.poses).reshape(-1, 3), replanned)
 
 
 def _score_row(drive: Drive, scores: DriveScores) -> dict[str, Any]:

@@ -7,7 +7,7 @@ drive that was scored by earlier definitions is driven again by its stored plans
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -19,12 +19,13 @@ from benchmark.closed_loop.drives.sensors import Sensor
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, content_seed, file_name, read_json, write_json
-from benchmark.planning import Planner
+from benchmark.planning import Planner, SupervisedPlanner
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.drive_rows import row_of
+from benchmark.runs.ladders import ladder_rows
 from benchmark.runs.plan_rows import PlannerFactory, seed_everything
 from benchmark.runs.redriving import can_of, driven_again
 
@@ -35,6 +36,8 @@ FORMAT: Final = 1
 """Raised whenever the drives of an unchanged planner in an unchanged engine would change."""
 KEPT: Final = "drives"
 """Folder of kept drives in a record's directory."""
+_TRIED_AGAIN: Final = (Reason.TIMEOUT.value, Reason.DIED.value)
+"""How long a plan takes, and how much memory there is for it, is the machine's matter: the same command tries again."""
 _LOOP: Final = "benchmark.closed_loop.drives.driving:drive"
 
 
@@ -61,6 +64,7 @@ class Job:
         timeout_s: How long a plan may take.
         fresh: Drive again even where drives are kept.
         factory: Builds the planner; ``None`` where there is one object alone.
+        ladder: Reference drivers that drive the same encounters.
     """
 
     directory: Path
@@ -72,11 +76,15 @@ class Job:
     timeout_s: float
     fresh: bool
     factory: PlannerFactory | None = None
+    ladder: tuple[str, ...] = ()
 
     def key(self, unit: Unit) -> str:
         """Content key of a unit. No score is part of it: kept drives are scored again."""
         who = self.planner.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
         code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(Stage, made_by=_LOOP)]
+        # Nobody else than an adversary is made elsewhere.
+        adversary = getattr(self.maker, "adversary", None)
+        code += [] if adversary is None else [code_sha256(type(adversary))]
         what = self.measured.model_dump(mode="json")
         return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
 
@@ -139,11 +147,20 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
     for place, row in driven:
         job, unit = tasks[place]
-        if row.failure is None or row.failure.reason != Reason.TIMEOUT.value:
-            # How long a plan takes is the machine's matter: the same command tries again.
+        if row.failure is None or row.failure.reason not in _TRIED_AGAIN:
             write_kept(job.path(unit), left[place], row)
         found[place] = UnitResult(unit, row, time.perf_counter() - started)
-    return [found[place] for place in range(len(tasks))]
+    results = [found[place] for place in range(len(tasks))]
+    return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
+
+
+def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
+    """The same with what came of reference drivers in the same encounter, found on disk or driven once."""
+    job, unit = task
+    if not job.ladder:
+        return result
+    row = result.row.model_copy(update={"ladder": ladder_rows(data, job, unit)})
+    return replace(result, row=row)
 
 
 class Planners:
@@ -220,7 +237,8 @@ def _driven(
     data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
 ) -> Iterator[tuple[int, DriveRow]]:
     """Rows of tasks by their places, as their drives end; what cannot be driven is raised after those that can."""
-    seed_everything(content_seed(*keys))
+    seed = content_seed(*keys)
+    seed_everything(seed)
     stages: dict[int, Stage] = {}
     broken: list[InputError] = []
     cans: dict[str, RecordedCan] = {}
@@ -230,6 +248,9 @@ def _driven(
         except InputError as error:
             broken.append(error)
     ready = planners.of([tasks[place].job for place in stages])
+    for planner in ready:
+        if isinstance(planner, SupervisedPlanner):
+            planner.seed_generators(seed)
     places = [*stages]
     for number, found in _drives([*stages.values()], ready):
         stage = stages[places[number]]

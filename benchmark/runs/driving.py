@@ -12,11 +12,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from benchmark.closed_loop.agents.adversary import ADVERSARY
 from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S, LONGEST_TIMEOUT_S
+from benchmark.closed_loop.drives.default_engine import agents_facts
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.machine.environment import facts as environment_facts
@@ -40,7 +43,8 @@ from benchmark.runs.drive_work import (
     work_here,
     work_in_worker,
 )
-from benchmark.runs.plan_rows import PlannerFactory, facts_of
+from benchmark.runs.plan_rows import PlannerFactory, supervision_said
+from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopen_root
@@ -59,7 +63,8 @@ class DriveSettings:
     Attributes:
         engine: Name of the engine, as tables show it.
         maker: The engine.
-        agents: How the others behave.
+        agents: How the others behave; who makes an adversary is said by ``maker``.
+        ladder: Reference drivers that drive every encounter with an adversary too, by name.
         sensor: What cameras see.
         runs: Runs of each scene; one where the engine draws nothing.
         latency_ms: So much later does a plan take effect.
@@ -88,6 +93,7 @@ class DriveSettings:
     seed: int = 0
     fresh: bool = False
     together: int = 1
+    ladder: tuple[str, ...] = tuple(driver.value for driver in LADDER)
 
     @property
     def measured(self) -> Measured:
@@ -104,6 +110,7 @@ class DriveSettings:
                 "sensor_facts": dict(self.sensor.facts),
                 "latency_ms": self.latency_ms,
                 "scenarios": self.scenarios,
+                "agents_facts": agents_facts(self.maker),
             }
         )
 
@@ -134,6 +141,11 @@ class DriveSettings:
         for scene in scenes:
             families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
             found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+        if not found and self.agents == ADVERSARY:
+            raise InputError(
+                f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
+                "take other scenes (docs/adversary-in-the-loop.md)"
+            )
         if not found:
             raise InputError(
                 f"none of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} has {self.scenarios} scenarios"
@@ -228,6 +240,8 @@ def _records(
     """Drive all units of all jobs, scene by scene, and write their records."""
     scenes = settings.chosen(data, split)
     units = settings.units(data, scenes)
+    there = {unit.scene for unit in units}
+    scenes = tuple(scene for scene in scenes if scene in there)
     tasks = [Task(job, unit) for unit in units for job in jobs]
     who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
     label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}"
@@ -237,7 +251,7 @@ def _records(
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
         for place, job in enumerate(jobs):
-            described = _described(data, split, job.planner, scenes, settings)
+            described = _described(data, split, job, scenes, settings)
             rows = [result.row for result in results[place :: len(jobs)]]
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             _tidy(job, units)
@@ -269,6 +283,7 @@ def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings
         sensor=settings.sensor,
         timeout_s=settings.timeout_s,
         fresh=settings.fresh,
+        ladder=settings.ladder if settings.agents == ADVERSARY else (),
     )
 
 
@@ -280,7 +295,7 @@ def drives_directory(
     parts = [measured.engine, *([measured.agents] if measured.engine == "default" else []), measured.sensor]
     parts += [measured.scenarios] if measured.scenarios != "recorded" else []
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
-    parts += [content_key(measured.sensor_facts)[:8]] if measured.sensor_facts else []
+    parts += [content_key(facts)[:8] for facts in (measured.agents_facts, measured.sensor_facts) if facts]
     return own.parent / file_name("-".join(parts)) / own.name
 
 
@@ -310,10 +325,10 @@ def _were_there(results: list[UnitResult]) -> bool:
 
 
 def _described(
-    data: "DataSet", split: str, facts: PlannerFacts, scenes: tuple[str, ...], settings: DriveSettings
+    data: "DataSet", split: str, job: Job, scenes: tuple[str, ...], settings: DriveSettings
 ) -> dict[str, Any]:
     return {
-        "planner": facts,
+        "planner": job.planner,
         "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
         "split": split,
         "scenes": list(scenes),
@@ -325,7 +340,7 @@ def _described(
         "measured": settings.measured,
         "runs": settings.runs_made,
         "scoring": VERSION,
-        "config": {"seed": settings.seed, "timeout_s": settings.timeout_s},
+        "config": {"seed": settings.seed, "timeout_s": settings.timeout_s, **supervision_said(job.factory)},
         "environment": environment_facts(),
     }
 

@@ -6,6 +6,7 @@ from typing import Final
 
 from benchmark.machine.storage import write_bytes, writing_to
 from benchmark.records.row_schema import SampleRow
+from benchmark.records.rows import Rows
 
 FAILURES_FILE: Final = "failures.txt"
 
@@ -21,7 +22,9 @@ def write_failures(directory: Path, rows: Sequence[SampleRow]) -> None:
         InputError: If the file cannot be written.
     """
     path = directory / FAILURES_FILE
-    failed = [row for row in rows if row.error is not None]
+    # Of a compressed record the scenes without a failure are not unpacked.
+    some = rows.of_failed_scenes() if isinstance(rows, Rows) else rows
+    failed = [row for row in some if row.error is not None]
     if not failed:
         with writing_to(path):
             path.unlink(missing_ok=True)

@@ -29,6 +29,7 @@ from benchmark.truth import SampleTruth
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
+    from benchmark.runs.reading import SceneReading
 
 LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
 """Steps of a plan that anything is said about."""
@@ -42,6 +43,7 @@ def judge(
     scene: Scene | None = None,
     around: Sequence[Circumstances] | None = None,
     longer: Callable[[int], Sequence[SampleTruth]] | None = None,
+    recorded: RecordedScene | None = None,
 ) -> list[SampleRow]:
     """Put what really happened and the verdicts beside the plans.
 
@@ -54,6 +56,7 @@ def judge(
         around: Place and speed of the recorded car at each sample; without them rows do not say where they are.
         longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
             said beyond 3 s.
+        recorded: What the scene gives to judge driving by, if that is there already.
 
     Returns:
         One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is
@@ -75,7 +78,7 @@ def judge(
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
-    recorded = None if scene is None else RecordedScene(scene)
+    recorded = None if scene is None else recorded or RecordedScene(scene)
     driven = _driven(scene, recorded, dict(zip(planned, plans)), len(rows))
     # A map without roads or lanes would blame the ego for every contact at its sides.
     known = recorded is not None and bool(recorded.road.drivable and recorded.road.lanes)
@@ -95,6 +98,33 @@ def judge(
         SampleRow(**row, **_recorded(truth, at), **found)
         for row, truth, at, found in zip(rows, truths, where, findings, strict=True)
     ]
+
+
+def judge_scene_plans(
+    rows: Sequence[Mapping[str, Any]], reading: "SceneReading", protocols: Sequence[str]
+) -> list[SampleRow]:
+    """`judge` with all that is known of a scene.
+
+    Args:
+        rows: One JSON object for each sample, as `benchmark.runs.plan_rows` writes them.
+        reading: The scene.
+        protocols: Who judges.
+
+    Returns:
+        One row for each sample.
+
+    Raises:
+        InputError: If the data is broken, a protocol is unknown or a plan cannot be read.
+    """
+    return judge(
+        rows,
+        reading.truth,
+        protocols,
+        scene=reading.mapped,
+        around=reading.around,
+        longer=reading.longer,
+        recorded=reading.recorded,
+    )
 
 
 def scene_with_map(data: "DataSet", name: str) -> Scene | None:

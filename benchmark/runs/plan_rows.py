@@ -6,6 +6,7 @@ import re
 import sys
 import time
 import traceback
+from asyncio.exceptions import CancelledError
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,24 +26,24 @@ from benchmark.planning import (
     Observation,
     Plan,
     Planner,
+    PlannerFailedError,
     PlannerGoneError,
     PlannerLateError,
+    PlannerLostError,
     PrivilegedPlanner,
     SceneInfo,
+    SupervisedPlanner,
     reads_message_after,
-    remembers_across_scenes,
 )
-from benchmark.protocols import PROTOCOLS
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.beginning_again import begun_again
-from benchmark.runs.code_identity import code_sha256, parts_of
 from benchmark.scene import Scene
 
 ROW_FORMAT = 2
 """Raised whenever the rows of an unchanged planner would change."""
 
 
-FAILURES = (Exception, SystemExit)
+FAILURES = (Exception, SystemExit, GeneratorExit, CancelledError)
 """What a planner may raise: one that calls `sys.exit` must not end the run as if it had succeeded."""
 
 
@@ -59,6 +60,12 @@ class PlannerFactory(Protocol):
 
     def __call__(self) -> Planner:
         """Build it."""
+
+
+def supervision_said(factory: PlannerFactory | None) -> dict[str, Any]:
+    """What a record's configuration says of how a planner is watched over, if it is."""
+    supervision = getattr(factory, "supervision", None)
+    return {} if supervision is None else {"supervision": supervision.said()}
 
 
 class SceneSource(Protocol):
@@ -90,59 +97,6 @@ class PlannedScene:
 
     rows: list[dict[str, Any]]
     seconds: float | None
-
-
-def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
-    """Identity of a planner.
-
-    Args:
-        planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
-            taken over.
-        made_by: The function or class that made it, as ``package.module:name``, if it was not built by hand.
-
-    Returns:
-        Its identity, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
-
-    Raises:
-        InputError: If its settings are not plain values, or its native protocol is not known.
-    """
-    settings = dict(getattr(planner, "settings", {}))
-    # Of these every record knows, whoever wrote the planner.
-    settings |= {"memory_crosses_scenes": True} if remembers_across_scenes(planner) else {}
-    settings |= {"reads_message_after": True} if reads_message_after(planner) else {}
-    try:
-        content_key(settings)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"the settings of planner {planner.name!r} must be plain JSON values ({error}); leave the others out"
-        ) from error
-    return PlannerFacts(
-        name=planner.name,
-        privileged=isinstance(planner, PrivilegedPlanner),
-        weights_sha256=getattr(planner, "weights_sha256", None),
-        code_sha256=code_sha256(type(planner), made_by=made_by, parts=parts_of(planner)),
-        settings=settings,
-        seed=int(getattr(planner, "seed", 0)),
-        native_protocol=known_native(getattr(planner, "native_protocol", None), f"planner {planner.name!r}"),
-    )
-
-
-def known_native(name: str | None, whose: str) -> str | None:
-    """Check the name of a planner's native protocol.
-
-    Args:
-        name: Protocol of the repository that the planner comes from, if there is one.
-        whose: The planner, as the message names it.
-
-    Returns:
-        The name.
-
-    Raises:
-        InputError: If there is no such protocol.
-    """
-    if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
-        raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
-    return name
 
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
@@ -179,7 +133,8 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
         fresh: Make them again in any case.
 
     Returns:
-        The rows.
+        The rows. Those of a scene in which the planner's process was lost are not kept: whether it is, and when, may be
+        the machine's matter, so the same command asks again.
 
     Raises:
         InputError: If an image is broken, the rows cannot be written, or a planner elsewhere cannot be asked.
@@ -187,14 +142,15 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     kept = None if fresh else kept_rows(path, key)
     if kept is not None:
         return PlannedScene(kept, None)
-    seed_everything(content_seed(key))
-    started = time.perf_counter()
+    seed_everything(content_seed(key), planner)
     scene, observations = source.scene(name), list(source.observations(name))
+    started = time.perf_counter()
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
     with contextlib.redirect_stdout(sys.stderr):
-        rows = begun_again(partial(_rows, planner, scene, observations), planner)
+        rows, lost = begun_again(partial(_rows, planner, scene, observations), planner)
     seconds = time.perf_counter() - started
-    write_json_lines(path, [_header(key, rows), *rows])
+    if not lost:
+        write_json_lines(path, [_header(key, rows), *rows])
     return PlannedScene(rows, seconds)
 
 
@@ -215,40 +171,64 @@ def _header(key: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {"key": key, "rows": len(rows), "content": content_key(rows)}
 
 
-def seed_everything(seed: int) -> None:
-    """Planners that draw from global generators draw the same whatever ran before in this process."""
+def seed_everything(seed: int, planner: Planner | None = None) -> None:
+    """Planners that draw from global generators draw the same whatever ran before in this process, and in theirs."""
+    if isinstance(planner, SupervisedPlanner):
+        planner.seed_generators(seed)
     random.seed(seed)
     np.random.seed(seed % 2**32)
     if "torch" in sys.modules:
         sys.modules["torch"].manual_seed(seed)
 
 
-def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -> list[dict[str, Any]]:
+def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -> tuple[list[dict[str, Any]], bool]:
+    """Rows of a scene, and whether the planner's process was lost in it."""
     try:
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         if isinstance(planner, PrivilegedPlanner):
             planner.reveal(scene)
     except _NOBODYS_FAULT:
         raise
-    except FAILURES:
-        error = traceback_text()
-        return [_row(observation, None, error) for observation in observations]
-    planned = (_planned_row(planner, observation) for observation in observations)
-    return list(progress(planned, total=len(observations), label=scene.name, count=Count("sample")))
+    except FAILURES as failure:
+        error = said_of(failure)
+        return [_row(observation, None, error) for observation in observations], isinstance(failure, PlannerLostError)
+    asked = _Asked(planner)
+    planned = progress(map(asked.row, observations), total=len(observations), label=scene.name, count=Count("sample"))
+    return list(planned), asked.lost is not None
 
 
-def _planned_row(planner: Planner, observation: Observation) -> dict[str, Any]:
-    views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
-    ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
-    try:
-        plan = planner.plan(replace(observation, views=views, ego=ego))
-        if not isinstance(plan, Plan):
-            raise TypeError(f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan")
-        return _row(observation, plan_json(plan), None)
-    except _NOBODYS_FAULT:
-        raise
-    except FAILURES:
-        return _row(observation, None, traceback_text())
+@dataclass(slots=True)
+class _Asked:
+    """A planner in a scene.
+
+    Attributes:
+        planner: The planner.
+        lost: Why nobody can be asked for the rest of the scene.
+    """
+
+    planner: Planner
+    lost: str | None = None
+
+    def row(self, observation: Observation) -> dict[str, Any]:
+        """The row of a sample."""
+        if self.lost is not None:
+            return _row(observation, None, self.lost)
+        planner = self.planner
+        views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
+        ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
+        try:
+            plan = planner.plan(replace(observation, views=views, ego=ego))
+            if not isinstance(plan, Plan):
+                raise TypeError(
+                    f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan"
+                )
+            return _row(observation, plan_json(plan), None)
+        except _NOBODYS_FAULT:
+            raise
+        except FAILURES as failure:
+            if isinstance(failure, PlannerLostError):
+                self.lost = f"not asked: at sample {observation.index} of the scene {failure}"
+            return _row(observation, None, said_of(failure))
 
 
 def _row(observation: Observation, plan: dict[str, Any] | None, error: str | None) -> dict[str, Any]:
@@ -270,7 +250,8 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     count = len(scores if modes is None else modes) if scores is not None else 0
     return {
         "frame": plan.frame.value,
-        "waypoints": np.asarray(plan.waypoints, float).tolist(),
+        # A plan is checked when it is made; its numbers may have been changed since.
+        "waypoints": _numbers(plan.waypoints, np.shape(plan.waypoints), "waypoints"),
         "modes": None if modes is None else _numbers(modes, (len(modes), _mode_steps(plan), 2), "modes"),
         "mode_scores": None if scores is None else _numbers(scores, (count,), "mode scores"),
         "forecasts": None if forecasts is None else _forecasts_json(forecasts),
@@ -318,6 +299,11 @@ def loud(load: Callable[[], NDArray[np.uint8]]) -> Callable[[], NDArray[np.uint8
             raise BrokenImageError(str(error)) from error
 
     return loaded
+
+
+def said_of(failure: BaseException) -> str:
+    """What is kept of a failure that is being handled: its traceback, where it was raised."""
+    return failure.text if isinstance(failure, PlannerFailedError) else traceback_text()
 
 
 def traceback_text() -> str:

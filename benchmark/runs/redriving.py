@@ -1,9 +1,12 @@
 """Drives driven again by their stored plans, and scored anew: no planner is asked."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from benchmark.closed_loop.agents.adversary import GivenTracks
+from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.closed_loop.drives.driving import Drive, Stage, drive
 from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
@@ -11,7 +14,7 @@ from benchmark.closed_loop.scores.scoring import score_drive
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.drive_schema import DriveRow
-from benchmark.runs.drive_rows import DECIMALS, row_of
+from benchmark.runs.drive_rows import DECIMALS, row_of, track_of
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
@@ -46,13 +49,22 @@ def driven_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow)
     stage = _stage(maker, NoSensor(), scene, data, row)
     found = redriven(stage, row, StoredPlans(row))
     made = row_of(stage, found, None if found.failure is not None else score_drive(scene, found))
+    made = made.model_copy(update={"ladder": row.ladder})
     if made.ticks != row.ticks or made.contact != row.contact:
         raise InputError(_elsewhere(row))
     return made
 
 
 def _stage(maker: RideMaker, sensor: Sensor, scene: Scene, data: "DataSet", row: DriveRow) -> Stage:
-    return Stage(scene, can_of(data, row.scene), row.run, maker, sensor, _LONG_S, row.family)
+    return Stage(scene, can_of(data, row.scene), row.run, _with_its_adversary(maker, row), sensor, _LONG_S, row.family)
+
+
+def _with_its_adversary(maker: RideMaker, row: DriveRow) -> RideMaker:
+    """An adversary drives its stored track again: nobody searches."""
+    track = track_of(row)
+    if track is None or not isinstance(maker, DefaultRides) or maker.adversary is None:
+        return maker
+    return replace(maker, adversary=GivenTracks({(row.scene, row.run): track}, maker.adversary.others))
 
 
 def seen_again(

@@ -1,8 +1,8 @@
 """Judge the stored plans of run records anew: after a change of protocols, no planner has to run again."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,12 @@ from benchmark.machine.storage import only_writer
 from benchmark.protocols import PROTOCOLS, protocol
 from benchmark.records.review import review_words
 from benchmark.records.row_schema import SampleRow
+from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
 from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
-from benchmark.runs.judging import judge, longer_truth, scene_with_map
-from benchmark.surroundings.circumstances import circumstances_of
+from benchmark.runs.judging import judge_scene_plans
+from benchmark.runs.reading import SceneReading
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -59,7 +60,12 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
     Raises:
         InputError: If the record is damaged or cannot be written, a protocol is unknown, or the data is another.
     """
-    return _rescore(record_directory, lambda _: data, tuple(PROTOCOLS) if protocols is None else protocols)[0]
+    with ExitStack() as held:
+        opened = _open(record_directory, lambda _: data, tuple(PROTOCOLS) if protocols is None else protocols, held)
+        assert not isinstance(opened, str)
+        for scene in opened.old.run.scenes:
+            opened.rows.add(judged_anew(opened.old, data, scene, tuple(opened.versions)))
+        return _replaced(opened)[0]
 
 
 def rescore_all(
@@ -95,12 +101,81 @@ def rescore_all(
             opened[record.run.split] = open_split(record.run.split)
         return opened[record.run.split]
 
-    for directory in record_directories(root):
+    found: dict[Path, Rescored] = {}
+    waiting: list[_Opened] = []
+    with ExitStack() as held:
+        for directory in record_directories(root):
+            try:
+                opened_record = _open(directory, open_for, protocols, held)
+            except InputError as error:
+                found[directory] = Rescored(directory, str(error), failed=True)
+                continue
+            if isinstance(opened_record, str):
+                found[directory] = Rescored(directory, opened_record)
+            else:
+                waiting.append(opened_record)
+        for result in _rescored(waiting):
+            found[result.directory] = result
+    yield from (found[directory] for directory in sorted(found))
+
+
+@dataclass(slots=True)
+class _Opened:
+    """A record that is being judged anew.
+
+    Attributes:
+        old: As it is stored.
+        data: What it ran on.
+        versions: Who judges.
+        rows: Judged so far.
+    """
+
+    old: RunRecord
+    data: "DataSet"
+    versions: dict[str, int]
+    rows: Rows = field(default_factory=Rows)
+
+
+def _open(
+    directory: Path,
+    open_for: Callable[[RunRecord], "DataSet | None"],
+    protocols: Sequence[str],
+    held: ExitStack,
+) -> _Opened | str:
+    """A record to be judged anew, of which nobody else may write until ``held`` ends; or why it is left alone."""
+    versions = {name: protocol(name).version for name in protocols}
+    if not directory.is_dir():
+        raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
+    with ExitStack() as own:
+        own.enter_context(only_writer(directory))
+        settle(directory)
+        old = load_record(directory)
+        data = open_for(old)
+        if data is None:
+            return f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
+        require_same_data(directory, old.run, data)
+        held.enter_context(own.pop_all())
+    return _Opened(old, data, versions)
+
+
+def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
+    """Judge records anew, scene by scene, so that each scene is read once for all of them."""
+    alive = {each.old.directory: each for each in waiting}
+    wanted = dict.fromkeys((id(each.data), scene) for each in waiting for scene in each.old.run.scenes)
+    data_of = {id(each.data): each.data for each in waiting}
+    for data_id, scene in wanted:
+        reading = SceneReading(data_of[data_id], scene)
+        for each in [one for one in alive.values() if id(one.data) == data_id and scene in one.old.run.scenes]:
+            try:
+                each.rows.add(rows_judged_anew(each.old, reading, tuple(each.versions)))
+            except InputError as error:
+                del alive[each.old.directory]
+                yield Rescored(each.old.directory, str(error), failed=True)
+    for each in alive.values():
         try:
-            _, sentence = _rescore(directory, open_for, protocols)
-            yield Rescored(directory, sentence)
+            yield Rescored(each.old.directory, _replaced(each)[1])
         except InputError as error:
-            yield Rescored(directory, str(error), failed=True)
+            yield Rescored(each.old.directory, str(error), failed=True)
 
 
 def record_directories(root: Path) -> list[Path]:
@@ -108,30 +183,19 @@ def record_directories(root: Path) -> list[Path]:
     return sorted({path.parent for name in (RUN_FILE, pending(Path(), RUN_FILE).name) for path in root.rglob(name)})
 
 
-def _rescore(
-    directory: Path, open_for: Callable[[RunRecord], "DataSet | None"], protocols: Sequence[str]
-) -> tuple[RunRecord, str]:
-    """The record and what became of it; it is left alone where there is no data set for it."""
-    versions = {name: protocol(name).version for name in protocols}
-    if not directory.is_dir():
-        raise InputError(f"there is no run record {directory}; name the folder that holds its {RUN_FILE}")
-    with only_writer(directory):
-        settle(directory)
-        old = load_record(directory)
-        data = open_for(old)
-        if data is None:
-            return old, f"left alone, it is of the data set {old.run.data.name}; choose that one with --data"
-        require_same_data(directory, old.run, data)
-        rows = [row for scene in old.run.scenes for row in judged_anew(old, data, scene, tuple(versions))]
-        facts = {
-            **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
-            "scene_facts": scene_facts_now(old.run, data),
-            "config": {**old.run.config, "protocols": list(versions)},
-        }
-        if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, versions):
-            return old, "current"
-        facts["rescored"] = environment_facts()
-        return write_record(directory, facts, rows, versions, seed=old.run.seed), "rescored"
+def _replaced(opened: _Opened) -> tuple[RunRecord, str]:
+    """Write a record that was judged anew, unless nothing changes; the record and what became of it."""
+    old, directory = opened.old, opened.old.directory
+    rows = opened.rows.in_order_of(old.run.scenes)
+    facts = {
+        **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
+        "scene_facts": scene_facts_now(old.run, opened.data),
+        "config": {**old.run.config, "protocols": list(opened.versions)},
+    }
+    if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, opened.versions):
+        return old, "current"
+    facts["rescored"] = environment_facts()
+    return write_record(directory, facts, rows, opened.versions, seed=old.run.seed), "rescored"
 
 
 def scene_facts_now(facts: RecordFacts, data: "DataSet") -> dict[str, SceneFacts]:
@@ -185,23 +249,22 @@ def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple
     Raises:
         InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
     """
-    plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows if row.scene == scene]
-    truths = data.truth(scene)
-    if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in truths]:
-        raise InputError(f"{record.directory} does not hold the samples of {scene}; run challenger-bench eval again")
-    return judge(
-        plans,
-        truths,
-        protocols,
-        scene=scene_with_map(data, scene),
-        around=circumstances_of(data.scene(scene)),
-        longer=partial(longer_truth, data, scene),
-    )
+    return rows_judged_anew(record, SceneReading(data, scene), protocols)
 
 
-def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: list[SampleRow], versions: dict[str, int]) -> bool:
+def rows_judged_anew(record: RunRecord, reading: SceneReading, protocols: tuple[str, ...]) -> list[SampleRow]:
+    """`judged_anew` where the scene is at hand; arguments and errors as there."""
+    plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows_of(reading.name)]
+    if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in reading.truth]:
+        raise InputError(
+            f"{record.directory} does not hold the samples of {reading.name}; run challenger-bench eval again"
+        )
+    return judge_scene_plans(plans, reading, protocols)
+
+
+def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: Rows, versions: dict[str, int]) -> bool:
     return (
-        list(record.rows) == rows
+        record.rows == rows
         and record.run.protocols == versions
         and all(getattr(record.run, name) == value for name, value in facts.items())
         and record.summary == summarise(rows, versions, seed=record.run.seed, scene_facts=facts["scene_facts"])

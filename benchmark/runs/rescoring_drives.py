@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.closed_loop.engines import rides_of
+from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
@@ -85,7 +85,7 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
         if data is None:
             return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
         require_same_data(directory, facts, data, again="drive")
-        maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
+        maker = rides_as(measured)
         rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
         described |= {"scoring": VERSION, "scene_facts": scene_facts_now(facts, data)}

@@ -1,14 +1,11 @@
 """Where a run lies on disk, and what may be left there when it is done."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from urllib.parse import unquote
 
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name, read_json, write_json, writing_to
 from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
-
-TIMING_FILE = "timing.json"
 
 
 def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, part: Sequence[str] = ()) -> Path:
@@ -38,25 +35,48 @@ def run_directory(out: Path, data_name: str, split: str, planner: PlannerFacts, 
     return out / file_name(data_name) / file_name(split) / (file_name(planner.name) + suffix)
 
 
-def tidy(directory: Path, planned: Mapping[Path, float | None]) -> None:
-    """Remove what an interrupted or earlier run left, and note how long the planner took.
+def tidy(directory: Path, kept: Collection[Path]) -> None:
+    """Remove what an interrupted or earlier run left.
 
     Args:
         directory: Run directory.
-        planned: Row files of this run, with the planning time where they were planned now; known times of the others
-            stay.
+        kept: Row files of this run.
     """
     with writing_to(directory):
-        for path in (*directory.glob(".*.part"), *(directory / "rows").iterdir()):
-            if path not in planned:
+        # Nothing was kept where the planner's process was lost in every scene.
+        for path in (*directory.glob(".*.part"), *(directory / "rows").glob("*")):
+            if path not in kept:
                 path.unlink()
+
+
+def timing_path(timings: Path, out: Path, directory: Path) -> Path:
+    """File of the times of a run: below a folder of their own, since they are part of no record.
+
+    Args:
+        timings: Folder of all of them.
+        out: Folder of run directories.
+        directory: Run directory.
+
+    Returns:
+        The file; what a planner took is in it by scene, seconds.
+    """
+    relative = directory.relative_to(out)
+    return timings / relative.parent / f"{relative.name}.timing.json"
+
+
+def note_times(path: Path, seconds: Mapping[str, float | None]) -> None:
+    """Note how long a planner took.
+
+    Args:
+        path: From `timing_path`.
+        seconds: By scene, of those that were planned now, else ``None``: known times of those stay.
+    """
     known: dict[str, float] = {}
-    timing = directory / TIMING_FILE
-    if timing.exists():
+    if path.exists():
         try:
-            known = dict(read_json(timing)["planning_s"])
+            known = dict(read_json(path)["planning_s"])
         except (InputError, KeyError, TypeError, ValueError):
             # Times are a convenience; a damaged file of them is written anew.
             known = {}
-    now = {unquote(path.stem): seconds for path, seconds in planned.items() if seconds is not None}
-    write_json(timing, {"planning_s": {**known, **now}})
+    now = {scene: planned for scene, planned in seconds.items() if planned is not None}
+    write_json(path, {"planning_s": {**known, **now}})

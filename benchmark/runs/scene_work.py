@@ -1,18 +1,18 @@
 """One unit of an evaluation: one scene, planned and judged, here or in another process."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benchmark.machine.pages import keep_pages
 from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.judging import judge, longer_truth, scene_with_map
+from benchmark.runs.judging import judge_scene_plans
 from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, rows_path, scene_key
-from benchmark.surroundings.circumstances import circumstances_of
+from benchmark.runs.reading import SceneReading
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -54,59 +54,70 @@ class SceneResult:
     seconds: float | None
 
 
-def work_here(run: Run, data: "DataSet", planner: Planner, scene: str) -> SceneResult:
-    """Plan a scene, or take the plans that are kept, and judge them.
+def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner], scene: str) -> list[SceneResult]:
+    """Plan a scene with every planner, or take the plans that are kept, and judge them; the scene is read once.
+
+    Args:
+        runs: A run for each planner.
+        data: The data set.
+        planners: The planners.
+        scene: Scene name.
+
+    Returns:
+        The rows of each run.
+
+    Raises:
+        InputError: If the data is broken or rows cannot be written.
+    """
+    reading, found = SceneReading(data, scene), []
+    for run, planner in zip(runs, planners, strict=True):
+        key = scene_key(run.fingerprint, run.split, scene, run.planner)
+        planned = plan_scene(planner, reading, scene, rows_path(run.directory, scene), key, fresh=run.fresh)
+        found.append(judged_scene(run, reading, planned))
+    return found
+
+
+def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> SceneResult:
+    """Judge the plans of a scene.
 
     Args:
         run: The run.
-        data: The data set.
-        planner: The planner.
-        scene: Scene name.
+        reading: The scene.
+        planned: Its plans.
 
     Returns:
         The rows.
 
     Raises:
-        InputError: If the data is broken or rows cannot be written.
+        InputError: If the data is broken.
     """
-    key = scene_key(run.fingerprint, run.split, scene, run.planner)
-    planned = plan_scene(planner, data, scene, rows_path(run.directory, scene), key, fresh=run.fresh)
-    return judged_scene(run, data, scene, planned)
+    return SceneResult(reading.name, judge_scene_plans(planned.rows, reading, run.protocols), planned.seconds)
 
 
-def judged_scene(run: Run, data: "DataSet", scene: str, planned: PlannedScene) -> SceneResult:
-    """Judge the plans of a scene; arguments and errors as of `work_here`."""
-    judged = judge(
-        planned.rows,
-        data.truth(scene),
-        run.protocols,
-        scene=scene_with_map(data, scene),
-        around=circumstances_of(data.scene(scene)),
-        longer=partial(longer_truth, data, scene),
-    )
-    return SceneResult(scene, judged, planned.seconds)
+_in_this_process: dict[str, tuple["DataSet", tuple[Planner, ...]]] = {}
+"""Data set and planners of a worker process, opened once."""
 
 
-_in_this_process: dict[str, tuple["DataSet", Planner]] = {}
-"""Data set and planner of a worker process, opened once."""
-
-
-def work_in_worker(run: Run, reopen: Callable[[], "DataSet"], factory: PlannerFactory, scene: str) -> SceneResult:
-    """`work_here` in a worker process, which opens the data set and builds the planner the first time.
+def work_in_worker(
+    runs: Sequence[Run], reopen: Callable[[], "DataSet"], factories: Sequence[PlannerFactory], scene: str
+) -> list[SceneResult]:
+    """`work_here` in a worker process, which opens the data set and builds the planners the first time.
 
     Args:
-        run: The run.
+        runs: A run for each planner.
         reopen: Opens the data set.
-        factory: Builds the planner.
+        factories: Build the planners.
         scene: Scene name.
 
     Returns:
-        The rows.
+        The rows of each run.
     """
-    key = content_key(run.fingerprint, run.planner.model_dump(mode="json"))
+    key = content_key([(run.fingerprint, run.planner.model_dump(mode="json")) for run in runs])
     if key not in _in_this_process:
-        _in_this_process[key] = (reopen(), factory())
-    return work_here(run, *_in_this_process[key], scene)
+        if any(run.planner.weights_sha256 is not None for run in runs):
+            keep_pages()
+        _in_this_process[key] = (reopen(), tuple(factory() for factory in factories))
+    return work_here(runs, *_in_this_process[key], scene)
 
 
 def reopen_root(root: Path, version: str, name: str) -> "DataSet":

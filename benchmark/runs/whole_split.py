@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from benchmark.machine.storage import content_key
 from benchmark.planning import ContinuousPlanner
 from benchmark.runs.plan_rows import PlannedScene, kept_rows, plan_scene, rows_path, scene_key
+from benchmark.runs.reading import SceneReading
 from benchmark.runs.scene_work import Run, SceneResult, judged_scene
 
 if TYPE_CHECKING:
@@ -72,4 +73,4 @@ def work_through(run: Run, data: "DataSet", planner: ContinuousPlanner, scenes: 
             planned = PlannedScene(rows, None)
         else:
             planned = plan_scene(planner, data, name, paths[name], keys[name], fresh=True)
-        yield judged_scene(run, data, name, planned)
+        yield judged_scene(run, SceneReading(data, name), planned)

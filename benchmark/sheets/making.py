@@ -40,7 +40,7 @@ from benchmark.sheets.road import road_around
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
-MAKING_VERSION: Final = 1
+MAKING_VERSION: Final = 2
 """Goes up when the same data set would give another sheet."""
 KEY_FILE: Final = "key.json"
 _PICTURES_FOLDER: Final = "cameras"
@@ -105,6 +105,8 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
     """
     made = data.provenance()
     report = made["scenes"].get(name, {}).get("report") if made else None
+    renderer = made.get("renderer") if made else None
+    drawn_by = renderer.get("name") if isinstance(renderer, dict) else None
     scene = f"{data.root}: scene {name}"
     sheet = validated(
         sheet_to_draw,
@@ -119,6 +121,7 @@ def sheet_of(data: "DataSet", split: str, name: str, facts: DataFacts) -> Sheet:
             "source": data.scene_facts([name])[name].source,
             "labels": tuple(found for found in stored_labels(report) if isinstance(found, dict)),
             "sample_tokens": tuple(truth.sample_token for truth in data.truth(name)),
+            "drawn_by": drawn_by if isinstance(drawn_by, str) else None,
         }
     )
 

@@ -85,6 +85,7 @@ def _settings_of(variant: Variant, settings: BuildSettings, planner: PlannerUnde
     return replace(
         settings,
         out=settings.out / variant.name,
+        timings=settings.timing / variant.name,
         hyper=replace(settings.hyper, multi_round=variant.multi_round, scored=variant.scored),
         adversaries=1,
         surrogate=None,

@@ -62,18 +62,19 @@ def runtime_table(attempts: Iterable[Path], scenes: Iterable[Path]) -> RuntimeTa
     return RuntimeTable(attempts=len(of_attempts), scenes=len(of_scenes), total_s=total)
 
 
-def kept_runtime(state: Path) -> RuntimeTable | None:
-    """What a build's folder of finished work still knows of the time that it took.
+def kept_runtime(state: Path, timings: Path) -> RuntimeTable | None:
+    """What is still known of the time that a build took.
 
     Args:
-        state: The folder; it need not exist.
+        state: Its folder of finished work; it need not exist.
+        timings: Its folder of notes; it need not exist.
 
     Returns:
         All attempts that were timed there, and the scenes that are written now; ``None`` if there are none.
     """
-    attempts = sorted((state / "timing" / "attempts").glob("*.timing.json"))
+    attempts = sorted((timings / "attempts").glob("*.timing.json"))
     written = sorted((state / "fragments").glob("*.json"))
-    found = runtime_table(attempts, [state / "timing" / "rendering" / f"{path.stem}.timing.json" for path in written])
+    found = runtime_table(attempts, [timings / "rendering" / f"{path.stem}.timing.json" for path in written])
     return found if found.attempts or found.scenes else None
 
 

@@ -6,9 +6,9 @@ from typing import Literal
 
 from benchmark.errors import InputError
 from benchmark.machine.workers import Executor, LocalProcesses
+from benchmark.machine.workspace import timings_beside
 from generation.build.surrogate import PlannerUnderTest
 from generation.labels.manoeuvres import Manoeuvre
-from generation.nuscenes_writer.plan import STATE_FOLDER
 from generation.render.contract import Renderer
 from generation.search.definition import PackagedPrior, PriorFactory
 from generation.search.hyperparameters import HyperParameters
@@ -44,6 +44,7 @@ class BuildSettings:
         lossless: Beside each JPEG file a PNG file of the same name.
         keep_rounds: Whether the rounds of the search are kept for ``sheets --rounds``; of ``adv`` alone.
         freeze: File for the frozen split that others rebuild it from (`generation.splits`); of ``adv`` alone.
+        timings: Folder for notes on how long work took, outside of the root; ``<out>.timings`` by default.
         dry_run: Only count the work.
     """
 
@@ -71,6 +72,7 @@ class BuildSettings:
     lossless: bool = False
     keep_rounds: bool = False
     freeze: Path | None = None
+    timings: Path | None = None
     dry_run: bool = False
 
     def __post_init__(self) -> None:
@@ -85,5 +87,5 @@ class BuildSettings:
 
     @property
     def timing(self) -> Path:
-        """Folder of notes on how long work took; no result depends on them."""
-        return self.out / STATE_FOLDER / "timing"
+        """Folder of notes on how long work took; no result depends on them, and no two builds have the same."""
+        return self.timings or timings_beside(self.out)

@@ -93,6 +93,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         prior=settings.prior,
         prior_fingerprint=settings.prior().fingerprint,
         state=settings.out / STATE_FOLDER,
+        timings=settings.timing,
         asked=settings.asked,
     )
     if settings.dry_run:

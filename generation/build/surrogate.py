@@ -4,7 +4,6 @@ The survivors are written as a data set of their own below the output and evalua
 planner fails are taken over from there, pictures included.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -183,7 +182,7 @@ def _link(source: Path, target: Path) -> None:
     """The same file in two places; a copy where the disk has no links."""
     if target.exists() and target.samefile(source):
         return
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    temporary = target.with_name(f".{target.name}.part")
     with writing_to(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         try:

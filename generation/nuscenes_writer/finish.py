@@ -1,6 +1,5 @@
 """Putting written scenes together: tables, maps, splits and provenance of each root."""
 
-import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,12 +18,8 @@ from generation.nuscenes_writer.vocabulary import Row, Vocabulary, sensor_rows
 
 PROVENANCE: Final = "challenger.json"
 PROVENANCE_SCHEMA: Final = 1
-STATE_FOLDERS: Final = (
-    "attempts", "claims", "fragments", "judgements", "maps", "rounds", "surveys", "timing/attempts", "timing/rendering"
-)  # fmt: skip
+STATE_FOLDERS: Final = ("attempts", "claims", "fragments", "judgements", "maps", "rounds", "surveys")
 """Where unfinished files may lie below the writer's own folder."""
-_LEFT_OVER: Final = re.compile(r"\..+\.\d+\.part")
-"""Temporary files of a process that was killed while writing (`benchmark.machine.storage.write_bytes`)."""
 
 Fragment = dict[str, Any]
 
@@ -228,6 +223,5 @@ def _remove_left_overs(plan: DataSetPlan, roots: Mapping[int, Any]) -> None:
         folders += [*sorted(root.glob("samples/*/")), *sorted(root.glob("sweeps/*/"))]
     for folder in folders:
         for path in sorted(folder.glob(".*.part")):
-            if _LEFT_OVER.fullmatch(path.name):
-                with writing_to(path):
-                    path.unlink()
+            with writing_to(path):
+                path.unlink()

@@ -62,6 +62,8 @@ class DataSetPlan:
         search: Hash of what decided its search beside the seed; of splits that are called after their seed alone.
         left_out: Scenes that are not written because an inspector rejected them, each with the number of its variant;
             none of another split.
+        keeps_instances: Whether identifiers of objects stay what they are in every scene, because each is in one scene
+            alone: of imported scenes, which may be variants that had identifiers of their own already.
     """
 
     root: Path
@@ -76,6 +78,7 @@ class DataSetPlan:
     frozen: tuple[str, str] | None = None
     search: str | None = None
     left_out: tuple[tuple[int, Judged], ...] = ()
+    keeps_instances: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.jpeg_quality <= 100:
@@ -148,7 +151,7 @@ class SceneNames:
             suffix=suffix,
             log=re.sub(r"[^A-Za-z0-9.+_-]", "_", scene.log or name),
             identity=(plan.split, str(variant), name, identity),
-            keeps_instances=plan.layout == "per-variant" or name == source_scene,
+            keeps_instances=plan.keeps_instances or plan.layout == "per-variant" or name == source_scene,
         )
 
     def token(self, table: str, *parts: Any) -> str:

@@ -93,6 +93,7 @@ class Search:
         prior: Makes the diffusion model.
         prior_fingerprint: Of the diffusion model.
         state: Where finished work is kept.
+        timings: Where notes on how long it took are kept.
         asked: Kinds of manoeuvre that every vehicle is asked for, one attempt each; none for one attempt that may do
             anything.
     """
@@ -103,6 +104,7 @@ class Search:
     prior: PriorFactory
     prior_fingerprint: str
     state: Path
+    timings: Path
     asked: tuple[Manoeuvre, ...] = ()
 
     def key(self, unit: Unit) -> str:
@@ -123,7 +125,7 @@ class Search:
 
     def timing_path(self, unit: Unit) -> Path:
         """File that says how long an attempt took; no result depends on it."""
-        return self.state / "timing" / "attempts" / f"{self.key(unit)}.timing.json"
+        return self.timings / "attempts" / f"{self.key(unit)}.timing.json"
 
     def eligibility_path(self, scene_name: str, earlier: tuple[Earlier, ...]) -> Path:
         """File of one finished choice of vehicles."""

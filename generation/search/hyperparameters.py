@@ -23,6 +23,8 @@ REFERENCE_POSES = 81
 """Poses of a candidate in the reference code, the planning frame's among them."""
 MOST_CANDIDATES = 65536
 """Beyond this a batch fills the memory of a worker."""
+MOST_ROUNDS = 1000
+"""Far more than there are levels of noise."""
 _AT_LEAST_1 = (
     "candidates", "horizon", "lookahead_stride", "first_noise_level", "candidate_limit", "tries",
     "shortest_drive_frames", "timestep_frames",
@@ -320,6 +322,8 @@ class HyperParameters(ThreatSettings):
                 raise InputError(f"hyper-parameter {name} must not be negative, got {getattr(self, name)}")
         if self.candidates > MOST_CANDIDATES:
             raise InputError(f"hyper-parameter candidates must be at most {MOST_CANDIDATES}, got {self.candidates}")
+        if self.rounds > MOST_ROUNDS:
+            raise InputError(f"hyper-parameter rounds must be at most {MOST_ROUNDS}, got {self.rounds}")
         if self.executed_frames + self.lookahead_frames > CANDIDATE_FRAMES:
             raise InputError(
                 f"hyper-parameters horizon and lookahead_frames must not be more than {CANDIDATE_FRAMES} together, the "

@@ -23,7 +23,7 @@ from generation.search.reference_rules import SPEED_FRAMES, STEP_FRAMES, referen
 from generation.search.reference_scoring import challenge_on, reference_surroundings, reference_terms
 from generation.search.refinement import Evaluated, NothingToDraw, Refinement, refine
 from generation.search.rounds import rounds_of
-from generation.search.scoring import Terms, score_terms, surroundings
+from generation.search.scoring import Surroundings, Terms, score_terms, surroundings
 from generation.search.threat import threat_rating
 from generation.search.verify import EGO, Discard, Finding, contacts
 
@@ -60,6 +60,7 @@ class Planning:
         stages: Seconds of physics and scoring are added here.
         keep_rounds: Whether the candidates of every round are kept; no result depends on it.
         asked: Kind of manoeuvre that is asked for, if any.
+        road_around: (3,) pose around which the road is looked at; by default the ego's, at each planning frame.
     """
 
     scene: Scene
@@ -72,6 +73,7 @@ class Planning:
     stages: dict[str, float]
     keep_rounds: bool = False
     asked: Manoeuvre | None = None
+    road_around: Floats | None = None
 
     def run(self) -> SearchSteps[Driven]:
         """Plan and execute to the end of the scene, or to where there is no use in going on."""
@@ -152,7 +154,7 @@ class Planning:
         # Where less than a timestep is left, the scene's last frame stands for it.
         offsets = tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
         steps = max(offsets[-1], min(self.hyper.executed_frames, left))
-        rate = self._rated(frame, offsets, track)
+        rate = self.rated(frame, offsets, track)
         length = float(self.scene.agents.size[self.agent, 0])
 
         def evaluate(waypoints: Floats) -> Evaluated:
@@ -166,16 +168,16 @@ class Planning:
 
         return evaluate
 
-    def _rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
+    def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
         """What rates the motion of candidates at a planning frame."""
-        raster = _raster(self.scene, frame, self.hyper.half_extent_m)
+        raster = self._raster(frame)
         frames = tuple(frame + offset for offset in offsets)
         size = self.scene.agents.size[self.agent, :2]
         if self.hyper.score is ScoreOf.REFERENCE:
             seen = reference_surroundings(self.scene, self.agent, frames, raster)
             on = challenge_on(self._distances(frame, track), self.start, frame, self.rng)
             return lambda motion: reference_terms(motion.center[:, offsets], size, seen, challenged=on)
-        around = surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
+        around = self.around(frames, raster)
         hyper = self.hyper if self.asked is None else self.hyper.where_asked()
         further = threat_rating(self.scene, self.agent, frame, offsets, around, hyper) if hyper.threatens else None
         missing = self._missing(frame, offsets, track)
@@ -188,6 +190,18 @@ class Planning:
             return terms if missing is None else replace(terms, asked=missing(center, speed))
 
         return rate
+
+    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+        """What candidates can hit at some frames."""
+        return surroundings(self.scene, self.agent, frames, raster, raster_ego=self.hyper.raster_ego)
+
+    def _raster(self, frame: int) -> DrivableRaster:
+        """Drivable area around the ego's lidar at a planning frame, or around the pose that was given."""
+        pose = self.road_around
+        if pose is None:
+            pose = self.scene.ego.pose[frame]
+            pose[:2] += self.scene.lidar.translation[0] * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        return DrivableRaster.around(self.scene.road_map, pose, half_extent_m=self.hyper.half_extent_m)
 
     def _missing(
         self, frame: int, offsets: tuple[int, ...], track: Floats
@@ -237,13 +251,6 @@ class Planning:
             return EGO
         _, other = contacts(boxes, self.scene, self.agent, frames)
         return self.scene.agents.ids[other[0]] if len(other) else None
-
-
-def _raster(scene: Scene, frame: int, half_extent_m: float) -> DrivableRaster:
-    """Drivable area around the ego's lidar at a planning frame."""
-    pose = scene.ego.pose[frame]
-    pose[:2] += scene.lidar.translation[0] * np.array([np.cos(pose[2]), np.sin(pose[2])])
-    return DrivableRaster.around(scene.road_map, pose, half_extent_m=half_extent_m)
 
 
 def _trace(frame: int, found: Refinement) -> PlanningFrame:

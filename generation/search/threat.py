@@ -37,6 +37,10 @@ HOVER_M: Final = 0.5
 USUAL_ALONG_M_S2: Final = 1.0
 USUAL_ACROSS_M_S2: Final = 0.7
 """Scales of the Laplace distributions that stand for what recorded drivers ask for."""
+AHEAD_M: Final = 8.0
+"""Room ahead of the ego at which an adversary is surely ahead of it."""
+MOST_BEHIND: Final = 3.0
+"""In units of 20 m: whoever is farther behind is not further off."""
 FREE_SHARE: Final = 0.6
 """Share of half the area's side within which nothing is said of its edge."""
 
@@ -171,6 +175,11 @@ def behind(placed: Placed) -> Floats:
     return np.asarray(((placed.lag > 0.0) & placed.moving).mean(axis=1))
 
 
+def not_ahead(placed: Placed) -> Floats:
+    """(B,) how far the rear is from 8 m ahead of the ego's front at the end of what is scored, 1 at 20 m; at most 3."""
+    return np.asarray(np.clip((AHEAD_M - placed.room[:, -1]) / FAR_M, 0.0, MOST_BEHIND))
+
+
 def unlikely(speed: Floats, acceleration: Floats, steering: Floats, length_m: float) -> Floats:
     """(B,) minus the logarithm of the Laplace likelihood of (B, S) accelerations, without its constant."""
     across = speed**2 * np.tan(steering) / (WHEELBASE * length_m)
@@ -231,6 +240,7 @@ def threat_rating(
             (hyper.careful_weight, lambda: careful(placed)),
             (hyper.side_weight, lambda: side(placed, hyper.side_least_m, hyper.side_s)),
             (hyper.behind_weight, lambda: behind(placed)),
+            (hyper.ahead_weight, lambda: not_ahead(placed)),
             (hyper.hover_weight, lambda: hovering(center, size, there)),
             (hyper.likelihood_weight, lambda: unlikely(speed, acceleration, steering, float(size[0]))),
             (hyper.area_weight, lambda: near_edge(center, ahead.ego, hyper.half_extent_m)),

@@ -24,6 +24,8 @@ class ThreatSettings:
         area_weight: Of nearing the edge of the area around the ego.
         least_overrun_m: With ``launch=reach`` a vehicle is tried only if it can be in the ego's way before an ego that
             does not react would overrun the recorded one by so much more than the air that is kept. 0 does not ask.
+        ahead_weight: Of not being ahead of the ego where the scores end. In closed loop nobody is threatened by what it
+            has passed; the recording of open loop never passes anybody that it did not.
         careful_survives: Whether a scene is dropped in which a careful and competent human touches anybody.
     """
 
@@ -41,6 +43,7 @@ class ThreatSettings:
     likelihood_weight: float = 0.0
     area_weight: float = 0.0
     least_overrun_m: float = 0.0
+    ahead_weight: float = 0.0
     careful_survives: bool = False
 
     @property
@@ -48,13 +51,19 @@ class ThreatSettings:
         """Whether any of the terms has a weight."""
         return any((
             self.threat_weight, self.closing_weight, self.careful_weight, self.side_weight, self.behind_weight,
-            self.against_weight, self.hover_weight, self.likelihood_weight, self.area_weight,
+            self.against_weight, self.hover_weight, self.likelihood_weight, self.area_weight, self.ahead_weight,
         ))  # fmt: skip
 
     def where_asked(self) -> Self:
         """Without the terms that say where to be: a manoeuvre that was asked for says that."""
         return replace(
-            self, threat_weight=0.0, closing_weight=0.0, side_weight=0.0, behind_weight=0.0, hover_weight=0.0
+            self,
+            threat_weight=0.0,
+            closing_weight=0.0,
+            side_weight=0.0,
+            behind_weight=0.0,
+            hover_weight=0.0,
+            ahead_weight=0.0,
         )
 
 

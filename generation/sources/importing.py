@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from benchmark.datasets.scenarionet import find_scenarionet, read_scenarionet
+from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
 from benchmark.errors import InputError
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import only_writer
@@ -28,16 +28,20 @@ class ImportSettings:
         height: Image height, pixels.
         frames: Which frames get images.
         images: Whether to draw images at all (schematic ones: the recordings have none).
+        split: Name of the split; adversarial scenes are never in ``val``.
     """
 
     width: int = 448
     height: int = 256
     frames: Literal["all", "keyframes"] = "all"
     images: bool = True
+    split: str = "val"
 
 
 def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, workers: int) -> tuple[str, ...]:
-    """Write ScenarioNet recordings as a nuScenes-format data set with one split, ``val``.
+    """Write ScenarioNet recordings as a nuScenes-format data set with one split.
+
+    Files that were exported here (`benchmark.datasets.exchange`) say who is adversarial and how scenes were made.
 
     Args:
         source: A ScenarioNet pickle or a folder of them.
@@ -49,12 +53,19 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
         The scene names.
 
     Raises:
-        InputError: If a file is refused, two files hold the same scene, or the disk refuses.
+        InputError: If a file is refused, two files hold the same scene, adversarial scenes would come into ``val``, or
+            the disk refuses.
     """
     files = find_scenarionet(source)
     renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
     plan = DataSetPlan(
-        root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames, source=None
+        root=root,
+        version=VERSION_FOLDER,
+        split=settings.split,
+        renderer=renderer,
+        frames=settings.frames,
+        source=None,
+        keeps_instances=True,
     )
     with only_writer(root):
         count = Count(kept=lambda imported: was_there(imported[1]))
@@ -69,8 +80,13 @@ def import_scenarionet(source: Path, root: Path, settings: ImportSettings, *, wo
 
 
 def _import_one(plan: DataSetPlan, path: Path) -> tuple[str, WrittenScene]:
-    scene = with_default_rig(read_scenarionet(path))
-    return scene.name, written_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
+    made = read_exchanged(path)
+    scene = with_default_rig(made.scene)
+    if scene.adversaries and plan.split == "val":
+        raise InputError(f"{path} names adversaries, which are never in val; import it with --split adv")
+    return scene.name, written_scene(
+        plan, scene, name=scene.name, source_scene=made.source_scene, report=dict(made.report)
+    )
 
 
 def with_default_rig(scene: Scene) -> Scene:

@@ -3,18 +3,19 @@
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from benchmark.errors import InputError
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
 from benchmark.machine.workers import map_ordered
 from benchmark.machine.workspace import is_finished
+from benchmark.records.off_path import OFF_PATH
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
 from generation.render.schematic import SchematicRenderer
-from generation.sources.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names
+from generation.sources.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names, town_scene_off_path
 
 VERSION_FOLDER = "v1.0-mini"
 
@@ -33,6 +34,7 @@ class TownSettings:
         height: Image height, pixels.
         frames: Which frames get images: all 12 Hz frames or the 2 Hz keyframes.
         images: Whether there are cameras at all; without them a thousand scenes are written in minutes.
+        off_path: Whether the ego of training scenes gets off its path and comes back.
     """
 
     val_scenes: int = DEFAULT_VAL_SCENES
@@ -42,6 +44,7 @@ class TownSettings:
     height: int = 256
     frames: Literal["all", "keyframes"] = "all"
     images: bool = True
+    off_path: bool = False
 
     def drawn_name(self, name: str) -> str:
         """A name for what happens in the scenes and how they look: all that a measured number depends on."""
@@ -52,7 +55,11 @@ class TownSettings:
         return f"{name}-{content_key(*self._drawn(), SHARED_TABLES_VERSION)[:12]}"
 
     def _drawn(self) -> tuple[object, ...]:
-        return asdict(self), TOWN_VERSION, SchematicRenderer(self.width, self.height).version
+        settings = asdict(self)
+        if not self.off_path:
+            # A town of before is still the same town.
+            del settings["off_path"]
+        return settings, TOWN_VERSION, SchematicRenderer(self.width, self.height).version
 
 
 def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
@@ -71,6 +78,8 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     """
     if settings.val_scenes < 1 or settings.train_scenes < 0:
         raise InputError("the town needs at least one evaluation scene (--town-scenes) and no negative numbers")
+    if settings.off_path and not settings.train_scenes:
+        raise InputError("only training scenes leave the path; give --train-scenes with --off-path")
     note, made_of = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
     if is_finished(root) and read_kept_json(note) == made_of:
         return root
@@ -80,7 +89,7 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     )
     work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
     work += [("train", index) for index in range(settings.train_scenes)]
-    job = partial(_write_one, plan, settings.seed)
+    job = partial(_write_one, plan, settings.seed, settings.off_path)
     train = list(town_scene_names("train", settings.train_scenes)) if settings.train_scenes else []
     with only_writer(root):
         count = Count(kept=was_there)
@@ -90,7 +99,12 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     return root
 
 
-def _write_one(plan: DataSetPlan, seed: int, work: tuple[Split, int]) -> WrittenScene:
+def _write_one(plan: DataSetPlan, seed: int, off_path: bool, work: tuple[Split, int]) -> WrittenScene:
     split, index = work
-    scene = town_scene(split, index, seed=seed)
-    return written_scene(plan, scene, name=scene.name, source_scene=scene.name, report={})
+    report: dict[str, Any] = {}
+    if off_path and split == "train":
+        scene, excursions = town_scene_off_path(index, seed=seed)
+        report[OFF_PATH] = [each.as_json() for each in excursions]
+    else:
+        scene = town_scene(split, index, seed=seed)
+    return written_scene(plan, scene, name=scene.name, source_scene=scene.name, report=report)

@@ -9,7 +9,7 @@ from typing import Any, Final
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
 from benchmark.machine.storage import canonical_json, only_writer, read_kept_json, write_json
-from benchmark.records.judgement import unsolvable
+from benchmark.records.judgement import SceneJudgement, unsolvable
 from benchmark.records.review import REJECTED, Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
@@ -23,7 +23,7 @@ from generation.nuscenes_writer.scenes import read_state
 from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.ground_truth_checks import masked_line, masked_steps, masked_together
 from generation.splits.digests import facts_of_row, tables_digest, written_digest
-from generation.splits.format import FrozenScene, ImageFacts
+from generation.splits.format import EDITED, FrozenScene, ImageFacts
 from generation.splits.packaged import NamedSplit
 from generation.splits.seeds import require_seed, search_hash
 from generation.splits.tracks import adversarial, scene_report, tracks_of
@@ -49,6 +49,7 @@ class FrozenReport:
         masked_steps: By protocol, steps that are masked whatever is planned (`BuildReport.masked_steps`).
         estimate: How much work there is (dry run only).
         split: Name of the split.
+        faults: What is wrong with the motion of adversaries, by scene; of edited scenes alone, which nobody verified.
     """
 
     name: str
@@ -63,6 +64,7 @@ class FrozenReport:
     masked_steps: dict[str, dict[str, int]] = field(default_factory=dict)
     estimate: Estimate | None = None
     split: str = "adv"
+    faults: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """The report as JSON values."""
@@ -75,7 +77,13 @@ class FrozenReport:
             "unsolvable": list(self.unsolvable),
             "masked_steps": self.masked_steps,
             "dry_run": self.estimate is not None,
+            **({"faults": {name: list(found) for name, found in self.faults.items()}} if self.edited else {}),
         }
+
+    @property
+    def edited(self) -> bool:
+        """Whether the scenes come from edited files, and not from a search."""
+        return self.verified_by == EDITED
 
     def kept(self) -> dict[str, Any]:
         """What ``report.json`` says: what does not depend on the machine."""
@@ -101,7 +109,8 @@ class FrozenReport:
             else f"differ in {len(self.other_tables)} of {counted(count, 'scene')}, because the recordings here differ"
         )
         return (
-            f"{counted(count, 'scene')} built from frozen split {self.name}, {counted(self.scenes, 'recorded scene')}\n"
+            f"{counted(count, 'scene')} built from {'the edited' if self.edited else 'frozen split'} {self.name}, "
+            f"{counted(self.scenes, 'recorded scene')}\n"
             f"  tables: {tables}\n  images: {self._images(count)}\n  {masked_line(self.masked_steps)}\n"
             f"  scenes that nobody could have avoided: {len(self.unsolvable)}, kept as frozen" + self._verification()
         )
@@ -110,6 +119,9 @@ class FrozenReport:
         """What is said where a search would verify by other rules today."""
         if self.verified_by == ALGORITHM_VERSION:
             return ""
+        if self.edited:
+            wrong = "; ".join(f"{name}: {', '.join(found)}" for name, found in self.faults.items() if found)
+            return f"\n  edited, and verified by nobody; faults of motion (docs/realism.md): {wrong or 'none'}"
         return (
             f"\n  verified by version {self.verified_by} of the search, as it was frozen; a search verifies by version "
             f"{ALGORITHM_VERSION} today (docs/frozen-splits.md)"
@@ -177,7 +189,16 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         verified_by=split.frozen.search.algorithm,
         masked_steps=masked,
         unsolvable=tuple(job.name for job, said in zip(jobs, judged, strict=True) if unsolvable(said)),
+        faults=_faults(jobs, judged) if split.frozen.search.algorithm == EDITED else {},
     )
+
+
+def _faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneJudgement]]) -> dict[str, tuple[str, ...]]:
+    found: dict[str, tuple[str, ...]] = {}
+    for job, said in zip(jobs, judged, strict=True):
+        names = {name for each in said if each.faults is not None for name in each.faults.found}
+        found[job.name] = tuple(sorted(names))
+    return found
 
 
 def require_not_frozen(root: Path) -> None:

@@ -17,6 +17,8 @@ from benchmark.records.store import validated
 
 FORMAT: Final = "challenger-bench frozen split"
 SCHEMA: Final = 1
+EDITED: Final = "edited"
+"""In place of the version of the search: somebody edited the scenes, and nobody verified them."""
 MOST_BYTES: Final = 256 * 1024 * 1024
 """No frozen split of any data set is larger; a file that is will not be read into memory."""
 METRE_DIGITS: Final = 3

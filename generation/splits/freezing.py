@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from benchmark.datasets.roots import DataSet
-from benchmark.geometry import Floats
 from benchmark.machine.workers import Executor
 from benchmark.scene import Scene
 from generation.nuscenes_writer import DataSetPlan
@@ -13,17 +12,14 @@ from generation.search.chains import Chain, Tried
 from generation.search.definition import Search
 from generation.splits.digests import drawn_digest, image_facts, tables_digest
 from generation.splits.format import (
-    METRE_DIGITS,
-    YAW_DIGITS,
     Choice,
     FrozenAdversary,
     FrozenScene,
     FrozenSplit,
-    Pose,
     Recordings,
     SearchFacts,
 )
-from generation.splits.tracks import adversarial, recorded_pose
+from generation.splits.tracks import adversarial, recorded_pose, rounded_pose
 
 _UNKNOWN: Final = "0" * 64
 """Stands for a hash until the scene is put together."""
@@ -100,12 +96,6 @@ def _frozen_adversary(link: Tried, scene: Scene) -> FrozenAdversary:
     return FrozenAdversary(
         instance=link.agent_id,
         launch_frame=start,
-        recorded=_rounded(recorded_pose(scene, link.unit.agent, start)),
-        track=tuple(map(_rounded, link.stored.poses)),
+        recorded=rounded_pose(recorded_pose(scene, link.unit.agent, start)),
+        track=tuple(map(rounded_pose, link.stored.poses)),
     )
-
-
-def _rounded(pose: Floats | tuple[float, float, float]) -> Pose:
-    x, y, yaw = map(float, pose)
-    # Adding zero makes -0.0 plain.
-    return round(x, METRE_DIGITS) + 0.0, round(y, METRE_DIGITS) + 0.0, round(yaw, YAW_DIGITS) + 0.0

@@ -11,7 +11,7 @@ from benchmark.records.attempts import Approach, Attempt
 from benchmark.scene import Scene
 from generation.labels.labelling import closest_approach, describe, times_to_collision
 from generation.search.ranking import challenge_score
-from generation.splits.format import METRE_DIGITS, FrozenAdversary, FrozenScene
+from generation.splits.format import METRE_DIGITS, YAW_DIGITS, FrozenAdversary, FrozenScene, Pose
 
 SAME_M: Final = 0.01
 """How far the recorded body may be from where the frozen split has it at the launch."""
@@ -85,6 +85,13 @@ def tracks_of(frozen: FrozenScene) -> TracksAtHand:
 def recorded_pose(scene: Scene, agent: int, frame: int) -> Floats:
     """(3,) x, y, yaw of a vehicle as recorded."""
     return np.array([*scene.agents.position[agent, frame, :2], scene.agents.yaw[agent, frame]])
+
+
+def rounded_pose(pose: Floats | tuple[float, float, float]) -> Pose:
+    """A pose (x, y, yaw) as frozen splits hold it."""
+    x, y, yaw = map(float, pose)
+    # Adding zero makes -0.0 plain.
+    return round(x, METRE_DIGITS) + 0.0, round(y, METRE_DIGITS) + 0.0, round(yaw, YAW_DIGITS) + 0.0
 
 
 def scene_report(frozen: FrozenScene, scene: Scene, seed: int) -> dict[str, Any]:

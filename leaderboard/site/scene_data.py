@@ -73,7 +73,9 @@ def scene_files(sheets: Sheets, records: Sequence[RunRecord]) -> dict[str, bytes
         _require_whole(sheet)
     for name in sorted({*ran, *sheets.scenes}):
         key, stored = scene_key(name), sheets.scenes.get(name)
-        data = _scene(name, key, stored, ran.get(name, []))
+        # Rows of one scene at a time: those of all would fill memory.
+        here = [_Ran(each, {row.sample_token: row for row in each.rows_of(name[2])}) for each in ran.get(name, [])]
+        data = _scene(name, key, stored, here)
         files[f"data/scenes/{key}.js"] = data_script(f'({_SCENES})["{key}"]', data)
         if stored is not None:
             files |= {
@@ -99,14 +101,11 @@ def _require_whole(stored: StoredSheet) -> None:
         )
 
 
-def _by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[_Ran]]:
-    found: dict[SceneName, list[_Ran]] = defaultdict(list)
+def _by_scene(records: Sequence[RunRecord]) -> dict[SceneName, list[RunRecord]]:
+    found: dict[SceneName, list[RunRecord]] = defaultdict(list)
     for record in sorted(records, key=lambda record: record.planner):
-        rows: dict[str, dict[str, SampleRow]] = {scene: {} for scene in record.run.scenes}
-        for row in record.rows:
-            rows.setdefault(row.scene, {})[row.sample_token] = row
-        for scene, by_token in rows.items():
-            found[record.run.data.name, record.run.split, scene].append(_Ran(record, by_token))
+        for scene in dict.fromkeys([*record.run.scenes, *record.columns.places_of_scenes]):
+            found[record.run.data.name, record.run.split, scene].append(record)
     return found
 
 

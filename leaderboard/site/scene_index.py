@@ -10,8 +10,8 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.scores import registered_version, source_of_scenes
+from benchmark.records.columns import BriefRow
 from benchmark.records.quality import QualityRecord
-from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord, scene_failures
 from benchmark.records.scenes import Sheet, Sheets
 from benchmark.report.words import split_of
@@ -94,6 +94,7 @@ def _entry(
         "description": sheet.description if sheet else "",
         "labels": [label_words(label) for label in sheet.labels] if sheet else [],
         "hasSheet": sheet is not None,
+        "drawnBy": sheet.drawn_by if sheet else None,
         "thumb": thumbnail if thumbnail in written else None,
         "thumbDark": dark if dark in written else None,
         "rounds": quote(rounds) if rounds in written else None,
@@ -115,9 +116,8 @@ def _duration_s(sheet: Sheet) -> float:
 def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
     """Add what one record says of its scenes."""
     data_name, split, planner = record.run.data.name, record.run.split, record.planner
-    rows_of: dict[str, list[SampleRow]] = defaultdict(list)
-    for row in record.rows:
-        rows_of[row.scene].append(row)
+    columns = record.columns
+    rows_of = columns.places_of_scenes
     sources = source_of_scenes(record)
     for scene in (*record.run.scenes, *rows_of):
         facts = record.run.scene_facts.get(scene)
@@ -131,17 +131,20 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
             continue
         for scene, failed in scene_failures(record.rows, protocol).items():
             seen[data_name, split, scene].verdicts.setdefault(planner, {})[protocol] = failed
-    for scene, rows in rows_of.items():
-        _add_samples(seen[data_name, split, scene], planner, rows)
+    everywhere = all(EXACT in columns.brief[place].judged for place in columns.planned)
+    hits = columns.collides(EXACT) if everywhere else None
+    for scene, places in rows_of.items():
+        rows = [columns.brief[place] for place in places]
+        colliding = 0 if hits is None else int(hits[places].sum())
+        _add_samples(seen[data_name, split, scene], planner, rows, colliding)
     for scene, severity in severity_entries(record).items():
         seen[data_name, split, scene].severity[planner] = severity
 
 
-def _add_samples(found: _Seen, planner: str, rows: Sequence[SampleRow]) -> None:
+def _add_samples(found: _Seen, planner: str, rows: Sequence[BriefRow], colliding: int) -> None:
     times = [row.timestamp_us for row in rows]
     found.seconds = max(found.seconds, (max(times) - min(times)) / _MICROSECONDS)
     causes: Counter[str] = Counter(row.diagnosis.cause for row in rows if row.diagnosis is not None)
-    colliding = sum(_collides(row) for row in rows)
     failed = sum(row.status == "failed" for row in rows)
     if causes:
         found.causes[planner] = dict(causes)
@@ -149,11 +152,6 @@ def _add_samples(found: _Seen, planner: str, rows: Sequence[SampleRow]) -> None:
         found.colliding[planner] = colliding
     if failed:
         found.failed[planner] = failed
-
-
-def _collides(row: SampleRow) -> bool:
-    outcome = row.outcomes.get(EXACT)
-    return row.status == "ok" and outcome is not None and outcome.counted and any(outcome.collision)
 
 
 def label_words(label: Mapping[str, Any]) -> str:

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from benchmark.metrics.attacks import SceneAttack, scene_attacks
+from benchmark.records.columns import BriefRow
 from benchmark.records.judgement import DRIVER_NAMES, JudgementSummary
-from benchmark.records.row_schema import SampleRow
 from benchmark.records.run import RunRecord
 
 _DIGITS: Final = 3
@@ -57,15 +57,15 @@ def severity_entries(record: RunRecord) -> dict[str, dict[str, Any]]:
     }
 
 
-def _rows_of(record: RunRecord) -> dict[str, list[SampleRow]]:
-    found: dict[str, list[SampleRow]] = {}
-    for row in record.rows:
+def _rows_of(record: RunRecord) -> dict[str, list[BriefRow]]:
+    found: dict[str, list[BriefRow]] = {}
+    for row in record.columns.brief:
         if row.status == "ok" and row.complete and row.severity is not None:
             found.setdefault(row.scene, []).append(row)
     return found
 
 
-def _entry(rows: Sequence[SampleRow], attack: SceneAttack) -> dict[str, Any]:
+def _entry(rows: Sequence[BriefRow], attack: SceneAttack) -> dict[str, Any]:
     said = [row.severity for row in rows if row.severity is not None]
     contacts = [each.contact for each in said if each.contact is not None]
     near = [each.near for each in said if each.near is not None]

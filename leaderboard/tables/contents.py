@@ -175,7 +175,7 @@ def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
         who = f"{record.planner} on {record.run.split}"
         if record.missing_protocols:
             notes.append(f"{who}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore.")
-        if any(row.place is None or row.speed_m_s is None for row in record.rows):
+        if any(row.place is None or row.speed_m_s is None for row in record.columns.brief):
             notes.append(
                 f"{who}: the record does not say where its samples are, in what light and how fast, so that it is in "
                 "no table by place, light or speed; run challenger-bench rescore."

@@ -10,7 +10,8 @@ import numpy as np
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
-from benchmark.records.row_schema import CAUSES, SampleRow
+from benchmark.records.columns import BriefRow
+from benchmark.records.row_schema import CAUSES
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, origin_of
 from benchmark.report.table import Table, table_of
@@ -35,13 +36,17 @@ class _Run:
     """
 
     record: RunRecord
-    rows: tuple[SampleRow, ...]
-    colliding: tuple[SampleRow, ...]
+    rows: tuple[BriefRow, ...]
+    colliding: tuple[BriefRow, ...]
 
     @classmethod
     def of(cls, record: RunRecord) -> "_Run":
-        rows = tuple(row for row in record.rows if row.status == "ok" and row.outcomes[EXACT].counted)
-        return cls(record, rows, tuple(row for row in rows if any(row.outcomes[EXACT].collision)))
+        brief, columns = record.columns.brief, record.columns
+        counted, colliding = (
+            tuple(brief[place] for place in np.flatnonzero(those).tolist())
+            for those in (columns.counted(EXACT), columns.collides(EXACT))
+        )
+        return cls(record, counted, colliding)
 
     @property
     def diagnosed(self) -> bool:
@@ -68,7 +73,7 @@ class _Run:
         kept = (tuple(row for row in rows if row.scene in scenes) for rows in (self.rows, self.colliding))
         return _Run(self.record, *kept)
 
-    def _sources(self, rows: Sequence[SampleRow]) -> list[str]:
+    def _sources(self, rows: Sequence[BriefRow]) -> list[str]:
         source_of = source_of_scenes(self.record)
         return [source_of[row.scene] for row in rows]
 
@@ -81,7 +86,8 @@ class _Run:
 
     def collision_rate(self) -> Rate:
         """Share of the counted samples that collide within 3 s."""
-        values = np.array([[any(row.outcomes[EXACT].collision)] for row in self.rows], dtype=np.float64).reshape(-1, 1)
+        hit = {id(row) for row in self.colliding}
+        values = np.array([[id(row) in hit] for row in self.rows], dtype=np.float64).reshape(-1, 1)
         scenes = self._sources(self.rows)
         return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)[0]
 
@@ -177,7 +183,7 @@ def _cause_cells(run: _Run) -> tuple[Shown, ...]:
     return tuple(shown for cell in cells for shown in (cell.shown(1), cell.interval()))
 
 
-def _cause(row: SampleRow) -> str:
+def _cause(row: BriefRow) -> str:
     return "" if row.diagnosis is None else row.diagnosis.cause
 
 

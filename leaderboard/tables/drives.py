@@ -41,6 +41,16 @@ _NEURONCAP: Final = (
     ("comfortable", "comfort %", _PERCENT, False),
 )
 """Column of a summary, head, unit, and whether its interval stands beside it."""
+_FAIRNESS: Final = (
+    ("attributable", "attributable %", _PERCENT, True),
+    ("survives_cc", "careful survives %", _PERCENT, True),
+)
+"""Where reference drivers drove the same encounters."""
+_NOTE_FAIRNESS: Final = (
+    "Attributable: contacts at fault in encounters that a careful human survives, who drives the same path against the "
+    "same adversary (docs/adversary-in-the-loop.md); careful survives: the share of encounters in which it touches "
+    "nobody. The adversary answers each driver, so that an encounter is the vehicle, the hand-over and the seed."
+)
 _PUBLISHED: Final = ("NNS as published code rounds", "CR % as published code rounds")
 _PUBLISHED_NOTE: Final = (
     "As published code rounds: means over runs, then scenes, then families, each rounded to three digits, and a scene "
@@ -54,6 +64,8 @@ _BRIEF_DEFAULT: Final = (
     "contact %",
     "at fault %",
     "95 %",
+    "attributable %",
+    "careful survives %",
     "impact m/s",
     "route %",
     "off road %",
@@ -96,7 +108,9 @@ def drive_tables(records: Sequence[DriveRecord]) -> list[Table]:
 def _table(one: World) -> Table:
     records, first = one.records, one.records[0].facts
     own = first.measured.engine == "default"
-    columns = _DEFAULT if own else (*_NEURONCAP, *_of_families(records))
+    climbed = any("survives_cc" in record.summary.columns for record in records)
+    with_fairness = (*_DEFAULT[:2], *_FAIRNESS, *_DEFAULT[2:]) if climbed else _DEFAULT
+    columns = with_fairness if own else (*_NEURONCAP, *_of_families(records))
     heads = ["planner", "sensor"]
     for _, head, _, with_interval in columns:
         heads += [head, "95 %"] if with_interval else [head]
@@ -105,7 +119,7 @@ def _table(one: World) -> Table:
     rows = [_row(record, name, columns, published) for record, name in zip(records, one.planners, strict=True)]
     title = one.title
     notes = (*(_NOTES_DEFAULT if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
-    notes = (*notes, _FAILED_NOTE, *notes_of(one))
+    notes = (*notes, *([_NOTE_FAIRNESS] if climbed else []), _FAILED_NOTE, *notes_of(one))
     places = _brief_places(heads) if own else tuple(range(len(heads)))
     return table_of(
         f"drives-{one.name}",

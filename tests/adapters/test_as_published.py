@@ -22,7 +22,8 @@ from benchmark.evaluation import evaluate
 from benchmark.geometry import Floats
 from benchmark.planning import EgoState, SceneInfo, reads_message_after, remembers_across_scenes
 from benchmark.records.planner_versions import labelled
-from benchmark.runs.plan_rows import facts_of, scene_key
+from benchmark.runs.plan_rows import scene_key
+from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.run_directory import run_directory
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.networks.uniad.small_uniad import SMALL as SMALL_UNIAD

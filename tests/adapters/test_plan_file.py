@@ -151,7 +151,6 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
         read_plan_file(tmp_path / "latin.csv")
 
 
-@pytest.mark.skipif(HAS_PARQUET, reason="pyarrow is installed")
 def test_text_of_digits_is_no_number(tmp_path: Path) -> None:
     rows = rows_for(town_of_two())
     rows[3]["x2"] = str(rows[3]["x2"])
@@ -159,6 +158,7 @@ def test_text_of_digits_is_no_number(tmp_path: Path) -> None:
         read_plan_file(write(tmp_path / "plans.json", rows))
 
 
+@pytest.mark.skipif(HAS_PARQUET, reason="pyarrow is installed")
 def test_parquet_without_pyarrow_says_what_to_install(tmp_path: Path) -> None:
     (tmp_path / "plans.parquet").write_bytes(b"PAR1")
     with pytest.raises(InputError, match="needs pyarrow"):

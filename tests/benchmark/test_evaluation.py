@@ -26,7 +26,7 @@ from benchmark.planning import CameraView, Observation, SceneInfo
 from benchmark.protocols import STANDARD
 from benchmark.protocols.exact import Exact
 from benchmark.records.run import find_records, load_record
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.planner_facts import facts_of
 from benchmark.scene import Camera, EgoTrack, Scene
 from tests.benchmark.fake_data import FakeData, sample_truth, town_of_two
 from tests.benchmark.planners import Factory, Failing, LooksAtImages, Remembering, Straight
@@ -36,11 +36,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file but the times, which are not part of a record."""
+    """Every file."""
     return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "timing.json"
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
     }
 
 
@@ -274,11 +272,13 @@ def test_killed_and_started_again_gives_the_bytes_of_an_undisturbed_run(tmp_path
     left = list((tmp_path / "killed").rglob("*.jsonl"))
     assert left and not list((tmp_path / "killed").rglob("run.json"))
     (left[0].parent / ".scene.jsonl.1.part").write_bytes(b"half a row")
-    again = evaluate(town_of_six(), "val", Factory(), tmp_path / "killed")
+    timed = EvalSettings(timings=tmp_path / "timings")
+    again = evaluate(town_of_six(), "val", Factory(), tmp_path / "killed", timed)
     undisturbed = evaluate(town_of_six(), "val", Factory(), tmp_path / "undisturbed")
     assert contents(again.directory) == contents(undisturbed.directory)
-    timing = json.loads((again.directory / "timing.json").read_text())
-    assert len(timing["planning_s"]) < 6
+    (noted,) = (tmp_path / "timings").rglob("*.timing.json")
+    timing = json.loads(noted.read_text())
+    assert 0 < len(timing["planning_s"]) < 6
 
 
 def test_a_disk_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:

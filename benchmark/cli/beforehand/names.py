@@ -11,6 +11,7 @@ from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from benchmark.quality.definition import Definition
+    from benchmark.supervision.limits import Supervision
 
 _DEVICE: Final = re.compile(r"auto|cpu|cuda(:\d+)?")
 _PRECISIONS: Final = ("float32", "bfloat16")
@@ -77,6 +78,33 @@ def require_published_runs(
         network = MODELS[runs].network if runs in MODELS else None
         done |= set(options_of(runs, {} if network is None else network.as_published, as_published))
     return not CROSS_SCENES.isdisjoint(done)
+
+
+def supervision_of(names: Sequence[str], sample_limit: float | None, memory_limit: float | None) -> "Supervision":
+    """The limits of planners of other packages.
+
+    Args:
+        names: As ``--model`` takes them.
+        sample_limit: As ``--sample-limit`` takes it.
+        memory_limit: As ``--memory-limit`` takes it.
+
+    Returns:
+        The limits; of no effect where all planners are of this package.
+
+    Raises:
+        InputError: If one is no such number, or there is nobody whom it is for.
+    """
+    from adapters.registry import is_foreign
+    from benchmark.supervision.limits import Supervision
+
+    given = {"--sample-limit": sample_limit, "--memory-limit": memory_limit}
+    said = next((option for option, value in given.items() if value is not None), None)
+    if said is not None and not any(is_foreign(name) for name in names):
+        raise InputError(
+            f"{said} is of planners of other packages, which run in a process of their own (docs/planners.md); leave "
+            "it out"
+        )
+    return Supervision.of(sample_limit, memory_limit)
 
 
 def planners_shown(names: Sequence[str], records: Sequence[Path], everywhere: Path) -> list[str]:

@@ -31,7 +31,7 @@ def require_file(path: Path | None, option: str, endings: Sequence[str] = ()) ->
 def require_plans(plans: Path, native: str | None) -> None:
     """Refuse a plan file that cannot be read, whatever it is for."""
     from adapters.plan_file import read_plan_file
-    from benchmark.runs.plan_rows import known_native
+    from benchmark.runs.planner_facts import known_native
 
     known_native(native, f"plan file {plans}")
     require_file(plans, "--plans", (".csv", ".parquet", ".json"))

@@ -1,7 +1,8 @@
 """The contract of policies: memory is a value that goes in and comes out, never an attribute.
 
-A policy moves all agents of a scene. It sees who is where now, never a plan and nothing of the future but what is its
-own. `check_policy` is the contract as a function, for one's own policies.
+A policy moves all agents of a scene. It sees who is where now and nothing of the future but what is its own; the ego's
+plan is looked at by those alone who say that they know it. `check_policy` is the contract as a function, for one's own
+policies.
 """
 
 from dataclasses import dataclass, fields, is_dataclass
@@ -10,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US
+from benchmark.closed_loop.plans_in_force import PlanInForce
 from benchmark.geometry import Bools, Floats
 
 Memory = TypeVar("Memory")
@@ -26,6 +28,7 @@ class Moment:
         boxes: (N, 5) of the agents; where one is not there, any finite values.
         present: (N,) who is there.
         velocity: (N, 2) m/s.
+        plan: The ego's plan in force, for policies that are allowed to know it; ``None`` before there is any.
     """
 
     time_us: int
@@ -34,6 +37,7 @@ class Moment:
     boxes: Floats
     present: Bools
     velocity: Floats
+    plan: PlanInForce | None = None
 
 
 @dataclass(frozen=True, slots=True)

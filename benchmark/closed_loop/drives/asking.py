@@ -22,9 +22,11 @@ from benchmark.planning import (
     Planner,
     PlannerGoneError,
     PlannerLateError,
+    PlannerLostError,
+    SupervisedPlanner,
     reads_message_after,
 )
-from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, traceback_text
+from benchmark.runs.plan_rows import FAILURES, BrokenImageError, loud, said_of
 
 DEFAULT_TIMEOUT_S: Final = 120.0
 """For one plan; nobody drives with so old a plan, so that this ends what hangs."""
@@ -40,6 +42,7 @@ class Reason(StrEnum):
     NO_PLAN = "no plan"
     UNUSABLE = "unusable plan"
     TIMEOUT = "timeout"
+    DIED = "died"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +111,7 @@ def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan 
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
     try:
         # Stdout belongs to the command (--json); what a planner prints goes to stderr.
-        with contextlib.redirect_stdout(sys.stderr), time_limit(timeout_s):
+        with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s):
             plan = planner.plan(replace(observation, views=views, ego=ego))
     except PlanTimeoutError:
         return Failure(Reason.TIMEOUT, f"no plan within {timeout_s:g} s")
@@ -116,8 +119,8 @@ def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan 
         raise
     except PlannerLateError as error:
         return Failure(Reason.TIMEOUT, str(error))
-    except FAILURES:
-        return Failure(Reason.RAISED, traceback_text())
+    except FAILURES as failure:
+        return _failure(failure)
     if not isinstance(plan, Plan):
         said = type(plan).__name__
         return Failure(Reason.NO_PLAN, f"{planner.name} answered {said}, a planner answers benchmark.planning.Plan")
@@ -127,10 +130,11 @@ def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan 
     return plan
 
 
-def told(tell: Callable[[], None], timeout_s: float) -> Failure | None:
+def told(planner: Planner, tell: Callable[[], None], timeout_s: float) -> Failure | None:
     """Tell a planner something.
 
     Args:
+        planner: The planner.
         tell: Calls it.
         timeout_s: How long it may take.
 
@@ -141,7 +145,7 @@ def told(tell: Callable[[], None], timeout_s: float) -> Failure | None:
         PlannerGoneError: If it runs elsewhere and cannot be told: nobody's fault.
     """
     try:
-        with contextlib.redirect_stdout(sys.stderr), time_limit(timeout_s):
+        with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s):
             tell()
     except PlanTimeoutError:
         return Failure(Reason.TIMEOUT, f"it did not return within {timeout_s:g} s")
@@ -149,9 +153,21 @@ def told(tell: Callable[[], None], timeout_s: float) -> Failure | None:
         raise
     except PlannerLateError as error:
         return Failure(Reason.TIMEOUT, str(error))
-    except FAILURES:
-        return Failure(Reason.RAISED, traceback_text())
+    except FAILURES as failure:
+        return _failure(failure)
     return None
+
+
+def _limit_of(planner: Planner, timeout_s: float) -> contextlib.AbstractContextManager[None]:
+    """Who watches the clock: a planner in a process of its own is watched over there, to the end of its process."""
+    return contextlib.nullcontext() if isinstance(planner, SupervisedPlanner) else time_limit(timeout_s)
+
+
+def _failure(failure: BaseException) -> Failure:
+    """What was raised, and handled now, as why there is no plan."""
+    if isinstance(failure, PlannerLostError):
+        return Failure(Reason.TIMEOUT if failure.late else Reason.DIED, failure.text)
+    return Failure(Reason.RAISED, said_of(failure))
 
 
 def _require_in_time(started: float, seconds: float) -> None:

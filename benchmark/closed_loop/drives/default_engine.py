@@ -6,6 +6,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
+from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryMaker, AdversaryTrack, DrivesAdversary
 from benchmark.closed_loop.agents.contract import AgentPolicy
 from benchmark.closed_loop.agents.idm import Idm
 from benchmark.closed_loop.courses import course_of, replay_of
@@ -15,6 +16,7 @@ from benchmark.closed_loop.drives.riding import (
     NeuroncapScore,
     RecordedCan,
     Ride,
+    RideMaker,
     Touch,
     UndrivablePlanError,
     require_room,
@@ -34,6 +36,9 @@ PRIMING_STEPS: Final = 2
 """Steps in which the ego is the recorded one, so that a planner with a memory has one (NeuroNCAP primes as long)."""
 
 
+_REPLAYED: Final = "movable_object.debris"
+
+
 def _replay(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[Any]:
     return replay_of(scene, start_us, end_us)
 
@@ -42,14 +47,22 @@ def _idm(scene: Scene, start_us: int, end_us: int) -> AgentPolicy[Any]:
     return Idm.of(replay_of(scene, start_us, end_us), scene.agents.categories, scene.road_map)
 
 
-def _policy(scene: Scene, agents: str, start_us: int, end_us: int) -> AgentPolicy[Any]:
-    return POLICIES[agents](scene, start_us, end_us)
+def _policy(scene: Scene, agents: str, start_us: int, end_us: int, adversary: int | None = None) -> AgentPolicy[Any]:
+    return POLICIES[agents](scene if adversary is None else _that_replays(scene, adversary), start_us, end_us)
+
+
+def _that_replays(scene: Scene, agent: int) -> Scene:
+    """The scene with a vehicle that no policy drives: until its hand-over an adversary does what its track says."""
+    names = list(scene.agents.categories)
+    names[agent] = _REPLAYED
+    return replace(scene, agents=replace(scene.agents, categories=tuple(names)))
 
 
 _policy_of: Final = LastMade[Scene, AgentPolicy[Any]](_policy, kept=4)
 """Policies are values: drives of one scene share one."""
 POLICIES: Final[dict[str, Callable[[Scene, int, int], AgentPolicy[Any]]]] = {"replay": _replay, "idm": _idm}
-"""How the others behave, by the name that ``--agents`` takes."""
+"""How the others behave, by the name that ``--agents`` takes; an adversary is among one of them."""
+AGENTS: Final = (*POLICIES, ADVERSARY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +72,21 @@ class DefaultRides:
     Attributes:
         agents: Name of the policy.
         latency_us: So much later than it was made does a plan take effect.
+        adversary: Who puts an adversary among the agents, where their policy is `ADVERSARY`.
     """
 
     agents: str = "replay"
     latency_us: int = 0
+    adversary: AdversaryMaker | None = None
 
     @property
     def draws(self) -> bool:
-        """Neither of its policies draws anything."""
-        return False
+        """An adversary draws, nobody else does."""
+        return self.agents == ADVERSARY
 
     def families(self, read: Callable[[], tuple[Scene, RecordedCan]]) -> tuple[str, ...]:
-        """A scene is driven as it is."""
-        return ("",)
+        """A scene is driven as it is; not at all where nobody in it can become the adversary."""
+        return ("",) if self.adversary is None or self.adversary.possible(read()[0]) else ()
 
     def after_together(self, rides: Sequence[Ride], plans: Sequence[Plan]) -> list[Ride | UndrivablePlanError]:
         """Half a second of several rides; those past priming are stepped together."""
@@ -83,19 +98,35 @@ class DefaultRides:
         Raises:
             InputError: If the scene is too short, or the policy or the latency is none.
         """
+        course = self.course(scene, run)
+        first = int(scene.keyframes[0])
+        return DefaultRide(scene, course, begin(course), recorded_motion(scene, first, first))
+
+    def course(self, scene: Scene, run: int) -> Course:
+        """The course of a run; raises `InputError` as `begin` does."""
         require_room(scene, PRIMING_STEPS + 2)
-        if self.agents not in POLICIES:
-            raise InputError(f"there are no agents {self.agents!r}; there are {', '.join(POLICIES)}")
+        if self.agents not in AGENTS:
+            raise InputError(f"there are no agents {self.agents!r}; there are {', '.join(AGENTS)}")
         start_us, end_us = (int(scene.timestamps_us[scene.keyframes[at]]) for at in (PRIMING_STEPS, -1))
-        course = course_of(
+        return course_of(
             scene,
-            policy=_policy_of(scene, self.agents, start_us, end_us),
+            policy=self._agents(scene, run, start_us, end_us),
             keyframe=PRIMING_STEPS,
             seed=run,
             latency_us=self.latency_us,
         )
-        first = int(scene.keyframes[0])
-        return DefaultRide(scene, course, begin(course), recorded_motion(scene, first, first))
+
+    def _agents(self, scene: Scene, run: int, start_us: int, end_us: int) -> AgentPolicy[Any]:
+        if self.agents != ADVERSARY:
+            return _policy_of(scene, self.agents, start_us, end_us)
+        if self.adversary is None:
+            raise InputError(
+                "nobody says who the adversary is; drive with --agents adversary, or with its stored tracks"
+            )
+        others = self.adversary.others
+        return self.adversary.policy(
+            scene, run, start_us, lambda agent: _policy_of(scene, others, start_us, end_us, agent)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +177,12 @@ class DefaultRide:
         if found is None:
             return None
         return Touch(found.time_us, found.agent, found.ego, found.ego_speed, found.other, found.other_velocity)
+
+    @property
+    def adversary(self) -> AdversaryTrack | None:
+        """Where an adversary went, if there is one."""
+        policy = self.course.policy
+        return policy.adversary(self.world.memory) if isinstance(policy, DrivesAdversary) else None
 
     def after(self, plan: Plan) -> "DefaultRide":
         """Half a second later; raises `UndrivablePlanError`."""
@@ -217,3 +254,9 @@ def _after_together(rides: "Sequence[DefaultRide]", plans: Sequence[Plan]) -> "l
 def rear_axle_waypoints(plan: Plan, lidar_ahead_m: float) -> Floats:
     """(6, 2) a plan's first 3 s as positions of the rear axle, x forward, y left, metres."""
     return np.asarray(headed(plan, lidar_ahead_m)[:, :2])
+
+
+def agents_facts(maker: RideMaker) -> dict[str, Any]:
+    """What the agents of an engine depend on besides the name of their policy."""
+    adversary = maker.adversary if isinstance(maker, DefaultRides) else None
+    return {} if adversary is None else dict(adversary.facts)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, cast
 
+from benchmark.closed_loop.agents.adversary import AdversaryTrack
 from benchmark.closed_loop.drives.asking import Failure, Reason, asked, told
 from benchmark.closed_loop.drives.driven_scene import driven_scene
 from benchmark.closed_loop.drives.observing import Observer
@@ -44,6 +45,7 @@ class Drive:
         touch: The first contact.
         failure: Why the planner failed.
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
+        adversary: Where an adversary went, if there was one that answers or was given its track.
     """
 
     motion: Motion
@@ -55,6 +57,7 @@ class Drive:
     touch: Touch | None
     failure: Failure | None
     neuroncap: NeuroncapScore | None
+    adversary: AdversaryTrack | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +187,7 @@ class _Seat:
         scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
         route, look = Route.of(scene), stage.sensor.look(scene)
         eyes = _Eyes(scene, route, look, Observer.of(scene, stage.can, ride.start, ride.primed), stage.timeout_s)
-        failure = told(lambda: _introduce(planner, scene, look.cameras, route), stage.timeout_s)
+        failure = told(planner, lambda: _introduce(planner, scene, look.cameras, route), stage.timeout_s)
         return cls(stage, planner, ride, eyes, failure)
 
     def planned(self) -> Plan | None:
@@ -218,6 +221,7 @@ class _Seat:
             touch=touch,
             failure=self.failure,
             neuroncap=None if failed else ride.neuroncap_score(),
+            adversary=ride.adversary,
         )
 
 
@@ -238,7 +242,7 @@ class _Eyes:
         if reveals or not isinstance(self.look, NoLook):
             driven = driven_scene(self.scene, self.route, ride.motion)
             if reveals:
-                failure = told(lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s)
+                failure = told(planner, lambda: cast(PrivilegedPlanner, planner).reveal(driven), self.timeout_s)
                 if failure is not None:
                     return failure
             views = self.look.views(driven)

@@ -8,6 +8,7 @@ from typing import Final, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmark.closed_loop.agents.adversary import AdversaryTrack
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, wrap_angle
 from benchmark.planning import Command, EgoState, Plan
@@ -149,6 +150,10 @@ class Ride(Protocol):
     @property
     def touch(self) -> Touch | None:
         """The first contact, once the engine knows of it."""
+
+    @property
+    def adversary(self) -> AdversaryTrack | None:
+        """Where an adversary went, planned while the ego drove or on a stored track; ``None`` without one."""
 
     def after(self, plan: Plan) -> "Ride":
         """Half a second later.

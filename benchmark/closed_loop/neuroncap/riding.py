@@ -160,6 +160,11 @@ class NeuroncapRide:
         return np.concatenate([row[_VELOCITY], row[_ACCELERATION], row[_RATE]])
 
     @property
+    def adversary(self) -> None:
+        """Its actors never react."""
+        return
+
+    @property
     def touch(self) -> Touch | None:
         """The first contact."""
         contact, car = self.world.contact, self.engine.car

@@ -36,7 +36,9 @@ class ScoredContact:
     delta_v_other: float
 
 
-def scored_contact(scene: Scene, touch: Touch, start_us: int, *, unsure: bool) -> ScoredContact:
+def scored_contact(
+    scene: Scene, touch: Touch, start_us: int, *, unsure: bool, adversary: int | None = None
+) -> ScoredContact:
     """A contact in numbers.
 
     Args:
@@ -44,6 +46,7 @@ def scored_contact(scene: Scene, touch: Touch, start_us: int, *, unsure: bool) -
         touch: The contact.
         start_us: Time of the first driven instant.
         unsure: Whether the ego is in several lanes or off the drivable area, which makes a lateral contact its fault.
+        adversary: Who became an adversary in this drive alone.
 
     Returns:
         The numbers.
@@ -63,7 +66,7 @@ def scored_contact(scene: Scene, touch: Touch, start_us: int, *, unsure: bool) -
         seconds=(touch.time_us - start_us) * 1e-6,
         agent=name,
         category=category,
-        adversary=name in scene.adversaries,
+        adversary=name in scene.adversaries or touch.agent == adversary,
         kind=kind.value,
         at_fault=at_fault(kind, unsure),
         impact_speed=float(impact[0]),

@@ -54,7 +54,8 @@ def score_drive(scene: Scene, drive: Drive) -> DriveScores:
     known = bool(road.drivable and road.lanes)
     touch, start_us = drive.touch, int(part.times_us[0])
     unsure = known and bool((where.multiple_lanes | where.non_drivable)[0, -1])
-    contact = None if touch is None else scored_contact(scene, touch, start_us, unsure=unsure)
+    pursuer = None if drive.adversary is None else drive.adversary.agent
+    contact = None if touch is None else scored_contact(scene, touch, start_us, unsure=unsure, adversary=pursuer)
     progress = progress_of(route, part)
     scored = known and drive.neuroncap is None
     return DriveScores(

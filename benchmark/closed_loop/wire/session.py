@@ -113,7 +113,7 @@ class Session:
 
     def _begin(self) -> None:
         # As in this process: what draws from global generators draws the same in every scene's place.
-        seed_everything(self._seed)
+        seed_everything(self._seed, self.planner)
         self.planner.reset(SceneInfo(SCENE, "", ()))
         self._begun = True
 

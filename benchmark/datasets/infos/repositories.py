@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from benchmark.datasets.devkit_import import devkit_module
 from benchmark.errors import InputError
 
 RepositoryName = Literal["uniad", "vad", "sparsedrive"]
@@ -85,6 +86,5 @@ def require_version(version: str, where: str) -> None:
 
 def official_training_scenes(version: str) -> frozenset[str]:
     """Scenes that a converter puts into the first file of a version: all others go into the second."""
-    from nuscenes.utils import splits
-
+    splits = devkit_module("nuscenes.utils.splits")
     return frozenset({MINI: splits.mini_train, TRAINVAL: splits.train, TEST: splits.test}[version])

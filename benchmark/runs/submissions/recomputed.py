@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel
 
-from benchmark.closed_loop.engines import rides_of
+from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION as DRIVE_SCORING
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
@@ -122,7 +122,7 @@ def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:
     if len(driven) != len(record.rows) or {row.scene for row in record.rows} != set(facts.scenes):
         yield Level.ERROR, "has a drive twice, or scenes without one; run the same drive again"
         return
-    maker = rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios)
+    maker = rides_as(measured)
     for row in record.rows:
         if row != driven_again(maker, data.scene(row.scene), data, row):
             yield Level.ERROR, f"claims other scores than its plans give on {row.scene}, run {row.run}; drive again"

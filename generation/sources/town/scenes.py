@@ -10,11 +10,14 @@ from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, OFFICIAL_LOCATION
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, wrap_angle
 from benchmark.machine.storage import content_seed, token
+from benchmark.records.off_path import Excursion
 from benchmark.scene import Agents, EgoTrack, Scene
 from generation.sources.rig import default_cameras, default_lidar
 from generation.sources.town.annotations import annotate
 from generation.sources.town.bystanders import add_crossing_pedestrians, add_parked, add_walkers
+from generation.sources.town.curves import between_grid
 from generation.sources.town.network import Town
+from generation.sources.town.off_path import KEPT_ON_PATH_EVERY, PlannedEgo, driven_off_path
 from generation.sources.town.paths import EGO_BODY, Leg, build_path, fastest_start, lane_length
 from generation.sources.town.speed import FRAMES
 from generation.sources.town.themes import PROGRAMME, Programme, ego_route, leader_pace, route_points
@@ -87,6 +90,29 @@ def town_scene(split: Split, index: int, *, seed: int = 0) -> Scene:
     Raises:
         InputError: If the split is unknown or the index has no name.
     """
+    return _found(split, index, seed, off_path=False)[0]
+
+
+def town_scene_off_path(index: int, *, seed: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
+    """A training scene of the embedded town in which the ego gets off its path and comes back.
+
+    Everybody else does what they do in `town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
+
+    Args:
+        index: Number of the scene in ``train``, from 0.
+        seed: As for `town_scene`.
+
+    Returns:
+        The scene, and when the ego was off its path.
+
+    Raises:
+        InputError: As `town_scene`.
+    """
+    off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
+    return _found("train", index, seed, off_path=off_path)
+
+
+def _found(split: Split, index: int, seed: int, *, off_path: bool) -> tuple[Scene, tuple[Excursion, ...]]:
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
     name = town_scene_names(split, index + 1)[-1]
@@ -97,9 +123,16 @@ def town_scene(split: Split, index: int, *, seed: int = 0) -> Scene:
         location = _LOCATIONS[split][(place + attempt // _TRIES_PER_TOWN) % 2]
         town = build_town(location, seed)
         rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt))
-        world = _populate(town, location, seed, programme, rng)
-        if world is not None and _worth_attacking(world):
-            return _scene(world, programme, split, index, seed, name)
+        populated = _populate(town, location, seed, programme, rng)
+        if populated is None or not _worth_attacking(populated[0]):
+            continue
+        world, planned = populated
+        excursions: tuple[Excursion, ...] = ()
+        if off_path:
+            leaving = np.random.default_rng(content_seed("off path", TOWN_VERSION, split, index, seed))
+            rear, excursions = driven_off_path(world, planned, leaving)
+            world.place_ego(rear)
+        return _scene(world, programme, split, index, seed, name), excursions
     raise InputError(f"the embedded town finds no traffic for {split} scene {index} with seed {seed}; use another seed")
 
 
@@ -108,7 +141,9 @@ def _lane_points(location: str, seed: int) -> LanePoints:
     return LanePoints.of(build_town(location, seed))
 
 
-def _populate(town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator) -> World | None:
+def _populate(
+    town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator
+) -> tuple[World, PlannedEgo] | None:
     """One attempt at a scene: a route, then everybody in the order in which they have the right of way."""
     theme = programme.theme
     route = ego_route(town, theme, rng)
@@ -131,17 +166,18 @@ def _populate(town: Town, location: str, seed: int, programme: Programme, rng: n
     elif theme.leader == "stop-and-go":
         # The search knows the leader's future and would creep; a driver does what the car ahead did a second ago.
         start, pace = min(start, 6), np.concatenate([pace[:1], pace[:-1]])
-    rear = world.drive(
+    stations = world.stations(
         path, start_mps=start, eagerness=eagerness, pace=natural_pace(rng) if theme.leader == "slow" else pace
     )
-    if rear is None:
+    if stations is None:
         return None
+    rear = between_grid(path.rear, stations)
     world.place_ego(rear)
     add_companions(world, points, legs, rng, wanted=theme.companions)
     add_passing(world, points, rng, wanted=theme.passing, attempts=3 * theme.passing)
     add_cycles(world, points, rng, wanted=1 + int(rng.integers(2)), attempts=8)
     add_walkers(world, rear[:, :2], rng, wanted=theme.pedestrians)
-    return world
+    return world, PlannedEgo(path, stations)
 
 
 def _add_leader(

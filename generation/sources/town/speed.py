@@ -6,7 +6,6 @@ over a lattice of whole metres per second and one-second steps, then smoothed so
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from benchmark.constants import FRAME_HZ
 from benchmark.geometry import Bools, Floats, boxes_overlap
@@ -92,6 +91,9 @@ def plan_speed(path: Path, blocked: Bools, *, start_mps: int, desired_mps: Float
 
 
 def _search(path: Path, blocked: Bools, start_mps: int, desired: Floats, pace: Floats) -> list[int] | None:
+    # Half a second to import, which commands that make no town need not wait for.
+    from scipy.ndimage import minimum_filter1d
+
     count = blocked.shape[1]
     index = np.arange(count)
     next_blocked = np.where(blocked, index, 10 * count)[:, ::-1]

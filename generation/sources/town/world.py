@@ -63,6 +63,11 @@ class World:
         Returns:
             (FRAMES, 3) rear-axle poses, or ``None`` if it cannot drive without touching somebody.
         """
+        stations = self.stations(path, start_mps=start_mps, eagerness=eagerness, pace=pace)
+        return None if stations is None else between_grid(path.rear, stations)
+
+    def stations(self, path: Path, *, start_mps: int, eagerness: float, pace: Floats) -> Floats | None:
+        """As `drive`, but where on its path the vehicle is: (FRAMES,) in steps of `STATION_M`."""
         count = reachable_stations(path)
         blocked = np.zeros((FRAMES // _CHECK_FRAMES + 1, count), dtype=np.bool_)
         for boxes in self._obstacles():
@@ -73,8 +78,8 @@ class World:
         stations = plan_speed(path, blocked, start_mps=start_mps, desired_mps=eagerness * path.speed_limit, pace=pace)
         if stations is None:
             return None
-        rear = between_grid(path.rear, stations)
-        return rear if self.is_free(body_boxes(rear, path.body), path.body) else None
+        boxes = body_boxes(between_grid(path.rear, stations), path.body)
+        return stations if self.is_free(boxes, path.body) else None
 
     def is_free(self, boxes: Floats, body: Body | None = None, *, gap_m: float = _SMALLEST_GAP_M) -> bool:
         """Whether a track touches nobody and, for vehicles, stays on the road where it is seen.

@@ -1,5 +1,6 @@
 """Training frames say what the data set says, and a broken store is never taken for a whole one."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.datasets.sample_truth import planar_lidar_poses
 from benchmark.errors import InputError
 from benchmark.geometry import to_global
+from benchmark.records.off_path import OFF_PATH, Excursion, excursions_of
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SCENES = ("scene-9901", "scene-9902")
@@ -153,3 +155,30 @@ def test_matrices_stay_on_the_processor_when_a_frame_moves(store: FrameStore) ->
     moved = frame.on(torch.device("meta"))
     assert {moved.images.device.type, moved.boxes.device.type, moved.ego_future_valid.device.type} == {"meta"}
     assert {moved.lidar2img.device.type, moved.can_bus.device.type} == {"cpu"} and moved.scene == frame.scene
+
+
+def test_nothing_is_learned_from_an_ego_that_departs_from_its_path(tmp_path: Path) -> None:
+    data = write_off_path(tmp_path / "root")
+    excursions = excursions_of(data.provenance(), data.scene_names("val")[0])
+    store = build_frames(data.root, "val", tmp_path / "frames")
+    frames = [store.frame(number) for number in range(len(store))]
+    (away,) = excursions
+    for frame in frames:
+        now = 0.5 * frame.index
+        learned = frame.ego_future_valid.numpy()
+        later = now + 0.5 * np.arange(1, 7)
+        assert not learned[(later > away.begin_s) & (now < away.worst_s)].any()
+        if now >= away.worst_s and frame.index < len(frames) - 1:
+            assert learned[0], now
+    assert any(frame.ego_future_valid.any() for frame in frames)
+
+
+def write_off_path(folder: Path) -> NuScenesData:
+    """A short scene whose report says that its ego was off its path from 1.1 to 3.2 s, furthest off at 2.0 s."""
+    write_root(folder, [short_scene("scene-9903", seconds=4.0)])
+    place = folder / next(folder.glob("*/challenger.json")).relative_to(folder)
+    made = json.loads(place.read_text())
+    away = Excursion("lateral", 1.1, 2.0, 3.2, 0.8, 0.0, 0.0, 0.0)
+    made["scenes"]["scene-9903"]["report"] = {OFF_PATH: [away.as_json()]}
+    place.write_text(json.dumps(made))
+    return NuScenesData.open(folder)

@@ -50,5 +50,5 @@ def refusal(*arguments: str | Path) -> str:
 
 def bytes_below(folder: Path) -> dict[str, bytes]:
     """Every file below a folder, by relative path, but for notes on how long work took."""
-    files = (path for path in folder.rglob("*") if path.is_file() and not path.name.endswith("timing.json"))
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+    return {name: path.read_bytes() for name, path in files.items() if not name.startswith("timings/")}

@@ -1,8 +1,8 @@
 """Rescoring: the bytes that a new run would give, nothing where nothing changes, and no half record whenever killed."""
 
 import json
+import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +159,7 @@ def test_killed_anywhere_the_old_record_loads_or_rescoring_again_finishes(
     rescore(undisturbed, DATA, protocols=ALL)
     old = load_record(directory)
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(Path, "replace", killing_at(killed_at))
+        kill_at(patch, killed_at)
         rescore(directory, DATA, protocols=ALL)
     try:
         assert load_record(directory) == old
@@ -175,24 +175,33 @@ def test_killed_while_it_replaces_a_record_eval_can_be_started_again(
 ) -> None:
     out = tmp_path / "runs"
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(Path, "replace", killing_at(killed_at, ".pending"))
+        kill_at(patch, killed_at, ".pending")
         evaluate(DATA, "val", Failing(), out)
     again = evaluate(DATA, "val", Failing(), out)
     assert again.directory == directory
     assert contents(directory) == contents(evaluate(DATA, "val", Failing(), tmp_path / "undisturbed").directory)
 
 
-def killing_at(count: int, ending: str = "") -> Callable[[Path, Path], Path]:
-    """`Path.replace` that ends the process at its nth call for files of a record."""
-    real, calls = Path.replace, iter(range(1, 1000))
+def kill_at(patch: pytest.MonkeyPatch, count: int, ending: str = "") -> None:
+    """End the process when a file of a record gets its name for the nth time, be it new or a replacement."""
+    replace_path, link, calls = Path.replace, os.link, iter(range(1, 1000))
+
+    def named(*names: str) -> None:
+        if any(name.endswith(ending) for name in names) and next(calls) == count:
+            raise Killed
 
     def replace(path: Path, target: Path) -> Path:
-        of_record = path.name.endswith(ending) or target.name.endswith(ending)
-        if of_record and next(calls) == count:
-            raise Killed
-        return real(path, target)
+        named(path.name, target.name)
+        return replace_path(path, target)
 
-    return replace
+    def linked(source: Path, target: Path, **options: Any) -> None:
+        # What is only called so until it replaces another file gets its name when it does.
+        if not target.name.endswith(".part"):
+            named(target.name)
+        link(source, target, **options)
+
+    patch.setattr(Path, "replace", replace)
+    patch.setattr(os, "link", linked)
 
 
 def test_leftovers_that_belong_to_nothing_are_dropped(directory: Path) -> None:

@@ -10,7 +10,7 @@ from benchmark.datasets.can_bus import CanMessages
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import EgoState, Observation, Plan, PlanFrame, SceneInfo
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.whole_split import published_order
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import AHEAD, Straight

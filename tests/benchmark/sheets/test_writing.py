@@ -82,10 +82,22 @@ def test_a_sheet_says_what_the_data_set_says(root: Path, sheets: Sheets) -> None
     assert sheet.keyframes == tuple(scene.keyframes)
     assert sheet.sample_tokens == tuple(observation.sample_token for observation in data.observations(TWO[0]))
     assert (sheet.description, sheet.source) == (scene.description, TWO[0])
+    made = data.provenance() or {}
+    assert sheet.drawn_by == made["renderer"]["name"] is not None
     assert sheet.data.fingerprint == data.fingerprint()
     assert [agent.id for agent in sheet.agents if agent.adversary] == list(scene.adversaries)
     assert sheet.agents[-1].adversary
     assert sheet.road.drivable
+
+
+def test_a_sheet_with_a_frame_too_many_is_named(sheets: Sheets, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(next(iter(sheets.scenes.values())).directory, folder)
+    content = json.loads((folder / "sheet.json").read_text())
+    content["timestamps_us"].append(content["timestamps_us"][-1] + 1)
+    (folder / "sheet.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames and another number of ego poses"):
+        read_sheet(folder)
 
 
 def test_a_split_says_what_the_search_tried(sheets: Sheets) -> None:
@@ -289,18 +301,18 @@ def test_two_commands_do_not_write_the_same_sheets(root: Path, tmp_path: Path) -
 
 
 def test_seconds_are_those_of_attempts_and_of_written_scenes(copied: Path, tmp_path: Path) -> None:
-    state = copied / STATE_FOLDER
+    state, timings = copied / STATE_FOLDER, tmp_path / "timings"
     timed = {path.stem for path in (state / "fragments").glob("*.json")}
     for name in ("old", *timed):
-        write_json(state / "timing" / "rendering" / f"{name}.timing.json", {"seconds": {"rendering": 2.0}})
-    write_json(state / "timing" / "attempts" / "a.timing.json", {"seconds": {"physics": 1.5}})
-    runtime = kept_runtime(state)
+        write_json(timings / "rendering" / f"{name}.timing.json", {"seconds": {"rendering": 2.0}})
+    write_json(timings / "attempts" / "a.timing.json", {"seconds": {"physics": 1.5}})
+    runtime = kept_runtime(state, timings)
     assert runtime is not None
     assert (runtime.attempts, runtime.scenes) == (1, len(timed)) == (1, 2)
     data = NuScenesData.open(copied, name="small")
     write_sheets(data, "adv", tmp_path / "out", replace(HERE, limit=1, pictures="none"), runtime=runtime)
     assert find_sheets(tmp_path / "out").splits["small", "adv"].runtime == Runtime(**runtime.model_dump())
-    assert kept_runtime(tmp_path / "nowhere") is None
+    assert kept_runtime(tmp_path / "nowhere", tmp_path / "nowhere") is None
 
 
 def test_broken_attempts_are_named(copied: Path, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def rows_of(out: Path) -> list[dict[str, Any]]:
 
 def search_in(source: DataSet, out: Path) -> Search:
     prior = DrivingPrior()
-    return Search(source.fingerprint(), HYPER, 0, DrivingPrior, prior.fingerprint, out / ".challenger")
+    return Search(source.fingerprint(), HYPER, 0, DrivingPrior, prior.fingerprint, out / ".challenger", out / "timings")
 
 
 def test_each_scene_has_two_adversaries_that_touch_nothing(source: DataSet, built: Path) -> None:

@@ -38,5 +38,5 @@ def write_source(root: Path, *scenes: Scene) -> DataSet:
 
 def contents(root: Path) -> dict[str, bytes]:
     """Everything below a folder; only how long work took may differ."""
-    files = (path for path in sorted(root.rglob("*")) if path.is_file() and not path.name.endswith("timing.json"))
+    files = (path for path in sorted(root.rglob("*")) if path.is_file())
     return {str(path.relative_to(root)): path.read_bytes() for path in files}

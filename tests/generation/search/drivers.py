@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.planner_facts import facts_of
 
 
 class SteadyDriver:

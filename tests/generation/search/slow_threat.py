@@ -57,7 +57,7 @@ def slow_further(
         total += hyper.likelihood_weight * (abs(acceleration) / 1.0 + abs(sideways) / 0.7)
         total += hyper.area_weight * outward(scene, frame, x, y, hyper.half_extent_m) ** 2
         total += hyper.against_weight * against(scene, x, y, yaw)
-    return total / len(frames)
+    return total / len(frames) + hyper.ahead_weight * min(max((8.0 - room) / 20.0, 0.0), 3.0)
 
 
 def nearest(way: EgoWay, x: float, y: float, first: float, last: float) -> tuple[float, float, float]:

@@ -22,7 +22,7 @@ SCENE = recorded("scene-9901")
 
 
 def search_in(folder: Path, seed: int = 0) -> Search:
-    return Search("data", HYPER, seed, DrivingPrior, DrivingPrior.fingerprint, folder)
+    return Search("data", HYPER, seed, DrivingPrior, DrivingPrior.fingerprint, folder, folder / "timings")
 
 
 def units_of(scene: Scene) -> list[Unit]:
@@ -158,7 +158,7 @@ def test_the_packaged_prior_is_loaded_once() -> None:
 def fresh_search(folder: Path, source: SampleSource = "fresh") -> Search:
     hyper = replace(HYPER, candidates=24, rounds=2, tries=1)
     model = trajectory_model(samples=source)
-    return Search("data", hyper, 0, model, model().fingerprint, folder)
+    return Search("data", hyper, 0, model, model().fingerprint, folder, folder / "timings")
 
 
 def test_fresh_samples_give_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ def test_settings_change_by_text() -> None:
     ("assignment", "says"),
     [
         ("clearence_m=0", "did you mean clearance_m"),
+        ("rounds=1000000000", "rounds must be at most 1000, got 1000000000"),
         ("clearance_m", "NAME=VALUE"),
         ("rounds=2.5", "rounds must be a number"),
         ("clearance_m=wide", "clearance_m must be a number"),

@@ -3,12 +3,26 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from benchmark.datasets.roots import DataSet
 from benchmark.scene import Scene
 from generation.build.settings import BuildSettings
 from generation.build.split import build_split
+from generation.nuscenes_writer import DataSetPlan, SourceInfo
 from generation.render.schematic import SchematicRenderer
+from generation.splits.digests import tables_digest
+from generation.splits.format import (
+    Choice,
+    FrozenAdversary,
+    FrozenScene,
+    FrozenSplit,
+    Recordings,
+    SearchFacts,
+    write_frozen,
+)
 from generation.splits.packaged import NamedSplit, frozen_split
+from generation.splits.tracks import adversarial
 from tests.generation.labels.recorded_roads import CHEAP, write_source
 from tests.hand_made import Car, scene_on_straight_road
 
@@ -34,3 +48,30 @@ def frozen_file(source: DataSet, folder: Path, **changes: object) -> NamedSplit:
     settings = replace(CHEAP, out=folder / "searched", freeze=file, renderer=DRAWN, frames="keyframes", **changes)  # type: ignore[arg-type]
     build_split(source, "adv", settings)
     return frozen_split(file)
+
+
+def drifting_split(source: DataSet, file: Path) -> NamedSplit:
+    """A frozen split without a search: in each scene, and in each of two, another car drifts a little to the left."""
+    plan = DataSetPlan(root=file.parent, split="adv", source=SourceInfo(source.name, source.fingerprint(), source.root))
+    scenes = []
+    for number, name in enumerate(source.scene_names(None)):
+        recorded = source.scene(name)
+        for agent in range(2):
+            poses = np.column_stack([recorded.agents.position[agent, 6:, :2], recorded.agents.yaw[agent, 6:]])
+            poses[:, 1] += np.linspace(0.0, 0.5 + 0.1 * number, len(poses))
+            track = tuple((round(x, 3), round(y, 3), round(yaw, 5)) for x, y, yaw in poses.tolist())
+            adversary = FrozenAdversary(
+                instance=recorded.agents.ids[agent], launch_frame=6, recorded=track[0], track=track
+            )
+            frozen = FrozenScene(name=f"{name}-{agent:08d}", source=name, adversaries=(adversary,), tables="0" * 64)
+            digest = tables_digest(plan, adversarial(frozen, recorded), frozen)
+            scenes.append(frozen.model_copy(update={"tables": digest}))
+    split = FrozenSplit(
+        recordings=Recordings(name=source.name, fingerprint=source.fingerprint()),
+        search=SearchFacts(algorithm="none", hyper="none", prior="none", seed=0),
+        chosen=Choice(scenes=2, tried=4, survived=4, per_scene=None, total=None, surrogate=None),
+        images=None,
+        scenes=tuple(scenes),
+    )
+    write_frozen(file, split)
+    return NamedSplit(file.stem, split)

@@ -229,6 +229,14 @@ def test_a_folder_that_is_no_site_of_ours_is_left_alone(made: Made, tmp_path: Pa
     assert stale_files(made.records, tmp_path, sheets=made.sheets, site=False) == []
 
 
+def test_a_first_site_that_was_killed_before_its_first_file_is_begun_again(made: Made, tmp_path: Path) -> None:
+    (tmp_path / "site" / "data").mkdir(parents=True)
+    (tmp_path / "site" / "data" / ".index.js.42.part").write_bytes(b"half")
+    write_leaderboard(made.records, tmp_path, sheets=made.sheets)
+    assert stale_files(made.records, tmp_path, sheets=made.sheets) == []
+    assert not list(tmp_path.rglob(".*"))
+
+
 def test_a_sheet_of_other_content_is_refused(made: Made) -> None:
     name, stored = next(iter(made.sheets.scenes.items()))
     data = stored.sheet.data.model_copy(update={"fingerprint": "other"})

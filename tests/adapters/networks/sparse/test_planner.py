@@ -31,7 +31,7 @@ from benchmark.geometry import transform_matrix
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, PlanFrame, SceneInfo
 from benchmark.records.planner_versions import labelled
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.planner_facts import facts_of
 from benchmark.weights.catalogue import checkpoint_of
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.real_sample import FRAME, SCENE, boxes_in_lidar, info, real_root

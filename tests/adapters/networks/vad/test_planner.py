@@ -22,7 +22,7 @@ from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.planning import Observation, PlanFrame, SceneInfo
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.planner_facts import facts_of
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SMALL = replace(

@@ -17,7 +17,7 @@ from benchmark.closed_loop.wire.observed import request_of
 from benchmark.errors import InputError
 from benchmark.foreign.limits import WIRE_ANSWER
 from benchmark.planning import PlannerAwayError, PlannerGoneError, PlannerLateError, SceneInfo
-from benchmark.runs.plan_rows import facts_of
+from benchmark.runs.planner_facts import facts_of
 from tests.benchmark.closed_loop.wire.made import GOOD, SHARED, Reply, free_port, observed, scripted
 
 SCENE = SceneInfo("scene-1", "boston-seaport", ())
@@ -137,7 +137,8 @@ def test_a_busy_server_is_late_and_nobody_has_failed(status: int) -> None:
         with pytest.raises(PlannerLateError, match="too busy"):
             planner(server.url).plan(observed())
         found = asked(planner(server.url), observed(), 20.0)
-        again = told(lambda: planner(server.url).reset(SCENE), 20.0)
+        late = planner(server.url)
+        again = told(late, lambda: late.reset(SCENE), 20.0)
     assert isinstance(found, Failure) and found.reason is Reason.TIMEOUT
     assert again is not None and again.reason is Reason.TIMEOUT
 

@@ -1,0 +1,130 @@
+"""Frames of several roots as one: recorded scenes, and adversarial ones that were made from them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Protocol
+
+from adapters.training.frame_store import FrameStore, build_frames, frames_key
+from adapters.training.frames import TrainingFrame
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key
+from benchmark.machine.workspace import cache_root
+
+ADVERSARIAL_SPLIT: Final = "adv"
+"""Split of a root of adversarial scenes."""
+
+
+class Frames(Protocol):
+    """Frames in the order of scenes and time, as `FrameStore` gives them.
+
+    Attributes:
+        scenes: Names of the scenes.
+        identity: Key of everything that the frames depend on.
+    """
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """Key of everything that the frames depend on."""
+        ...
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        ...
+
+    def frames_of(self, scene: str) -> range:
+        """Numbers of the frames of a scene, in time order."""
+        ...
+
+    def frame(self, number: int) -> TrainingFrame:
+        """One frame."""
+        ...
+
+    def clip(self, number: int, length: int) -> list[TrainingFrame]:
+        """A frame and those before it in its scene."""
+        ...
+
+
+class MixedFrames:
+    """Several stores end to end; scenes have different names in each.
+
+    Attributes:
+        scenes: Names of all scenes.
+        identity: Key of all stores, in their order.
+    """
+
+    def __init__(self, stores: Sequence[Frames]) -> None:
+        self._stores = tuple(stores)
+        self.scenes = tuple(name for store in stores for name in store.scenes)
+        if len(set(self.scenes)) < len(self.scenes):
+            twice = next(name for name in self.scenes if self.scenes.count(name) > 1)
+            raise InputError(f"two of the data sets to learn from have a scene {twice}; leave one of them out")
+        self.identity = content_key("mixed frames", [store.identity for store in stores])
+        self._firsts = [sum(map(len, stores[:place])) for place in range(len(stores))]
+
+    def __len__(self) -> int:
+        return sum(map(len, self._stores))
+
+    def frames_of(self, scene: str) -> range:
+        """Numbers of the frames of a scene, in time order."""
+        first, store = next(
+            (first, store) for first, store in zip(self._firsts, self._stores, strict=True) if scene in store.scenes
+        )
+        own = store.frames_of(scene)
+        return range(first + own.start, first + own.stop)
+
+    def frame(self, number: int) -> TrainingFrame:
+        """One frame; raises as `FrameStore.frame`."""
+        store, own = self._place(number)
+        return store.frame(own)
+
+    def clip(self, number: int, length: int) -> list[TrainingFrame]:
+        """A frame and those before it in its scene; raises as `FrameStore.clip`."""
+        store, own = self._place(number)
+        return store.clip(own, length)
+
+    def _place(self, number: int) -> tuple[Frames, int]:
+        which = max(place for place, first in enumerate(self._firsts) if first <= number)
+        return self._stores[which], number - self._firsts[which]
+
+
+def gathered(data_root: Path, split: str, *, workers: int) -> FrameStore:
+    """The frames of a split, in the user's cache; raises as `build_frames`."""
+    folder = cache_root() / "training" / frames_key(open_data(data_root), split)[:16]
+    return build_frames(data_root, split, folder, workers=workers)
+
+
+def require_made_from(root: Path, data: DataSet, split: str) -> dict[str, str]:
+    """Refuse adversarial scenes that were not made from the scenes that are learned from.
+
+    Args:
+        root: Root of adversarial scenes.
+        data: The data set that is learned from.
+        split: Of it.
+
+    Returns:
+        The recorded scene of each adversarial one.
+
+    Raises:
+        InputError: If the root cannot be used, does not say where its scenes come from, or one comes from elsewhere: a
+            scene that planners are judged on must never be learned from.
+    """
+    adversarial = open_data(root)
+    names = adversarial.scene_names(ADVERSARIAL_SPLIT)
+    made = (adversarial.provenance() or {}).get("source") or {}
+    if made.get("fingerprint") != data.fingerprint():
+        raise InputError(f"{root} was not made from {data.root}; give adversarial scenes that generate made from it")
+    sources = {name: facts.source for name, facts in adversarial.scene_facts(names).items()}
+    learned = set(data.scene_names(split))
+    for name, source in sources.items():
+        if source not in learned:
+            raise InputError(
+                f"{name} of {root} was made from {source}, which is not in split {split}; planners are judged on such "
+                f"scenes: generate them with --source-split {split}"
+            )
+    return sources

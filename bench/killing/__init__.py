@@ -1,0 +1,1 @@
+"""Commands that are killed, and what they leave compared with what undisturbed ones leave."""

@@ -1,0 +1,115 @@
+"""Kill commands at moments of chance, twice in a row, run them again, and compare every byte that they leave.
+
+Run as ``nice python bench/kills.py --folder kills``; the same command goes on where it was broken off. What is left is
+compared with what an undisturbed command with one worker leaves: every file below ``--out`` and in the user's cache,
+hidden ones too, and every folder. What is exempt is printed with its reason. Records name the commit that made them, so
+that a series is of one commit, in a checkout that nobody changes while it lasts.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import benchmark.evaluation
+from bench.attacking.campaign import preload
+from bench.killing.commands import COMMANDS, Killed
+from bench.killing.series import EXEMPT, Bench, Series
+from benchmark.errors import InputError
+from benchmark.machine.environment import source_state
+
+HOW = ("kill", "ray-worker", "ray-driver", "disk")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--folder", type=Path, default=Path("challenger-out") / "kills")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--moments", type=int, default=10, help="cases of each command and way")
+    parser.add_argument("--command", action="append", choices=[each.name for each in COMMANDS])
+    parser.add_argument("--how", action="append", choices=HOW)
+    parser.add_argument("--workers", type=int, action="append", help="1 and 2 by default")
+    options = parser.parse_args()
+    preload()
+    # Scenes this small would all be planned in one process, and none could be killed.
+    benchmark.evaluation.PROCESSES_PAY_AFTER_S = 0.0
+    bench = Bench(options.folder, options.seed)
+    try:
+        found = list(_series(bench, options))
+    finally:
+        bench.end()
+    print(table(found))
+    for each in found:
+        if not each.same:
+            print(f"\n{each.command}, {each.how}, case {each.number}: {each.said}", *each.differences, sep="\n  ")
+    sys.exit(not all(each.same for each in found))
+
+
+def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]:
+    """Command, way, workers and number of each case."""
+    for number in range(options.moments):
+        for command in COMMANDS:
+            if options.command and command.name not in options.command:
+                continue
+            for how in options.how or HOW:
+                if how.startswith("ray") and not command.on_ray:
+                    continue
+                counts = options.workers or [1, 2] if how == "kill" and command.parallel else [1]
+                yield from ((command, how, workers, number) for workers in counts)
+
+
+def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
+    path = bench.folder / f"results-{options.seed}.jsonl"
+    known = {}
+    for line in path.read_text().splitlines() if path.is_file() else ():
+        row = json.loads(line)
+        known[row["key"]] = Series(**row["series"])
+    for command, how, workers, number in cases(options):
+        key = f"{command.name}/{how}/{workers}/{number}"
+        if key not in known:
+            known[key] = _one(bench, command, how, workers, number)
+            _require_commit(bench.folder)
+            with path.open("a") as stream:
+                stream.write(json.dumps({"key": key, "series": asdict(known[key])}) + "\n")
+            print(f"{key}: {'same' if known[key].same else 'DIFFERS'}", file=sys.stderr, flush=True)
+        yield known[key]
+
+
+def _one(bench: Bench, command: Killed, how: str, workers: int, number: int) -> Series:
+    if how == "kill":
+        return bench.killed(command, workers, number)
+    if how == "disk":
+        return bench.full_disk(command, number)
+    return (bench.worker_killed_on_ray if how == "ray-worker" else bench.driver_killed_on_ray)(command, number)
+
+
+def _require_commit(folder: Path) -> None:
+    """Refuse to go on where the checkout is no longer that of the series."""
+    source_state.cache_clear()
+    path, now = folder / "source.json", json.dumps(source_state(), sort_keys=True)
+    if path.is_file() and path.read_text() != now:
+        raise InputError(f"{path} says that this series is of another commit; begin another in another --folder")
+    path.write_text(now)
+
+
+def table(found: list[Series]) -> str:
+    """A row for each command and way: how often it was disturbed, and how often nothing shows it."""
+    rows = list(dict.fromkeys((each.command, each.how) for each in found))
+    lines = [
+        "| command | disturbed by | cases | of them hit | files compared | same bytes |",
+        "|---|---|--:|--:|--:|--:|",
+    ]
+    for row in rows:
+        own = [each for each in found if (each.command, each.how) == row]
+        hit, same = sum(each.killed > 0 for each in own), sum(each.same for each in own)
+        lines.append(f"| {row[0]} | {row[1]} | {len(own)} | {hit} | {own[0].files} | {same} |")
+    exempt = "; ".join(f"`{name}/`: {why}" for name, why in EXEMPT.items())
+    return "\n".join([*lines, "", f"Not compared: {exempt}."])
+
+
+if __name__ == "__main__":
+    main()

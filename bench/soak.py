@@ -1,0 +1,188 @@
+"""Two hundred scenes evaluated and two hundred drives without images in one process: does anything pile up?
+
+Run as ``python bench/soak.py``, with ``--data ROOT`` on recordings of one's own. The scenes of a data set, 20 where it
+is made here, come again and again, each time for another record. Memory at the end must be within 10 % of that after 20
+scenes, and no file descriptor, thread or child may be left; otherwise the exit code is 1. ``docs/scale.md`` has the
+figures.
+"""
+
+import argparse
+import gc
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from bench.memory import resident_mb
+from benchmark import api
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.planning import Planner
+
+FIRST: Final = 20
+"""Scenes after which everything has been opened and cached that will be."""
+MOST_TIMES: Final = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a process holds.
+
+    Attributes:
+        memory_mb: Resident.
+        descriptors: What open file descriptors lead to, by number.
+        threads: Names of Python's threads, and how many the system counts.
+        children: Processes that it began and that are still there.
+    """
+
+    memory_mb: float
+    descriptors: dict[int, str]
+    threads: tuple[int, tuple[str, ...]]
+    children: tuple[int, ...]
+
+    @classmethod
+    def now(cls) -> "Held":
+        """What this process holds, after everything that nobody holds was given back."""
+        gc.collect()
+        open_files = {}
+        for path in Path("/proc/self/fd").iterdir():
+            # The listing's own is gone by now.
+            with suppress(OSError):
+                open_files[int(path.name)] = str(path.readlink())
+        names = tuple(sorted(thread.name for thread in threading.enumerate()))
+        threads = (len(list(Path("/proc/self/task").iterdir())), names)
+        children = []
+        for path in Path("/proc/self/task").glob("*/children"):
+            with suppress(OSError):
+                children += list(map(int, path.read_text().split()))
+        return cls(resident_mb(), open_files, threads, tuple(sorted(children)))
+
+    def left(self, before: "Held") -> list[str]:
+        """What is there that was not before, as sentences."""
+        # Numbers are given again; what they lead to tells.
+        new = sorted(self.descriptors.values())
+        for each in before.descriptors.values():
+            with suppress(ValueError):
+                new.remove(each)
+        said = [f"{len(new)} file descriptors are left: {', '.join(new[:4])}"] if new else []
+        if self.threads[0] > before.threads[0]:
+            said.append(f"{self.threads[0] - before.threads[0]} threads are left: {', '.join(self.threads[1])}")
+        children = sorted(set(self.children) - set(before.children))
+        return [*said, *([f"children are left: {children}"] if children else [])]
+
+
+@dataclass(frozen=True, slots=True)
+class Soaked:
+    """What became of one kind of work.
+
+    Attributes:
+        what: Done.
+        scenes: So many times.
+        early: Held after `FIRST` of them.
+        end: Held when everything was written.
+        faults: What is wrong; empty where nothing piles up.
+    """
+
+    what: str
+    scenes: int
+    early: Held
+    end: Held
+    faults: tuple[str, ...]
+
+    def row(self) -> str:
+        """Of the table."""
+        figures = (f"{each.memory_mb:.0f}" for each in (self.early, self.end))
+        times = self.end.memory_mb / self.early.memory_mb
+        held = f"{len(self.end.descriptors)} | {self.end.threads[0]} | {len(self.end.children)}"
+        return f"| {self.what} | {self.scenes} | {' | '.join(figures)} | {times:.2f} | {held} |"
+
+
+Work = Callable[[DataSet, Planner, Path], int]
+"""Give a planner some scenes; how many they were."""
+
+
+def evaluated(data: DataSet, planner: Planner, out: Path) -> int:
+    """Evaluate every scene of a data set anew."""
+    return len(evaluate(data, "val", planner, out, EvalSettings(fresh=True)).run.scenes)
+
+
+def driven(data: DataSet, planner: Planner, out: Path) -> int:
+    """Drive every scene of a data set anew, without images."""
+    from benchmark.closed_loop.drives.default_engine import DefaultRides
+    from benchmark.runs.driving import DriveSettings, drive_split
+
+    settings = DriveSettings("default", DefaultRides("idm"), "idm", fresh=True)
+    return len(drive_split(data, "val", planner, out, settings).rows)
+
+
+def soak(what: str, work: Work, data: DataSet, scenes: int, folder: Path) -> Soaked:
+    """Do one kind of work until so many scenes are done.
+
+    Args:
+        what: It is, for people.
+        work: The work.
+        data: Its scenes come again until there were enough, each time for another record.
+        scenes: At least so many.
+        folder: To write to.
+
+    Returns:
+        What piled up.
+    """
+    planner, before = api.load_planner("constant-velocity")(), Held.now()
+    done, rounds, early = 0, 0, None
+    while done < scenes:
+        done += work(data, planner, folder / f"{rounds}")
+        rounds += 1
+        if early is None and done >= FIRST:
+            early = Held.now()
+    end = Held.now()
+    early = early or end
+    faults = end.left(before)
+    if end.memory_mb > MOST_TIMES * early.memory_mb:
+        faults.append(f"{end.memory_mb:.0f} MB at the end, {early.memory_mb:.0f} MB after {FIRST} scenes")
+    return Soaked(what, done, early, end, tuple(faults))
+
+
+def made_data(folder: Path, scenes: int) -> DataSet:
+    """A data set of so many short scenes without images."""
+    from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+    from tests.hand_made import Car, scene_on_straight_road
+
+    plan = DataSetPlan(root=folder / "road", split="val", version="v1.0-mini", renderer=None, frames="keyframes")
+    keys = []
+    for number in range(scenes):
+        cars = (Car(60.0 + number % 7, 194.75, 9.0), Car(100.0, 201.75, 8.0, 3.14), Car(90.0, 198.25, 8.0))
+        scene = scene_on_straight_road(cars, seconds=8.0, name=f"scene-{number + 1:04d}")
+        keys.append(write_scene(plan, scene, name=scene.name, source_scene=scene.name, report={}))
+    finish_data_set(plan, keys)
+    return open_data(plan.root)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=200)
+    parser.add_argument("--data", type=Path, help="a data set in nuScenes format, its split val; made by default")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        data = made_data(folder, FIRST) if options.data is None else open_data(options.data)
+        print("| work in one process | scenes | MB after 20 | MB at the end | ratio "
+              "| descriptors | threads | children |")  # fmt: skip
+        print("|---|--:|--:|--:|--:|--:|--:|--:|")
+        faults = []
+        for what, work in (("evaluated", evaluated), ("driven without images", driven)):
+            soaked = soak(what, work, data, options.scenes, folder / work.__name__)
+            print(soaked.row(), flush=True)
+            faults += [f"{what}: {fault}" for fault in soaked.faults]
+    print(*faults, sep="\n", file=sys.stderr)
+    sys.exit(bool(faults))
+
+
+if __name__ == "__main__":
+    main()

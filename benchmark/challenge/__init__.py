@@ -1,0 +1,1 @@
+"""Challenges: strangers' adversarial scenes held to the recordings that they were made from, and ranked."""

@@ -1,0 +1,150 @@
+"""The ladder of reference drivers in closed loop: each drives a course in which the others answer it.
+
+The drivers are those of `benchmark.drivers`: they follow the recorded path of the ego, and what they decide every 0.1 s
+is what they decide in open loop; only that everybody is now where the policy of the agents has them. Each has a world
+of its own. Contact is looked for every 0.05 s, as in the engine.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmark.closed_loop.agents.contract import Moment, Moved
+from benchmark.closed_loop.following import INSTANT_US, INSTANTS, SUBSTEP_US
+from benchmark.closed_loop.stepping import begin
+from benchmark.closed_loop.world import Contact as Touched
+from benchmark.closed_loop.world import Course, World
+from benchmark.drivers.driving import Advancing, Motion, Rung, Situation, given
+from benchmark.drivers.reaction import REACTING, Driver
+from benchmark.encounters.contacts import KINDS, at_fault
+from benchmark.encounters.relations import Relations
+from benchmark.encounters.tracks import Tracks
+from benchmark.geometry import Bools, Floats, boxes_overlap
+from benchmark.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class LadderOutcome:
+    """What came of one driver.
+
+    Attributes:
+        driver: Who drove.
+        seconds: Since the start of the drive until its first contact; ``None`` where it survives.
+        agent: Index of who was touched.
+        kind: What hit what.
+        at_fault: Whether the driver is to blame by nuPlan's rules, as if it kept to one lane.
+    """
+
+    driver: Driver
+    seconds: float | None = None
+    agent: int | None = None
+    kind: str | None = None
+    at_fault: bool | None = None
+
+    @property
+    def survives(self) -> bool:
+        """Whether nobody was touched."""
+        return self.seconds is None
+
+
+def climbed(scene: Scene, course: Course, drivers: Sequence[Driver]) -> list[LadderOutcome]:
+    """Let reference drivers drive a course, each by itself.
+
+    Args:
+        scene: Its scene.
+        course: The course; its policy answers each driver.
+        drivers: Who drives.
+
+    Returns:
+        What came of each.
+    """
+    tracks = Tracks.of_scene(scene)
+    start = (course.start_us - int(scene.timestamps_us[0])) / 1e6
+    last = (course.end_us - int(scene.timestamps_us[0])) / 1e6
+    times = tracks.grid(start)
+    situation = Situation(tracks, times[times <= last + 1e-6])
+    return [_driven(course, situation, driver) for driver in drivers]
+
+
+def _driven(course: Course, situation: Situation, driver: Driver) -> LadderOutcome:
+    """One driver, to the first contact or to the end."""
+    rung, world = Rung(driver), begin(course)
+    decides = driver in (Driver.IDM, *REACTING)
+    advancing = Advancing(situation, [rung]) if decides else None
+    motion = None if decides else given(situation, rung)
+    moment, memory = world.others, world.memory
+    moment = replace(moment, ego=situation.tracks.ego_at(situation.times[:1])[0], ego_speed=float(situation.speed[0]))
+    for step in range(len(situation.times) - 1):
+        if advancing is not None:
+            advancing.step(step, _seen(situation, world, moment, step), 0)
+            (motion,) = advancing.motions()
+        assert motion is not None
+        egos = _ego_boxes(situation, motion, step)
+        memory, moved = course.policy.act(memory, moment, 0)
+        touched = _first_touch(course, world, egos, moved, moment.time_us, float(motion.speed[step + 1]))
+        if touched is not None:
+            return _outcome(driver, touched, course.start_us)
+        speed = float(motion.speed[step + 1])
+        now = moment.time_us + SUBSTEP_US
+        moment = Moment(now, egos[-1], speed, moved.boxes[-1], moved.present[-1], moved.velocity)
+    return LadderOutcome(driver)
+
+
+def _seen(situation: Situation, world: World, moment: Moment, step: int) -> Situation:
+    """The situation of now: of the recording only the ego's path is left."""
+    relations = Relations.now(
+        situation.path,
+        float(situation.times[step]),
+        moment.boxes,
+        moment.present,
+        moment.velocity,
+        situation.tracks.hides,
+        float(situation.station.min()),
+    )
+    return _Now(situation, relations, world.ignored)
+
+
+class _Now(Situation):
+    """A situation with other relations and other people to ignore."""
+
+    def __init__(self, situation: Situation, relations: Relations, ignored: Bools) -> None:
+        self.tracks, self.times, self.adversary = situation.tracks, situation.times, situation.adversary
+        self.path, self.station, self.speed = situation.path, situation.station, situation.speed
+        self.relations, self.ignored = relations, ignored
+
+
+def _ego_boxes(situation: Situation, motion: Motion, step: int) -> Floats:
+    """(2, 5) the driver's body after 0.05 and 0.1 s of a step: the recording's until it drives by itself."""
+    share = np.arange(1, INSTANTS + 1) / INSTANTS
+    if step < motion.free_from:
+        first, last = situation.times[step : step + 2]
+        return situation.tracks.ego_at(first + share * (last - first))
+    station = motion.station[step] + share * (motion.station[step + 1] - motion.station[step])
+    return situation.path.boxes(station)
+
+
+def _first_touch(
+    course: Course, world: World, egos: Floats, moved: Moved, time_us: int, ego_speed: float
+) -> Touched | None:
+    for row in range(INSTANTS):
+        hit = moved.present[row] & ~world.ignored & boxes_overlap(egos[row][None], moved.boxes[row])
+        if hit.any():
+            agent = int(np.argmax(hit))
+            return Touched(
+                agent=agent,
+                uuid=course.ids[agent],
+                category=course.categories[agent],
+                time_us=time_us + (row + 1) * INSTANT_US,
+                ego=egos[row],
+                ego_speed=ego_speed,
+                other=moved.boxes[row, agent],
+                other_velocity=moved.velocity[agent],
+            )
+    return None
+
+
+def _outcome(driver: Driver, touched: Touched, start_us: int) -> LadderOutcome:
+    kind = KINDS[int(touched.pair.kinds[0])]
+    seconds = (touched.time_us - start_us) / 1e6
+    return LadderOutcome(driver, seconds, touched.agent, kind.value, at_fault(kind, unsure=False))

@@ -1,0 +1,122 @@
+"""Importing nuscenes-devkit without what only its drawing and its lidar statistics need.
+
+The devkit imports scikit-learn (and so scipy.stats and pandas) for one distance in a picture of ego poses, and pyplot
+for its pictures: seconds of processor time in each process, of which nothing here uses anything. Its modules are given
+stand-ins that import the real thing once something is asked of them. Nobody else meets a stand-in: ``sys.modules``
+holds none.
+"""
+
+import builtins
+import importlib
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from pkgutil import resolve_name
+from types import ModuleType
+from typing import Any, Final
+
+_PUT_OFF: Final = (
+    "sklearn.metrics",
+    "matplotlib.pyplot",
+    "matplotlib.axes",
+    "matplotlib.patches",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.rcParams",
+)
+"""What the devkit names when it is imported and uses in functions that nobody here calls."""
+
+_lock = threading.RLock()
+
+
+class _UsedLater:
+    """Stands in for a module, or for something in it, until anything is asked of it."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def __getattr__(self, name: str) -> Any:
+        # Classes are named in annotations, which are evaluated when the devkit is imported.
+        return _UsedLater(f"{self._path}.{name}") if name[:1].isupper() else getattr(resolve_name(self._path), name)
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        resolve_name(self._path)[key] = value
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return resolve_name(self._path)(*arguments, **named)
+
+
+class _Package:
+    """What ``import sklearn.metrics`` binds, with nothing imported yet."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        path = f"{self._name}.{name}"
+        if path in _PUT_OFF:
+            return _UsedLater(path)
+        if any(each.startswith(f"{path}.") for each in _PUT_OFF):
+            return _Package(path)
+        return getattr(importlib.import_module(self._name), name)
+
+
+class _Names:
+    """What ``from matplotlib.axes import Axes`` takes its names from."""
+
+    def __init__(self, module: str) -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        return _UsedLater(f"{self._module}.{name}")
+
+
+def _import(name: str, scope: Any = None, local: Any = None, wanted: Sequence[str] = (), level: int = 0) -> Any:
+    """``__import__`` as modules of the devkit see it."""
+    if level == 0 and name in _PUT_OFF:
+        return _Names(name) if wanted else _Package(name.partition(".")[0])
+    if level == 0 and any(f"{name}.{each}" in _PUT_OFF for each in wanted or ()):
+        return _Package(name)
+    return builtins.__import__(name, scope, local, wanted, level)
+
+
+class _DevkitLoader(SourceFileLoader):
+    def exec_module(self, module: ModuleType) -> None:
+        vars(module)["__builtins__"] = {**vars(builtins), "__import__": _import}
+        super().exec_module(module)
+
+
+class _DevkitFinder(MetaPathFinder):
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """The usual specification, with a loader that puts imports off."""
+        if name.partition(".")[0] != "nuscenes":
+            return None
+        found = PathFinder.find_spec(name, path, target)
+        if found is not None and type(found.loader) is SourceFileLoader:
+            found.loader = _DevkitLoader(found.loader.name, found.loader.path)
+        return found
+
+
+def devkit_module(name: str) -> Any:
+    """A module of nuscenes-devkit.
+
+    Args:
+        name: Its name, for example ``nuscenes.nuscenes``.
+
+    Returns:
+        The module; as the devkit's authors meant it where somebody imported it before.
+    """
+    with _lock, _finding():
+        return importlib.import_module(name)
+
+
+@contextmanager
+def _finding() -> Iterator[None]:
+    finder = _DevkitFinder()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)

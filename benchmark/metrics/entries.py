@@ -1,0 +1,168 @@
+"""Entries of a challenge from the records of planners on them: rates, places, and what cannot be told apart.
+
+What is drawn is the recording: scenes of all entries that were made from it are in a resample together or not at all.
+A refused scene counts with all samples of its recording, and nobody collides on it, so that cheating never pays.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmark.geometry import Floats
+from benchmark.metrics.attacks import scene_attacks
+from benchmark.metrics.rates import HORIZONS, SceneSums, ends, ratios_over_scenes, resampled, sums_by_scene
+from benchmark.metrics.scores import scored, source_of_scenes
+from benchmark.records.challenge_scores import Measured, Pair
+from benchmark.records.run import RunRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A refused scene.
+
+    Attributes:
+        recording: What it was made from.
+        samples: Samples of it that would count.
+    """
+
+    recording: str
+    samples: int
+
+
+def collision_sums(record: RunRecord, protocol: str, horizon: str, refused: Sequence[Refused]) -> SceneSums:
+    """What each recording adds to a planner's collision rate on an entry.
+
+    Args:
+        record: Of the planner on the accepted scenes.
+        protocol: Who judges.
+        horizon: One of `benchmark.metrics.rates.HORIZONS`.
+        refused: The refused scenes.
+
+    Returns:
+        (N, 1) sums.
+
+    Raises:
+        InputError: If the record was not judged by the protocol as it is now.
+    """
+    sums = scored(record, protocol=protocol).sums(source_of_scenes(record))
+    column = [HORIZONS.index(horizon)]
+    return _with_refused(SceneSums(sums.names, sums.numerators[:, column], sums.denominators[:, column]), refused)
+
+
+def attributable_sums(record: RunRecord, refused: Sequence[Refused]) -> SceneSums:
+    """What each recording adds to the rate of attributable contacts; arguments as of `collision_sums`."""
+    sources = source_of_scenes(record)
+    said = [
+        (sources[scene], each.attributable)
+        for scene, attack in scene_attacks(record).items()
+        for each in attack.samples
+        if each.attributable is not None
+    ]
+    values = np.array([verdict for _, verdict in said], np.float64).reshape(-1, 1)
+    return _with_refused(sums_by_scene(values, np.ones_like(values), [name for name, _ in said]), refused)
+
+
+def _with_refused(sums: SceneSums, refused: Sequence[Refused]) -> SceneSums:
+    found = sums.over(sorted({*sums.names, *(each.recording for each in refused)}))
+    for each in refused:
+        found.denominators[found.names.index(each.recording)] += each.samples
+    return found
+
+
+def mean_of(planners: Sequence[SceneSums], recordings: Sequence[str], seed: int) -> tuple[Measured, Floats]:
+    """Mean of the rates of several planners.
+
+    Args:
+        planners: Sums of each.
+        recordings: N names of all recordings of the challenge: the same for every entry.
+        seed: Of the resamples; the same recordings and seed draw the same ones.
+
+    Returns:
+        The mean, and (2000,) means in resamples, NaN where a resample has nothing of the entry.
+    """
+    names = tuple(recordings)
+    rates, draws = [], []
+    for sums in planners:
+        of_all = sums.over(names)
+        rates.append(_ratio(of_all.numerators.sum(axis=0), of_all.denominators.sum(axis=0))[0])
+        above, below = (resampled(part, names, seed=seed) for part in (of_all.numerators, of_all.denominators))
+        draws.append(_ratio(above, below)[:, 0])
+    mean, drawn = float(np.mean(rates)), np.mean(draws, axis=0)
+    counted = sum(round(float(sums.denominators.sum())) for sums in planners)
+    return _measured(mean, drawn, (0.0, 1.0), counted, _several(planners)), drawn
+
+
+def rate_of(sums: SceneSums, seed: int) -> Measured:
+    """One planner's rate, with its interval."""
+    return mean_of([sums], sums.names, seed)[0]
+
+
+def mean_over(values: Mapping[str, Sequence[float]], seed: int) -> Measured:
+    """Mean of numbers by recording, with its interval over recordings.
+
+    Args:
+        values: Numbers of each recording.
+        seed: Of the resamples.
+
+    Returns:
+        The mean.
+    """
+    flat = [(name, value) for name, of_name in values.items() for value in of_name]
+    numbers = np.array([value for _, value in flat], np.float64).reshape(-1, 1)
+    (rate,) = ratios_over_scenes(numbers, np.ones_like(numbers), [name for name, _ in flat], seed=seed)
+    return Measured(value=rate.value, low=rate.low, high=rate.high, denominator=rate.denominator)
+
+
+def pairs_of(entries: Sequence[tuple[str, float, Floats]], *, enough: bool) -> tuple[Pair, ...]:
+    """Compare every two entries.
+
+    Args:
+        entries: Names, scores and (2000,) scores in the same resamples, best first.
+        enough: Whether there are two recordings or more to draw from; else nothing is told apart.
+
+    Returns:
+        One for each two.
+    """
+    found = []
+    for index, (name, score, draws) in enumerate(entries):
+        for other, other_score, other_draws in entries[index + 1 :]:
+            difference = score - other_score
+            said = _measured(difference, draws - other_draws, (-1.0, 1.0), len(draws), enough)
+            apart = said.low is not None and said.high is not None and (said.low > 0.0 or said.high < 0.0)
+            found.append(Pair(first=name, second=other, difference=said, told_apart=apart))
+    return tuple(found)
+
+
+def places_of(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, tuple[int, int]]:
+    """Places that the numbers leave open.
+
+    Args:
+        names: Of the ranked entries, best first.
+        pairs: Of them.
+
+    Returns:
+        Best and worst place by name: behind everybody who is told apart and better, before everybody who is and worse.
+    """
+    better, worse = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
+    for pair in pairs:
+        if pair.told_apart:
+            worse[pair.first] += 1
+            better[pair.second] += 1
+    return {name: (1 + better[name], len(names) - worse[name]) for name in names}
+
+
+def _several(planners: Sequence[SceneSums]) -> bool:
+    return all(np.count_nonzero(sums.denominators) > 1 for sums in planners)
+
+
+def _measured(value: float, draws: Floats, bounds: tuple[float, float], counted: int, enough: bool) -> Measured:
+    if not np.isfinite(value):
+        return Measured(denominator=counted)
+    low, high = ends(draws, bounds) if enough else (None, None)
+    return Measured(value=value, low=low, high=high, denominator=counted)
+
+
+def _ratio(above: Floats, below: Floats) -> Floats:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.divide(above, below))

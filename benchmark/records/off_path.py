@@ -1,0 +1,106 @@
+"""What a data set says of an ego that was driven off its path: when it was pushed away, and how it came back.
+
+A recording of good drivers never shows how to come back to the path. In scenes of ``data build --off-path`` the ego
+departs from the path that it would have driven, and comes back. Departing is nothing to learn from; coming back is.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+
+OFF_PATH: Final = "off_path"
+"""Where the report of a scene (``challenger.json``) names its excursions."""
+
+
+@dataclass(frozen=True, slots=True)
+class Excursion:
+    """One departure from the path and the way back.
+
+    Attributes:
+        kind: What was wrong at its worst: ``lateral``, ``heading``, ``fast``, ``slow`` or ``late-braking``.
+        begin_s: When the ego begins to depart, seconds from the start of the scene.
+        worst_s: When it is furthest off and begins to come back.
+        end_s: When it is back.
+        lateral_m: Offset at its worst, to the left of the path.
+        heading_rad: Heading at its worst, against the path, counter-clockwise.
+        ahead_m: How far it is ahead of where it would be, at its worst.
+        faster_mps: How much faster than it would be, at its worst.
+    """
+
+    kind: str
+    begin_s: float
+    worst_s: float
+    end_s: float
+    lateral_m: float
+    heading_rad: float
+    ahead_m: float
+    faster_mps: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for a report."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, value: object) -> Self:
+        """Read what `as_json` wrote.
+
+        Raises:
+            InputError: If it is something else, or its times do not follow one another.
+        """
+        numbers = [name for name in cls.__dataclass_fields__ if name != "kind"]
+        if (
+            not isinstance(value, Mapping)
+            or not isinstance(value.get("kind"), str)
+            or not all(isinstance(value.get(name), int | float) for name in numbers)
+        ):
+            raise InputError(
+                f"an excursion off the path must have a kind and {', '.join(numbers)}; build the data again"
+            )
+        found = cls(kind=str(value["kind"]), **{name: float(value[name]) for name in numbers})
+        if not 0 <= found.begin_s < found.worst_s < found.end_s < np.inf:
+            raise InputError("the times of an excursion off the path must follow one another; build the data again")
+        return found
+
+
+def excursions_of(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Excursion, ...]:
+    """Excursions of the ego of a scene.
+
+    Args:
+        provenance: What a data set says of how it was made (``challenger.json``), if it does.
+        scene: Name of the scene.
+
+    Returns:
+        In the order of time; none where the ego was not driven off its path.
+
+    Raises:
+        InputError: If what is said cannot be read.
+    """
+    made = (provenance or {}).get("scenes", {}).get(scene, {})
+    report = made.get("report") if isinstance(made, Mapping) else None
+    said = report.get(OFF_PATH, []) if isinstance(report, Mapping) else []
+    if not isinstance(said, list):
+        raise InputError(f"{OFF_PATH} of scene {scene} must be a list of excursions; build the data again")
+    return tuple(Excursion.from_json(each) for each in said)
+
+
+def worth_following(excursions: Sequence[Excursion], now_s: Floats, later_s: Floats) -> Bools:
+    """Which recorded positions show what a driver should do: none of those that departing led to.
+
+    Args:
+        excursions: Of the scene.
+        now_s: (...) seconds from the start of the scene at which a plan is made.
+        later_s: (...) seconds at which the ego is where it is to learn to go; not before ``now_s``.
+
+    Returns:
+        (...) False where the ego departs from its path at some time between the two.
+    """
+    now, later = np.broadcast_arrays(now_s, later_s)
+    good = np.ones(now.shape, dtype=np.bool_)
+    for each in excursions:
+        good &= (later <= each.begin_s) | (now >= each.worst_s)
+    return good

@@ -1,0 +1,179 @@
+"""Rows of a record as they are kept in memory: compressed JSON lines, and columns of what tables read.
+
+A parsed row takes 20 to 30 kB, its line 3 to 4 kB, and compressed, scene by scene, 0.4 kB. Rows are parsed again when
+somebody goes through them, a scene at a time.
+"""
+
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final, overload
+
+from benchmark.foreign.json_text import read_lines
+from benchmark.foreign.limits import RECORD
+from benchmark.machine.garbage import uncollected
+from benchmark.machine.storage import canonical_json
+from benchmark.records.columns import RowColumns
+from benchmark.records.row_schema import SampleRow
+
+_QUICK: Final = 1
+"""Level of compression: lines of a scene repeat each other, so that more effort gains little."""
+
+
+class Rows(Sequence[SampleRow]):
+    """Rows in compressed form; every access makes new `SampleRow` objects, which are equal.
+
+    Args:
+        blocks: For each scene its name, how many rows it has, and their lines, compressed.
+    """
+
+    def __init__(self, blocks: Iterable[tuple[str, int, bytes]] = ()) -> None:
+        self._blocks = list(blocks)
+
+    @classmethod
+    def of(cls, rows: Sequence[SampleRow]) -> "Rows":
+        """Rows in compressed form.
+
+        Args:
+            rows: Checked rows.
+
+        Returns:
+            The same rows, or themselves if they are in this form already.
+        """
+        if isinstance(rows, cls):
+            return rows
+        made = cls()
+        for _, scene in groupby(rows, key=lambda row: row.scene):
+            made.add(list(scene))
+        return made
+
+    def add(self, rows: Sequence[SampleRow], lines: Sequence[str] | None = None) -> None:
+        """Add the rows of one scene at the end, before anybody asks for columns.
+
+        Args:
+            rows: The rows.
+            lines: Their JSON, where it is at hand.
+        """
+        if rows:
+            texts = [line_of(row) for row in rows] if lines is None else lines
+            packed = zlib.compress("\n".join(texts).encode(), _QUICK)
+            self._blocks.append((rows[0].scene, len(rows), packed))
+
+    @classmethod
+    def read(cls, path: Path, parse: Callable[[int, str], SampleRow]) -> "Rows":
+        """Read a file of rows.
+
+        Args:
+            path: The file.
+            parse: Checks a line, given its number.
+
+        Returns:
+            The rows, with their columns.
+
+        Raises:
+            InputError: If the file is damaged.
+        """
+        made, parsed = cls(), list[SampleRow]()
+        with uncollected():
+            for _, scene in groupby(
+                ((parse(number, line), line) for number, line in read_lines(path, RECORD)),
+                key=lambda pair: pair[0].scene,
+            ):
+                rows, lines = zip(*scene)
+                made.add(rows, lines)
+                parsed += rows
+            vars(made)["columns"] = RowColumns(made, parsed)
+        return made
+
+    def in_order_of(self, scenes: Sequence[str]) -> "Rows":
+        """The same rows with their scenes in another order.
+
+        Args:
+            scenes: Names of all scenes.
+
+        Returns:
+            The rows.
+        """
+        place = {name: number for number, name in enumerate(scenes)}
+        return Rows(sorted(self._blocks, key=lambda block: place[block[0]]))
+
+    def lines(self) -> Iterator[str]:
+        """One JSON text a row, as files have them."""
+        for _, _, packed in self._blocks:
+            yield from zlib.decompress(packed).decode().split("\n")
+
+    def of_scene(self, scene: str) -> list[SampleRow]:
+        """Rows of one scene; none of a scene that is not there."""
+        return [row for block in self._blocks if block[0] == scene for row in _parsed(block[2])]
+
+    def of_failed_scenes(self) -> list[SampleRow]:
+        """Rows of the scenes in which a sample has no plan."""
+        failed = {row.scene for row in self.columns.brief if row.status == "failed"}
+        return [row for scene, _, packed in self._blocks if scene in failed for row in _parsed(packed)]
+
+    @cached_property
+    def columns(self) -> RowColumns:
+        """What tables read of them."""
+        with uncollected():
+            return RowColumns(self)
+
+    def __len__(self) -> int:
+        return sum(count for _, count, _ in self._blocks)
+
+    def __iter__(self) -> Iterator[SampleRow]:
+        for _, _, packed in self._blocks:
+            yield from _parsed(packed)
+
+    @overload
+    def __getitem__(self, place: int) -> SampleRow: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[SampleRow]: ...
+    def __getitem__(self, place: int | slice) -> SampleRow | list[SampleRow]:
+        if isinstance(place, slice):
+            return list(self)[place]
+        wanted = range(len(self))[place]
+        for _, count, packed in self._blocks:
+            if wanted < count:
+                return SampleRow.model_validate_json(zlib.decompress(packed).split(b"\n")[wanted])
+            wanted -= count
+        raise AssertionError("a place among the rows is in none of their blocks")
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Rows) and self._blocks == other._blocks:
+            return True
+        return isinstance(other, Sequence) and len(self) == len(other) and all(map(_equal, self, other))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} rows of {len(self._blocks)} scenes>"
+
+
+def columns_of(rows: Sequence[SampleRow] | RowColumns) -> RowColumns:
+    """Columns of rows, made once where they are a record's.
+
+    Args:
+        rows: One for each sample.
+
+    Returns:
+        The columns.
+    """
+    if isinstance(rows, RowColumns):
+        return rows
+    return rows.columns if isinstance(rows, Rows) else RowColumns(rows)
+
+
+def line_of(row: SampleRow) -> str:
+    """A row as files have it."""
+    return canonical_json(row.model_dump(mode="json"))
+
+
+def _parsed(packed: bytes) -> list[SampleRow]:
+    with uncollected():
+        return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return bool(one == other)

@@ -1,0 +1,73 @@
+"""Reference drivers in the encounters of a record of drives: driven once for all planners, and kept beside them.
+
+An encounter is one scene, one run and one adversary; who plans against it does not matter to the ladder.
+"""
+
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.ladder import LadderOutcome, climbed
+from benchmark.drivers.reaction import Driver
+from benchmark.errors import InputError
+from benchmark.machine.storage import content_key, file_name, read_json, write_json
+from benchmark.records.drive_schema import LadderRow
+from benchmark.runs.code_identity import code_sha256
+from benchmark.scene import Scene
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+    from benchmark.runs.drive_work import Job, Unit
+
+FOLDER: Final = "ladder"
+"""Beside the records of one world."""
+DECIMALS: Final = 6
+_LOOP: Final = "benchmark.closed_loop.ladder:climbed"
+
+
+def ladder_rows(data: "DataSet", job: "Job", unit: "Unit") -> dict[str, LadderRow]:
+    """What comes of reference drivers in an encounter.
+
+    Args:
+        data: The data set.
+        job: What is driven, and which reference drivers drive too.
+        unit: The encounter.
+
+    Returns:
+        A row for each driver, by name.
+
+    Raises:
+        InputError: If the engine has no such encounters, or what was found cannot be written.
+    """
+    path = job.directory.parent / FOLDER / f"{file_name(unit.scene)}-{unit.run}.json"
+    measured = job.measured.model_dump(mode="json", exclude={"sensor", "sensor_facts"})
+    code = code_sha256(type(job.maker), made_by=_LOOP)
+    key = content_key("ladder", job.fingerprint, unit.scene, unit.run, measured, list(job.ladder), code)
+    kept = None if job.fresh else _kept(path, key)
+    if kept is None:
+        if not isinstance(job.maker, DefaultRides):
+            raise InputError(f"reference drivers drive in the default engine alone, not in {job.measured.engine}")
+        scene = data.scene(unit.scene)
+        found = climbed(scene, job.maker.course(scene, unit.run), [Driver(name) for name in job.ladder])
+        kept = {each.driver.value: _row(scene, each) for each in found}
+        rows = {name: row.model_dump(mode="json") for name, row in kept.items()}
+        write_json(path, {"key": key, "content": content_key(rows), "rows": rows}, indent=None)
+    return kept
+
+
+def _kept(path: Any, key: str) -> dict[str, LadderRow] | None:
+    try:
+        found: Any = read_json(path)
+        if found["key"] != key or found["content"] != content_key(found["rows"]):
+            return None
+        return {name: LadderRow.model_validate(row) for name, row in found["rows"].items()}
+    except (InputError, ValueError, KeyError, TypeError, AttributeError):
+        # What is absent or damaged is unfinished work: it is done again.
+        return None
+
+
+def _row(scene: Scene, outcome: LadderOutcome) -> LadderRow:
+    seconds = None if outcome.seconds is None else round(outcome.seconds, DECIMALS)
+    agent = None if outcome.agent is None else scene.agents.ids[outcome.agent]
+    return LadderRow(
+        survives=outcome.survives, seconds=seconds, agent=agent, kind=outcome.kind, at_fault=outcome.at_fault
+    )

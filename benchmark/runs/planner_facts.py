@@ -1,0 +1,130 @@
+"""Who a planner is: what it says of itself, which may be anything, as facts that records can hold."""
+
+import json
+from operator import index
+from typing import Any, Final
+
+from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
+from benchmark.machine.storage import canonical_json
+from benchmark.planning import Planner, PrivilegedPlanner, reads_message_after, remembers_across_scenes
+from benchmark.protocols import PROTOCOLS
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.runs.code_identity import code_sha256, parts_of
+
+_LONGEST_SETTINGS: Final = 64 * 1024
+"""Characters of them as JSON; they stand in every record."""
+_DEEPEST_SETTINGS: Final = 16
+_SEEDS: Final = 1 << 63
+_DIGITS: Final = frozenset("0123456789abcdef")
+_LENGTH: Final = 64
+"""Hexadecimal digits of a SHA-256."""
+
+
+def facts_of(planner: Planner, made_by: str | None = None) -> PlannerFacts:
+    """Identity of a planner.
+
+    Args:
+        planner: The planner; optional attributes ``weights_sha256``, ``settings``, ``seed`` and ``native_protocol`` are
+            taken over.
+        made_by: The function or class that made it, as ``package.module:name``, if it was not built by hand.
+
+    Returns:
+        Its identity, with the hash of the code that its plans depend on (`benchmark.runs.code_identity`).
+
+    Raises:
+        InputError: If its settings are not plain values, its seed, its weights' hash or its native protocol is none.
+    """
+    whose = f"planner {planner.name!r}"
+    settings = _settings(_said(planner, "settings", {}), whose)
+    # Of these every record knows, whoever wrote the planner.
+    settings |= {"memory_crosses_scenes": True} if remembers_across_scenes(planner) else {}
+    settings |= {"reads_message_after": True} if reads_message_after(planner) else {}
+    seed, weights = _seed(_said(planner, "seed", 0), whose), _weights(_said(planner, "weights_sha256", None), whose)
+    native = known_native(_said(planner, "native_protocol", None), whose)
+    return PlannerFacts(
+        name=planner.name,
+        privileged=isinstance(planner, PrivilegedPlanner),
+        weights_sha256=weights,
+        code_sha256=code_sha256(type(planner), made_by=made_by, parts=parts_of(planner)),
+        settings=settings,
+        seed=seed,
+        native_protocol=native,
+    )
+
+
+def known_native(name: str | None, whose: str) -> str | None:
+    """Check the name of a planner's native protocol.
+
+    Args:
+        name: Protocol of the repository that the planner comes from, if there is one.
+        whose: The planner, as the message names it.
+
+    Returns:
+        The name.
+
+    Raises:
+        InputError: If there is no such protocol.
+    """
+    if name is not None and (not isinstance(name, str) or name not in PROTOCOLS):
+        raise InputError(f"{whose} has the unknown native protocol {name!r}; known are {', '.join(PROTOCOLS)}")
+    return name
+
+
+def _said(planner: Planner, attribute: str, default: Any) -> Any:
+    """An attribute of a stranger's object: asking for it runs the stranger's code."""
+    try:
+        return getattr(planner, attribute, default)
+    except Exception as error:
+        raise InputError(
+            f"asking planner {planner.name!r} for its {attribute} raised {type(error).__name__}: {one_line(error)}"
+        ) from error
+
+
+def _settings(said: Any, whose: str) -> dict[str, Any]:
+    try:
+        settings = dict(said)
+        if not all(isinstance(key, str) for key in settings):
+            raise TypeError("their names must be text")
+        text = canonical_json(settings)
+        # Records are read to a depth, and text that is none cannot be shown.
+        _require_shallow(settings, _DEEPEST_SETTINGS)
+        json.dumps(settings, ensure_ascii=False).encode()
+    except (TypeError, ValueError, RecursionError, AttributeError) as error:
+        raise InputError(
+            f"the settings of {whose} must be plain JSON values by name ({one_line(error)}); leave the others out"
+        ) from error
+    if len(text) > _LONGEST_SETTINGS:
+        raise InputError(
+            f"the settings of {whose} have {len(text)} characters, which every record would hold; {_LONGEST_SETTINGS} "
+            "are allowed: name a file by its hash instead"
+        )
+    return settings
+
+
+def _require_shallow(value: Any, depth: int) -> None:
+    """Raise `ValueError` for containers within containers within containers."""
+    if not depth:
+        raise ValueError(f"they lie more than {_DEEPEST_SETTINGS} deep")
+    if isinstance(value, dict | list | tuple):
+        for each in value.values() if isinstance(value, dict) else value:
+            _require_shallow(each, depth - 1)
+
+
+def _seed(said: Any, whose: str) -> int:
+    try:
+        seed = index(said)
+    except TypeError:
+        seed = -1
+    if not 0 <= seed < _SEEDS:
+        raise InputError(f"the seed of {whose} must be a whole number from 0 below 2^63, it is {one_line(repr(said))}")
+    return seed
+
+
+def _weights(said: Any, whose: str) -> str | None:
+    if said is None or (isinstance(said, str) and len(said) == _LENGTH and set(said) <= _DIGITS):
+        return said
+    raise InputError(
+        f"the weights_sha256 of {whose} must be the SHA-256 of its weights file, {_LENGTH} hexadecimal digits; it is "
+        f"{one_line(repr(said))}"
+    )

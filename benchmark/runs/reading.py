@@ -1,0 +1,66 @@
+"""A scene as runs need it, each part of it read once, however many planners or records are judged on it."""
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.pdm.recording import RecordedScene
+from benchmark.planning import Observation
+from benchmark.scene import Scene
+from benchmark.surroundings.circumstances import Circumstances, circumstances_of
+from benchmark.truth import SampleTruth
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
+
+
+class SceneReading:
+    """One scene of a data set.
+
+    Args:
+        data: The data set.
+        name: Scene name.
+    """
+
+    def __init__(self, data: "DataSet", name: str) -> None:
+        self._data, self.name = data, name
+        self._observations: tuple[Observation, ...] | None = None
+        self._longer: dict[int, tuple[SampleTruth, ...]] = {}
+
+    def scene(self, name: str) -> Scene:
+        """The scene, as planners' sources give it."""
+        return self._data.scene(name)
+
+    def observations(self, name: str) -> Iterator[Observation]:
+        """What a planner may see, one observation a sample, in time order."""
+        if self._observations is None:
+            self._observations = tuple(self._data.observations(name))
+        return iter(self._observations)
+
+    @cached_property
+    def truth(self) -> tuple[SampleTruth, ...]:
+        """What really happened, one truth a sample."""
+        return self._data.truth(self.name)
+
+    def longer(self, steps: int) -> tuple[SampleTruth, ...]:
+        """The same for more steps than protocols need."""
+        if steps not in self._longer:
+            tokens = [truth.sample_token for truth in self.truth]
+            self._longer[steps] = truth_of_scene(self._data.scene(self.name), tokens, steps)
+        return self._longer[steps]
+
+    @cached_property
+    def around(self) -> tuple[Circumstances, ...]:
+        """Place and speed of the recorded car at each sample."""
+        return circumstances_of(self._data.scene(self.name))
+
+    @cached_property
+    def mapped(self) -> Scene | None:
+        """The scene for driving scores; ``None`` where the data set has no map of its place."""
+        return self._data.scene(self.name) if self._data.has_map(self.name) else None
+
+    @cached_property
+    def recorded(self) -> RecordedScene | None:
+        """What the scene gives to judge driving by, if it has a map."""
+        return None if self.mapped is None else RecordedScene(self.mapped)

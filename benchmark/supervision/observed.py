@@ -1,0 +1,129 @@
+"""What a planner sees at a sample as few bytes in few pieces: the numbers of all arrays in one, plain values beside.
+
+Ready-made ways of handing values on look at every object by itself, which costs as much as all else that is done for a
+sample. Of pictures there are names here, calibration and poses (`pictures.py` has what is on them).
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.planning import CameraView, Command, EgoState, Observation
+from benchmark.scene import Camera, LidarMount
+
+Layout = tuple[tuple[str, tuple[int, ...]] | None, ...]
+"""Type and shape of each array; ``None`` where there is none."""
+_ALIGNED_BYTES: Final = 8
+
+
+class Packing:
+    """Packs the observations of one planner; what stays as it was is said once."""
+
+    def __init__(self) -> None:
+        self._said: Layout | None = None
+
+    def packed(self, seen: Observation) -> tuple[Any, ...]:
+        """An observation as plain values, the layout of its arrays if it is another one, and their bytes."""
+        ego, lidar = seen.ego, seen.lidar
+        arrays: list[NDArray[Any] | None] = [
+            *(ego.pose, ego.position, ego.rotation, ego.velocity, ego.acceleration),
+            *(ego.can_motion, ego.can_motion_after, seen.past_poses, seen.past_valid),
+            *(lidar.translation, lidar.rotation),
+        ]
+        views = []
+        for name, view in seen.views.items():
+            camera = view.camera
+            arrays += [camera.translation, camera.rotation, camera.intrinsic, view.global_T_ego]
+            views.append((name, camera.name, camera.width, camera.height, str(view.path), view.timestamp_us))
+        layout: Layout = tuple(None if each is None else (each.dtype.str, each.shape) for each in arrays)
+        known, self._said = layout == self._said, layout
+        values = (seen.scene, seen.sample_token, seen.index, seen.timestamp_us, int(seen.command))
+        motion = (ego.yaw_rate, ego.steering_angle, ego.source)
+        return values, motion, views, None if known else layout, _bytes(arrays)
+
+
+class Unpacking:
+    """The planner's side."""
+
+    def __init__(self) -> None:
+        self._layout: Layout = ()
+
+    def unpacked(self, packed: Sequence[Any], load: Callable[[str], NDArray[np.uint8]]) -> Observation:
+        """The observation.
+
+        Args:
+            packed: What `Packing.packed` gave.
+            load: Reads the picture of a camera.
+
+        Returns:
+            It, equal in every number and type.
+        """
+        values, motion, views, layout, data = packed
+        if layout is not None:
+            self._layout = layout
+        arrays = iter(_arrays(self._layout, data))
+        scene, sample_token, index, timestamp_us, command = values
+        yaw_rate, steering_angle, source = motion
+        pose, position, rotation, velocity, acceleration, can_motion, can_motion_after = (
+            next(arrays) for _ in range(7)
+        )
+        past_poses, past_valid, lidar_translation, lidar_rotation = (next(arrays) for _ in range(4))
+        seen = {}
+        for name, called, width, height, path, time_us in views:
+            translation, camera_rotation, intrinsic, view_pose = (next(arrays) for _ in range(4))
+            camera = Camera(called, translation, camera_rotation, intrinsic, width, height)
+            seen[name] = CameraView(camera, Path(path), time_us, view_pose, partial(load, name))
+        ego = EgoState(
+            pose,
+            position,
+            rotation,
+            velocity,
+            acceleration,
+            yaw_rate,
+            steering_angle,
+            source,
+            can_motion,
+            can_motion_after,
+        )
+        return Observation(
+            scene,
+            sample_token,
+            index,
+            timestamp_us,
+            seen,
+            LidarMount(lidar_translation, lidar_rotation),
+            ego,
+            past_poses,
+            past_valid,
+            Command(command),
+        )
+
+
+def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
+    """The bytes of arrays one after the other, each beginning where every number may."""
+    pieces = []
+    for each in arrays:
+        if each is not None:
+            piece = each.tobytes()
+            pieces.append(piece)
+            if len(piece) % _ALIGNED_BYTES:
+                pieces.append(bytes(-len(piece) % _ALIGNED_BYTES))
+    return bytearray(b"".join(pieces))
+
+
+def _arrays(layout: Layout, data: bytearray) -> list[Any]:
+    found: list[Any] = []
+    place = 0
+    for each in layout:
+        if each is None:
+            found.append(None)
+            continue
+        kind, shape = each
+        array: NDArray[Any] = np.ndarray(shape, kind, data, place)
+        found.append(array)
+        place += array.nbytes + -array.nbytes % _ALIGNED_BYTES
+    return found

@@ -1,0 +1,48 @@
+"""A planning frame in closed loop: as in open loop, but that it is fair by what a careful human survives."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.geometry import Floats
+from benchmark.road_map import DrivableRaster
+from generation.in_the_loop.careful import CarefulAhead
+from generation.search.planning import Planning
+from generation.search.scoring import Surroundings, Terms, surroundings
+
+HIT_WEIGHT: Final = 20.0
+"""Of a candidate that a careful human does not survive: more than any threat is worth."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningAgainst(Planning):
+    """Planning frames of an adversary that the ego may run into."""
+
+    def around(self, frames: tuple[int, ...], raster: DrivableRaster) -> Surroundings:
+        """Everybody but the ego: what it survives is asked of a careful human in its place."""
+        found = surroundings(self.scene, self.agent, frames, raster)
+        present = found.present.copy()
+        present[:, -1] = False
+        return replace(found, present=present)
+
+    def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
+        """As in open loop, and what is not survivable costs."""
+        rate = Planning.rated(self, frame, offsets, track)
+        speed = self._ego_speed(frame)
+        careful = CarefulAhead.of(self.scene, self.agent, frame, speed)
+        size = self.scene.agents.size[self.agent, :2]
+
+        def rated(motion: SimulatedMotion) -> Terms:
+            terms = rate(motion)
+            hit = HIT_WEIGHT * careful.hit(motion, size)
+            return replace(terms, further=hit if terms.further is None else terms.further + hit)
+
+        return rated
+
+    def _ego_speed(self, frame: int) -> float:
+        first, last = max(frame - 2, 0), min(frame + 1, len(self.scene.timestamps_us) - 1)
+        way = np.hypot(*(self.scene.ego.position[last, :2] - self.scene.ego.position[first, :2]))
+        return float(way) / max(float(self.scene.seconds[last] - self.scene.seconds[first]), 1e-9)

@@ -1,0 +1,265 @@
+"""The policy ``adversary``: the search of open loop, again and again, against where the ego really is.
+
+Everybody else behaves by a policy of their own. At each planning frame the scene is what has happened so far, what is
+expected of the ego, and what the others will do; `generation.search.planning` plans in it, and what it finds best is
+driven to the next planning frame, if nobody but the ego is touched by it (`generation.in_the_loop.allowed`).
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryTrack, Handover, Replanning, rounded
+from benchmark.closed_loop.agents.contract import AgentPolicy, Moment, Moved
+from benchmark.closed_loop.following import SUBSTEP_US
+from benchmark.constants import FRAME_HZ
+from benchmark.dynamics.bicycle import MotionModel, VehicleState, rear_axle
+from benchmark.geometry import Floats, to_local
+from benchmark.machine.storage import content_seed
+from benchmark.scene import Scene
+from generation.in_the_loop.against import PlanningAgainst
+from generation.in_the_loop.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
+from generation.in_the_loop.answering import with_expected_others
+from generation.in_the_loop.expecting import Seen, expected_ego
+from generation.in_the_loop.settings import AdversarySettings
+from generation.search.adversary import ALGORITHM_VERSION, scene_identity
+from generation.search.planning import Planning
+from generation.search.proposals import Diversify, Prior, run_together
+from generation.search.refinement import NothingToDraw, Refinement, scores_together
+from generation.search.rounds import rounds_of
+
+MOST_TRIED: Final = 96
+"""Candidates that are asked after the best one of a search, where that may not be driven."""
+_FAR_M: Final = 5.0
+"""Nearer than this to the edge of the area around the ego, an adversary looks at the road around itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What an adversary remembers; a value.
+
+    Attributes:
+        others: Memory of everybody else's policy.
+        seen: Where the ego has been.
+        state: Its motion at the end of what is planned.
+        track: (F, 3) what is planned, from the hand-over on.
+        ahead: (60, 3) how what was planned last would have gone on.
+        randomness: State of its generator of random numbers.
+        replanned: Its planning frames.
+    """
+
+    others: Any
+    seen: Seen
+    state: VehicleState
+    track: Floats
+    ahead: Floats
+    randomness: Any
+    replanned: tuple[Replanning, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """What is driven next: (F, 3) poses after the planning frame, those after them, the motion at their end."""
+
+    executed: Floats
+    ahead: Floats
+    state: VehicleState
+    replanning: Replanning
+
+
+@dataclass(frozen=True, slots=True)
+class Adversary:
+    """The policy.
+
+    Attributes:
+        scene: The scene that is driven.
+        agent: Index of the vehicle.
+        start: Frame of its hand-over.
+        run: Its seed.
+        settings: Budget, knowledge and search.
+        others: Policy of everybody else.
+        prior: Diffusion model.
+        diversify: Spread of first batches.
+        name: Of the policy.
+        draws: It draws from the content of the scene and its run, whatever the engine gives.
+    """
+
+    scene: Scene
+    agent: int
+    start: int
+    run: int
+    settings: AdversarySettings
+    others: AgentPolicy[Any]
+    prior: Prior
+    diversify: Diversify
+    name: str = ADVERSARY
+    draws: bool = False
+    handover: Handover = field(init=False, repr=False)
+    model: MotionModel = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "handover", Handover.of(self.scene, self.agent, self.start))
+        object.__setattr__(self, "model", self.settings.hyper.motion_model())
+
+    def init(self, time_us: int, key: int) -> tuple[Memory, Moved]:
+        """Everybody where they are; nothing is planned yet."""
+        memory, moved = self.others.init(time_us, key)
+        hyper, agent_id = self.settings.hyper, self.scene.agents.ids[self.agent]
+        content = (scene_identity(self.scene), agent_id, self.run, hyper.fingerprint, self.prior.fingerprint)
+        rng = np.random.default_rng(content_seed(*content, ALGORITHM_VERSION, 0))
+        planning = self._planning(self.scene, rng)
+        first = planning.first_pose()
+        own = Memory(
+            others=memory,
+            seen=Seen.recorded(self.scene, time_us),
+            state=planning.first_state(),
+            track=first[None],
+            ahead=np.repeat(first[None], AHEAD_FRAMES, axis=0),
+            randomness=rng.bit_generator.state,
+        )
+        return own, moved
+
+    def act(self, memory: Memory, moment: Moment, key: int) -> tuple[Memory, Moved]:
+        """The next 0.1 s, planned anew where what was planned does not reach so far."""
+        seen = memory.seen if memory.seen.times_us[-1] >= moment.time_us else memory.seen.then(moment)
+        memory = replace(memory, seen=seen)
+        times, last = self.scene.timestamps_us, len(self.scene.timestamps_us) - 1
+        while (frame := self.start + len(memory.track) - 1) < last and times[frame] < moment.time_us + SUBSTEP_US:
+            memory = self._planned(memory, moment, frame)
+        others, moved = self.others.act(memory.others, moment, key)
+        return replace(memory, others=others), self.handover.moved(moved, rounded(memory.track), moment.time_us)
+
+    def adversary(self, memory: Memory) -> AdversaryTrack:
+        """Where it has been planned to go so far."""
+        return AdversaryTrack(self.agent, self.start, rounded(memory.track), memory.replanned)
+
+    def _planning(self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None) -> Planning:
+        stages = {"physics": 0.0, "scoring": 0.0}
+        hyper = self.settings.hyper
+        kind = PlanningAgainst if self.settings.survivable else Planning
+        return kind(
+            scene, self.agent, self.start, hyper, self.diversify, self.model, rng, stages, road_around=road_around
+        )
+
+    def _planned(self, memory: Memory, moment: Moment, frame: int) -> Memory:
+        """Plan at a frame and drive on to the next one."""
+        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows, self.settings.gives_way_m_s2)
+        scene = replace(self.scene, ego=ego, sweep_poses=None)
+        if self.settings.others != "replay":
+            scene = with_expected_others(scene, self, memory, moment, frame)
+        rng = np.random.default_rng()
+        rng.bit_generator.state = memory.randomness
+        planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
+        found = self._searched(planning, frame, memory)
+        steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
+        chosen = self._chosen(scene, frame, steps, found, memory)
+        return replace(
+            memory,
+            state=chosen.state,
+            track=np.concatenate([memory.track, chosen.executed]),
+            ahead=chosen.ahead,
+            randomness=rng.bit_generator.state,
+            replanned=(*memory.replanned, chosen.replanning),
+        )
+
+    def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
+        """What the search finds; nothing where it has nothing to draw from."""
+        try:
+            (found,), _ = run_together([planning.plan(frame, memory.state, memory.track)], self.prior)
+        except NothingToDraw:
+            return None
+        return found
+
+    def _road_around(self, scene: Scene, frame: int, pose: Floats) -> Floats | None:
+        """Around the ego, as the search looks; around itself where the area around the ego has lost it."""
+        half = self.settings.hyper.half_extent_m - _FAR_M
+        lost = np.abs(to_local(pose[:2], scene.ego.pose[frame])).max() > half
+        return pose.copy() if lost else None
+
+    def _chosen(self, scene: Scene, frame: int, steps: int, found: Refinement | None, memory: Memory) -> _Chosen:
+        """The best candidate that may be driven, or the brakes."""
+        around = Surrounded.of(scene, self.agent, frame)
+        longest, place = 0.0, None
+        # Whoever is off the road already may come back to it, however.
+        on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
+        for number, index in () if found is None else self._candidates(found):
+            assert found is not None
+            motion = found.batches[number].evaluated.motion
+            if not motion.finite[index] or (on_road and _leaves_road(found, number, index, steps)):
+                continue
+            clear = around.way_on(motion.center[index], steps)
+            if clear == np.inf:
+                return self._as_searched(scene, frame, steps, found, memory, number, index)
+            if clear > longest:
+                longest, place = clear, (number, index)
+        brakes, safe = self._last_resort(around, frame, steps, memory)
+        if found is not None and place is not None and longest > safe:
+            # Where all ends badly, what lasts longest: there is another plan before it does.
+            return self._as_searched(scene, frame, steps, found, memory, *place)
+        return brakes
+
+    def _as_searched(
+        self, scene: Scene, frame: int, steps: int, found: Refinement, memory: Memory, number: int, index: int
+    ) -> _Chosen:
+        """A candidate of the search."""
+        motion = found.batches[number].evaluated.motion
+        score = float(scores_together(found.batches, self.settings.hyper)[number, index])
+        considered = self._considered(scene, frame, memory.state, found, number, index)
+        return _Chosen(
+            motion.center[index, 1 : steps + 1],
+            _ahead(motion.center[index], steps),
+            motion.state(index, steps),
+            Replanning(frame, score, braked=False, considered=considered),
+        )
+
+    def _candidates(self, found: Refinement) -> "Any":
+        """Round and index: what the search chose, then the others by score."""
+        yield found.round, found.chosen
+        yield from in_order(scores_together(found.batches, self.settings.hyper), MOST_TRIED)
+
+    def _considered(
+        self, scene: Scene, frame: int, state: VehicleState, found: Refinement, number: int, index: int
+    ) -> dict[str, Any] | None:
+        if not self.settings.keep_considered:
+            return None
+        shown = replace(found, round=number, chosen=index)
+        rounds = rounds_of(scene, self.agent, frame, state, shown, self.settings.hyper, self.model)
+        return rounds.model_dump(mode="json")
+
+    def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> tuple[_Chosen, float]:
+        """Brake on the path that was meant, as gently as touches nobody or else as lasts longest; and how long."""
+        path = np.concatenate([memory.track[-1:], memory.ahead])
+        found, clear = path, -1.0
+        for braking in (0.0, *BRAKING_M_S2):
+            slowed = self._slowed(path, around.frame_seconds, memory.state, braking)
+            lasting = around.clear_for(slowed)
+            if lasting > clear:
+                found, clear = slowed, lasting
+        executed = found[1 : steps + 1]
+        length = float(self.scene.agents.size[self.agent, 0])
+        way = executed[-1, :2] - found[steps - 1, :2]
+        speed = float(np.hypot(*way)) * FRAME_HZ
+        state = VehicleState(rear_axle(executed[-1], length), speed)
+        return _Chosen(executed, _ahead(found, steps), state, Replanning(frame, None, braked=True)), clear
+
+    @staticmethod
+    def _slowed(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
+        """(K, 3) poses of who leaves its plan's speed for a steady braking from now on."""
+        # A pose before now gives the path the speed that it is driven with.
+        back = np.array([np.cos(path[0, 2]), np.sin(path[0, 2])]) / FRAME_HZ * state.speed
+        before = np.array([[*(path[0, :2] - back), path[0, 2]]])
+        times = np.concatenate([[-1.0 / FRAME_HZ], seconds])
+        return braked(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
+
+
+def _ahead(poses: Floats, steps: int) -> Floats:
+    """(60, 3) how a motion goes on after some frames; its last pose stands for what is beyond it."""
+    rest = poses[steps + 1 : steps + 1 + AHEAD_FRAMES]
+    missing = AHEAD_FRAMES - len(rest)
+    return np.concatenate([rest, np.repeat(poses[-1:], missing, axis=0)]) if missing else rest
+
+
+def _leaves_road(found: Refinement, number: int, index: int, steps: int) -> bool:
+    """Whether a candidate's centre is off the road in what would be executed."""
+    return bool(found.batches[number].evaluated.terms.center_off_road[index, :steps].any())

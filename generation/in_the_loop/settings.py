@@ -1,0 +1,129 @@
+"""What an adversary in the loop depends on: its budget, what it knows of the ego, and how its search scores."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Final
+
+from benchmark.constants import FRAME_HZ
+from benchmark.errors import InputError
+from generation.search.adversary import ALGORITHM_VERSION
+from generation.search.hyperparameters import HyperParameters
+from generation.search.presets import threatening
+
+VERSION: Final = 1
+"""Raised whenever the same adversary would drive elsewhere in the same drive."""
+AHEAD_WEIGHT: Final = 4.0
+LONGEST_FRAMES: Final = 36
+"""Nobody drives blindly for longer than candidates are scored."""
+OTHERS: Final = ("replay", "idm")
+
+
+class Knows(StrEnum):
+    """What an adversary expects of the ego.
+
+    ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed and its turn. ``NOTHING``: that it
+    stays where it is. ``RECORDING``: the recorded future, which only the recorded ego has; it is for tests, and no
+    command line offers it.
+    """
+
+    PLAN = "plan"
+    MOTION = "motion"
+    NOTHING = "nothing"
+    RECORDING = "recording"
+
+
+def in_the_loop() -> HyperParameters:
+    """The default search of open loop, and that who falls behind the ego comes back ahead of it."""
+    return replace(threatening(), ahead_weight=AHEAD_WEIGHT)
+
+
+@dataclass(frozen=True, slots=True)
+class AdversarySettings:
+    """An adversary in the loop.
+
+    Attributes:
+        knows: What it expects of the ego.
+        every_frames: It is planned anew after so many frames of 1/12 s.
+        gives_way_m_s2: How hard the ego is expected to brake for who gets in its way, after a reaction time. Where it
+            is 0 it is expected to hit nobody and to make room for nobody, and nobody ever gets in its way.
+        survivable: Whether a candidate may touch the ego if a careful human in the ego's place would not be touched by
+            it, instead of never touching the ego where it is expected.
+        others: Policy of everybody else.
+        hyper: Its search.
+        keep_considered: Whether what it considered is kept; nothing else depends on it.
+
+    Raises:
+        InputError: If it is never planned anew, or there are no such others.
+    """
+
+    knows: Knows = Knows.MOTION
+    every_frames: int = FRAME_HZ
+    gives_way_m_s2: float = 0.0
+    survivable: bool = False
+    others: str = "replay"
+    hyper: HyperParameters = field(default_factory=in_the_loop)
+    keep_considered: bool = False
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.every_frames <= LONGEST_FRAMES:
+            raise InputError(
+                f"an adversary is planned anew every 1/{FRAME_HZ} to {LONGEST_FRAMES / FRAME_HZ:g} s, not every "
+                f"{self.every_frames / FRAME_HZ:.3g} s (--adversary-every)"
+            )
+        if self.others not in OTHERS:
+            raise InputError(f"the others beside an adversary are {' or '.join(OTHERS)}, not {self.others!r}")
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        knows: str = "motion",
+        every_s: float = 1.0,
+        others: str = "replay",
+        rounds: int | None = None,
+        candidates: int | None = None,
+        keep_considered: bool = False,
+    ) -> "AdversarySettings":
+        """Settings by plain values, as from a command line.
+
+        Args:
+            knows: ``plan``, ``motion`` or ``nothing``.
+            every_s: Seconds between plans; whole frames of 1/12 s are taken.
+            others: ``replay`` or ``idm``.
+            rounds: Refinement rounds after the first batch; the search's own by default.
+            candidates: Of each round; the search's own by default.
+            keep_considered: As above.
+
+        Returns:
+            The settings.
+
+        Raises:
+            InputError: If a value is none.
+        """
+        known = {each.value: each for each in Knows if each is not Knows.RECORDING}
+        if knows not in known:
+            raise InputError(f"an adversary knows {', '.join(known)}, not {knows!r} (--adversary-knows)")
+        hyper = in_the_loop()
+        hyper = replace(
+            hyper,
+            rounds=hyper.rounds if rounds is None else rounds,
+            candidates=hyper.candidates if candidates is None else candidates,
+        )
+        frames = round(min(max(every_s, 0.0), 1e6) * FRAME_HZ) if every_s == every_s else 0
+        return cls(known[knows], frames, others=others, hyper=hyper, keep_considered=keep_considered)
+
+    def facts(self, prior_fingerprint: str) -> Mapping[str, Any]:
+        """What is measured, in names: two tables whose adversaries differ in it never mix."""
+        return {
+            "policy": VERSION,
+            "knows": self.knows.value,
+            "gives_way_m_s2": self.gives_way_m_s2,
+            "survivable": self.survivable,
+            "every_s": round(self.every_frames / FRAME_HZ, 6),
+            "others": self.others,
+            "rounds": self.hyper.rounds,
+            "candidates": self.hyper.candidates,
+            "search": f"{ALGORITHM_VERSION}-{self.hyper.fingerprint[:12]}",
+            "prior": prior_fingerprint[:12],
+        }

@@ -1,0 +1,215 @@
+"""Scenes that somebody edited in ScenarioNet files, as a frozen split: what differs from the recordings."""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmark.datasets.exchange.own_words import Exchanged
+from benchmark.datasets.roots import DataSet
+from benchmark.datasets.scenarionet import find_scenarionet, read_exchanged
+from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
+from benchmark.geometry import Bools, wrap_angle
+from benchmark.machine.storage import token
+from benchmark.scene import Scene
+from generation.nuscenes_writer import DataSetPlan, SourceInfo
+from generation.splits.digests import tables_digest
+from generation.splits.format import (
+    EDITED,
+    Choice,
+    FrozenAdversary,
+    FrozenScene,
+    FrozenSplit,
+    Recordings,
+    SearchFacts,
+)
+from generation.splits.packaged import NamedSplit
+from generation.splits.tracks import SAME_M, adversarial, recorded_pose, rounded_pose
+
+_SAME_SIZE_M: Final = 0.005
+_SAME_TIME_S: Final = 1e-3
+_UNKNOWN: Final = "0" * 64
+
+
+Edited = tuple[tuple[Path, Exchanged], ...]
+"""Files and what was read of them."""
+
+
+def read_edited(path: Path) -> Edited:
+    """Read a ScenarioNet file, or a folder of them.
+
+    Raises:
+        InputError: If there is none, or one is refused.
+    """
+    return tuple((file, read_exchanged(file)) for file in find_scenarionet(path))
+
+
+def edited_split(source: DataSet, path: Path, edited: Edited | None = None) -> NamedSplit:
+    """What edited files change in the recordings, as a split that is built like any frozen one.
+
+    Args:
+        source: The recordings.
+        edited: What was read of the files, if they were.
+        path: A ScenarioNet file of an edited scene, or a folder of them: files that `data export scenarionet` wrote, of
+            the recordings or of generated scenes, or others whose tracks have the recordings' identifiers.
+
+    Returns:
+        The split, called after the file or folder. Vehicles that at a keyframe are not where they were recorded are the
+        adversaries of a scene, from the last keyframe before on.
+
+    Raises:
+        InputError: If a file is refused, its scene was not recorded here, nothing differs, or something else than
+            vehicles does: the ego, times, objects that are missing or new, sizes, or a vehicle that is not there to the
+            end.
+    """
+    plan = DataSetPlan(
+        root=Path(),
+        split="adv",
+        source=SourceInfo(source.name, source.fingerprint(), source.root, source.version),
+    )
+    scenes: dict[str, FrozenScene] = {}
+    files = read_edited(path) if edited is None else edited
+    for file, made in files:
+        recorded = _recorded(source, made, file)
+        frozen = edited_scene(made.scene, recorded, file)
+        if frozen.name in scenes:
+            raise InputError(f"{file} holds the same scene as another file of {path}; keep one of them")
+        digest = tables_digest(plan, adversarial(frozen, recorded), frozen)
+        scenes[frozen.name] = frozen.model_copy(update={"tables": digest})
+    split = FrozenSplit(
+        recordings=Recordings(name=source.name, fingerprint=source.fingerprint()),
+        search=SearchFacts(algorithm=EDITED, hyper=EDITED, prior=EDITED, seed=0),
+        chosen=Choice(
+            scenes=len({scene.source for scene in scenes.values()}),
+            tried=len(files),
+            survived=len(scenes),
+            per_scene=None,
+            total=None,
+            surrogate=None,
+        ),
+        images=None,
+        scenes=tuple(scenes.values()),
+    )
+    return NamedSplit(path.resolve().stem, split)
+
+
+def _recorded(source: DataSet, made: Exchanged, file: Path) -> Scene:
+    """The recording of an edited scene."""
+    names = source.scene_names(None)
+    found = next((name for name in (made.source_scene, made.scene.name) if name in names), None)
+    if found is None:
+        raise InputError(
+            f"{file} is of {one_line(made.source_scene, 80)}, which {source.name} has no recording of; choose the "
+            "recordings that it was exported from with --data"
+        )
+    return source.scene(found)
+
+
+def edited_scene(scene: Scene, recorded: Scene, file: Path) -> FrozenScene:
+    """What an edited scene changes in its recording.
+
+    Args:
+        scene: The edited scene.
+        recorded: The recording.
+        file: Where it was read from, for messages.
+
+    Returns:
+        The scene with its adversaries, in the order in which they depart from the recording; without hashes.
+
+    Raises:
+        InputError: As in `edited_split`.
+    """
+    _require_same_drive(scene, recorded, file)
+    rows = _rows(scene, recorded, file)
+    adversaries = []
+    for agent, row in enumerate(rows.tolist()):
+        differs = _differs(scene, row, recorded, agent)
+        if differs.any():
+            adversaries.append(_adversary(scene, row, recorded, agent, differs, file))
+    if not adversaries:
+        raise InputError(f"{file} holds {recorded.name} as it was recorded; move a vehicle in it, or leave it out")
+    adversaries.sort(key=lambda each: (each.launch_frame, recorded.agents.ids.index(each.instance)))
+    stem = recorded.name.replace("/", "-")
+    suffix = token("edited", recorded.name, [each.model_dump(mode="json") for each in adversaries])[:8]
+    return FrozenScene(name=f"{stem}-{suffix}", source=recorded.name, adversaries=tuple(adversaries), tables=_UNKNOWN)
+
+
+def _require_same_drive(scene: Scene, recorded: Scene, file: Path) -> None:
+    """Refuse other times, and an ego that drives elsewhere."""
+    if len(scene.timestamps_us) != len(recorded.timestamps_us):
+        raise InputError(
+            f"{file} has {len(scene.timestamps_us)} frames and {recorded.name} was recorded with "
+            f"{len(recorded.timestamps_us)}; export it again from these recordings"
+        )
+    apart = np.abs(scene.seconds - recorded.seconds).max()
+    if apart > _SAME_TIME_S or not np.array_equal(scene.keyframes, recorded.keyframes):
+        raise InputError(f"{file}: its times are not those of {recorded.name}; export it again from these recordings")
+    # Between keyframes poses may have been interpolated: of roots that were written with keyframes alone.
+    at = recorded.keyframes
+    away = np.linalg.norm(scene.ego.position[at, :2] - recorded.ego.position[at, :2], axis=1)
+    turned = np.abs(wrap_angle(scene.ego.yaw[at] - recorded.ego.yaw[at]))
+    if away.max() > SAME_M or turned.max() > SAME_M:
+        worst = int(np.argmax(away + turned))
+        raise InputError(
+            f"{file}: the ego of {recorded.name} is {away[worst]:.3f} m and {turned[worst]:.3f} rad from where it was "
+            f"recorded at keyframe {worst}; only vehicles around it may be edited"
+        )
+
+
+def _rows(scene: Scene, recorded: Scene, file: Path) -> NDArray[np.int64]:
+    """Index in the edited scene of each recorded object."""
+    ids = {name: row for row, name in enumerate(scene.agents.ids)}
+    # Generated scenes that share a root have identifiers of their own, made of those of the recording.
+    called = [name if name in ids else token("instance", scene.name, name) for name in recorded.agents.ids]
+    missing = [name for name, own in zip(recorded.agents.ids, called, strict=True) if own not in ids]
+    added = sorted(set(ids) - set(called))
+    if missing or added:
+        what = f"lacks {missing[0]} of {recorded.name}" if missing else f"has {one_line(added[0], 80)}, which is new"
+        raise InputError(f"{file} {what}; vehicles may be moved, and nothing may be added or taken away")
+    rows = np.array([ids[own] for own in called], np.int64)
+    sizes = np.abs(scene.agents.size[rows] - recorded.agents.size).max(axis=1, initial=0.0)
+    kinds = [scene.agents.categories[row] for row in rows.tolist()]
+    for agent, name in enumerate(recorded.agents.ids):
+        if sizes[agent] > _SAME_SIZE_M or kinds[agent] != recorded.agents.categories[agent]:
+            raise InputError(f"{file}: {name} of {recorded.name} has another size or category; it may only be moved")
+    return rows
+
+
+def _differs(scene: Scene, row: int, recorded: Scene, agent: int) -> Bools:
+    """(K,) keyframes at which an object is not where it was recorded: by a centimetre at its corners, or not there."""
+    at = recorded.keyframes
+    here, there = scene.agents.valid[row, at], recorded.agents.valid[agent, at]
+    steps = scene.agents.position[row, at, :2] - recorded.agents.position[agent, at, :2]
+    turned = np.abs(wrap_angle(scene.agents.yaw[row, at] - recorded.agents.yaw[agent, at]))
+    away = np.linalg.norm(steps, axis=1) + 0.5 * np.hypot(*recorded.agents.size[agent, :2]) * turned
+    return np.asarray((here != there) | (here & there & (away > SAME_M)))
+
+
+def _adversary(scene: Scene, row: int, recorded: Scene, agent: int, differs: Bools, file: Path) -> FrozenAdversary:
+    """One edited vehicle: from the last keyframe at which it is where it was recorded."""
+    name, category = recorded.agents.ids[agent], recorded.agents.categories[agent]
+    who = f"{file}: {name} of {recorded.name}"
+    if not category.startswith("vehicle."):
+        raise InputError(f"{who} ({category}) is not where it was recorded; only vehicles may be edited")
+    there = recorded.agents.valid[agent, recorded.keyframes]
+    first = int(np.argmax(differs))
+    before = np.flatnonzero(there[:first])
+    if not len(before) and not there[first]:
+        begins = int(recorded.keyframes[np.argmax(there)])
+        raise InputError(f"{who} is there before frame {begins}, where its recording begins; let it begin there")
+    launch = int(recorded.keyframes[before[-1] if len(before) else first])
+    gone = np.flatnonzero(~scene.agents.valid[row, launch:])
+    if len(gone):
+        raise InputError(
+            f"{who} is not there at frame {launch + int(gone[0])}; a vehicle that is edited must be there from its "
+            f"first change to the end (frame {len(scene.timestamps_us) - 1})"
+        )
+    poses = np.column_stack([scene.agents.position[row, launch:, :2], scene.agents.yaw[row, launch:]])
+    return FrozenAdversary(
+        instance=name,
+        launch_frame=launch,
+        recorded=rounded_pose(recorded_pose(recorded, agent, launch)),
+        track=tuple(map(rounded_pose, poses)),
+    )

@@ -1,0 +1,31 @@
+"""Building a split of a package again from its recordings."""
+
+from benchmark.datasets.reviewed import record_verdicts
+from benchmark.datasets.roots import DataSet
+from generation.build.settings import BuildSettings
+from generation.splits.building import FrozenReport, build_frozen
+from generation.splits.packaged import NamedSplit
+from generation.splits.unpacking import Package
+
+
+def rebuild(source: DataSet, package: Package, split: NamedSplit, settings: BuildSettings) -> FrozenReport:
+    """Build a split of a package from its recordings as ``adv``, verdicts included; the same command resumes.
+
+    Args:
+        source: The recordings.
+        package: The package.
+        split: One of its splits.
+        settings: What and where.
+
+    Returns:
+        What was built.
+
+    Raises:
+        InputError: If these are other recordings, or the output cannot be written.
+    """
+    report = build_frozen(source, split, settings)
+    said = {} if package.review is None else dict(package.review.verdicts)
+    own = {name: verdict for name, verdict in said.items() if name in set(report.written)}
+    if own and not settings.dry_run:
+        record_verdicts(settings.out, own)
+    return report

@@ -1,0 +1,168 @@
+"""Reading a package of a split: every file is checked before anything is written."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmark.errors import InputError
+from benchmark.foreign.files import one_line
+from benchmark.foreign.json_text import parse_json
+from benchmark.foreign.packages import read_package
+from benchmark.machine.storage import write_bytes
+from benchmark.records.review import ReviewFile
+from benchmark.records.store import validated
+from generation.splits.format import FORMAT as SPLIT_FORMAT
+from generation.splits.format import SCHEMA as SPLIT_SCHEMA
+from generation.splits.format import FrozenSplit
+from generation.splits.packaged import NamedSplit
+from generation.splits.packing import (
+    FORMAT,
+    MANIFEST,
+    SCHEMA,
+    VERDICTS_FILE,
+    Manifest,
+    checked_rules,
+    split_file,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """A package that was read and found whole.
+
+    Attributes:
+        path: The file.
+        manifest: What it says of itself.
+        splits: Its frozen splits.
+        review: Its verdicts, if it has any.
+        files: Content of every file but the manifest, by name.
+    """
+
+    path: Path
+    manifest: Manifest
+    splits: tuple[NamedSplit, ...]
+    review: ReviewFile | None
+    files: Mapping[str, bytes]
+
+    def split(self, name: str | None) -> NamedSplit:
+        """One of its splits; ``None`` is the only one.
+
+        Raises:
+            InputError: If there is no such split, or there are several and none is named.
+        """
+        names = [each.name for each in self.splits]
+        if name is None and len(names) == 1:
+            return self.splits[0]
+        if name not in names:
+            what = f"has no split {name!r}" if name is not None else "has several splits"
+            raise InputError(f"{self.path} {what}; choose one of {', '.join(names)} with --split")
+        return self.splits[names.index(name)]
+
+
+def read_split_package(path: Path) -> Package:
+    """Read and check a package.
+
+    Args:
+        path: The file.
+
+    Returns:
+        It.
+
+    Raises:
+        InputError: If it is no package, a file of it is missing, unknown or has other bytes than the manifest says, or
+            does not hold what it must.
+    """
+    members = read_package(path)
+    manifest = _manifest(path, members.pop(MANIFEST, None))
+    missing, unknown = sorted(manifest.files.keys() - members), sorted(members.keys() - manifest.files)
+    if missing or unknown:
+        said = f"lacks {missing[0]}" if missing else f"holds {unknown[0]}, which its manifest does not name"
+        raise InputError(f"{path} {said}; it is damaged, fetch it again")
+    for name, file in manifest.files.items():
+        data = members[name]
+        if len(data) != file.bytes or hashlib.sha256(data).hexdigest() != file.sha256:
+            raise InputError(
+                f"{path}: {name} is not what the manifest says (its hash differs); fetch the package again"
+            )
+        _require_form(path, name, file.kind, data)
+    splits = []
+    for each in manifest.splits:
+        frozen = _frozen(path, each.name, members[split_file(each.name)])
+        facts = (frozen.content_id, len(frozen.scenes), frozen.recordings.name, frozen.recordings.fingerprint)
+        if facts != (each.content, each.scenes, each.recordings, each.fingerprint):
+            raise InputError(f"{path}: the split {each.name} is not the one that the manifest names; fetch it again")
+        splits.append(NamedSplit(each.name, frozen))
+    review = None
+    if VERDICTS_FILE in members:
+        review = validated(
+            ReviewFile.model_validate, _json(path, VERDICTS_FILE, members[VERDICTS_FILE]), _damaged(path, VERDICTS_FILE)
+        )
+    return Package(path, manifest, tuple(splits), review, members)
+
+
+def write_files(package: Package, to: Path) -> tuple[Path, ...]:
+    """Write the files of a package, its manifest too, below a folder.
+
+    Args:
+        package: It.
+        to: The folder; what is there stays.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: If a file is there with other content, or cannot be written; of the first nothing is written.
+    """
+    manifest = read_package(package.path)[MANIFEST]
+    targets = {to / name: data for name, data in {MANIFEST: manifest, **package.files}.items()}
+    for path, data in targets.items():
+        if path.exists() and (not path.is_file() or path.read_bytes() != data):
+            raise InputError(f"{path} is there and holds something else; choose another folder with --to")
+    for path, data in targets.items():
+        write_bytes(path, data)
+    return tuple(targets)
+
+
+def _manifest(path: Path, data: bytes | None) -> Manifest:
+    stored = None if data is None else _json(path, MANIFEST, data)
+    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
+        raise InputError(
+            f"{path} is no package of a split: it has no {MANIFEST} that says {FORMAT!r}; data pack makes one"
+        )
+    if type(stored.get("schema")) is not int or stored["schema"] != SCHEMA:
+        raise InputError(
+            f"{path} has version {one_line(stored.get('schema'), 40)} of the format, this version reads {SCHEMA}; "
+            "upgrade challenger-bench"
+        )
+    return validated(Manifest.model_validate, stored, _damaged(path, MANIFEST))
+
+
+def _frozen(path: Path, name: str, data: bytes) -> FrozenSplit:
+    stored = _json(path, split_file(name), data)
+    if not isinstance(stored, dict) or stored.get("format") != SPLIT_FORMAT or stored.get("schema") != SPLIT_SCHEMA:
+        raise InputError(
+            f"{path}: {split_file(name)} is no frozen split that this version reads; upgrade challenger-bench"
+        )
+    return validated(FrozenSplit.model_validate_json, data, _damaged(path, split_file(name)))
+
+
+def _require_form(path: Path, name: str, kind: str, data: bytes) -> None:
+    if kind == "rules":
+        checked_rules(data, f"{path}: {name}")
+    elif not isinstance(_json(path, name, data), dict):
+        raise InputError(f"{path}: {name} must be a JSON object; fetch the package again")
+
+
+def _json(path: Path, name: str, data: bytes) -> Any:
+    try:
+        return parse_json(data)
+    except ValueError as error:
+        raise InputError(f"{path}: {name} is no JSON ({one_line(error, 80)}); fetch the package again") from error
+
+
+def _damaged(path: Path, name: str) -> Any:
+    return lambda where, why: (
+        f"{path}: {name} is damaged ({where or 'as a whole'}: {one_line(why, 120)}); fetch it again"
+    )

@@ -1,0 +1,185 @@
+"""At which pressure a planner breaks: drives against adversaries of several budgets, and against others' tracks.
+
+Both are made from records of drives alone. A budget is how often the adversary is planned anew, with how many
+refinement rounds of how many candidates; everything else of what was measured is the same in one table.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.records.drives import DriveRecord
+from benchmark.report.cells import UNDEFINED, Origin, Shown
+from benchmark.report.table import Table, table_of
+from leaderboard.tables.drives import origin_of_drives, planner_cell
+from leaderboard.tables.worlds import worlds
+
+BUDGET: Final = ("every_s", "rounds", "candidates")
+"""What a budget is, by the names of a record's `agents_facts`."""
+TRACKS_OF, RECORD = "tracks_of", "record"
+"""Whose drives given tracks arose in: the planner's name, and the content id of its record."""
+_OF_SEARCH: Final = ("search",)
+"""Of the facts, what follows from a budget: the fingerprint of all settings."""
+_PRESSURE_NOTE: Final = (
+    "Each row is one budget of the adversary: it is planned anew every so many seconds, with so many refinement "
+    "rounds of so many candidates. Attributable: contacts at fault in encounters that a careful human survives "
+    "against the same budget; impact: mean over contacts. Everything else that was measured is the same in all rows."
+)
+_TRANSFER_NOTE: Final = (
+    "Rows: the planner in whose drives the adversary was planned; columns: the planner that drives against the same "
+    "track. Of encounters in which the row's planner had a contact at fault, the share in which the column's has one "
+    "too; the diagonal is the row's planner against its own tracks. A dash: the row's planner never failed."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Pressure:
+    """One planner against one budget.
+
+    Attributes:
+        record: Its record.
+        name: The planner in tables.
+        budget: Seconds between plans, rounds, candidates.
+    """
+
+    record: DriveRecord
+    name: str
+    budget: tuple[float, int, int]
+
+    @property
+    def candidates(self) -> float:
+        """Candidates that are looked at a second, all rounds together: how hard the adversary searches."""
+        every_s, rounds, candidates = self.budget
+        return (1 + rounds) * candidates / every_s
+
+
+def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]]:
+    """Drives against an adversary, by everything that was measured but its budget.
+
+    Args:
+        records: Any records of drives.
+
+    Returns:
+        A title each, and its planners and budgets, the weakest budget first; only where there are several budgets.
+    """
+    kinds: dict[str, list[Pressure]] = {}
+    titles: dict[str, str] = {}
+    for world in worlds([each for each in records if _budget(each) is not None]):
+        for record, name in zip(world.records, world.planners, strict=True):
+            facts, budget = record.facts, _budget(record)
+            assert budget is not None
+            rest = _without(facts.measured.agents_facts, (*BUDGET, *_OF_SEARCH))
+            key = json.dumps([facts.data.fingerprint, facts.split, facts.scenes, facts.runs, rest, world.sensor])
+            said = ", ".join(f"{word.replace('_', ' ')} {value}" for word, value in rest.items())
+            titles[key] = f"{facts.data.name} {facts.split}: pressure of an adversary that is planned anew ({said})"
+            kinds.setdefault(key, []).append(Pressure(record, name, budget))
+    several = {key: found for key, found in kinds.items() if len({each.budget for each in found}) > 1}
+    return [
+        (titles[key], sorted(found, key=lambda each: (each.name, each.candidates, each.budget)))
+        for key, found in sorted(several.items(), key=lambda item: titles[item[0]])
+    ]
+
+
+def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
+    """A table of every adversary that was given several budgets, and transfer between drives.
+
+    Args:
+        records: Any records of drives.
+
+    Returns:
+        Tables of pressure, then of transfer.
+    """
+    found = [_pressure_table(number, title, rows) for number, (title, rows) in enumerate(pressures(records))]
+    return [*found, *transfer_tables(records)]
+
+
+def _pressure_table(number: int, title: str, rows: Sequence[Pressure]) -> Table:
+    columns = ["planner", "every s", "rounds", "candidates", "attributable %", "95 %", "at fault %", "95 %"]
+    columns += ["careful survives %", "95 %", "impact m/s", "95 %", "drives"]
+    cells: list[list[str | Shown]] = []
+    for each in rows:
+        origin, summary = origin_of_drives(each.record, each.name), each.record.summary
+        every_s, rounds, candidates = each.budget
+        line: list[str | Shown] = [planner_cell(each.record, each.name), f"{every_s:g}", str(rounds), str(candidates)]
+        for column, percent in (("attributable", 1), ("at_fault", 1), ("survives_cc", 1), ("impact_speed", 0)):
+            rate = summary.columns.get(column)
+            if rate is None:
+                line += [UNDEFINED, UNDEFINED]
+                continue
+            cell = origin.percent(rate, "drives") if percent else origin.amount(rate, "m/s", "drives")
+            line += [cell.shown(1 if percent else 2), cell.interval(1 if percent else 2)]
+        cells.append([*line, origin.count(summary.drives, "drives").shown()])
+    name = "drives-pressure" if not number else f"drives-pressure-{number + 1}"
+    return table_of(name, title, columns, cells, notes=(_PRESSURE_NOTE,), text_columns=4)
+
+
+def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:
+    """Whether tracks that arose against one planner fail another: one table for each data set and split.
+
+    Args:
+        records: Any records of drives.
+
+    Returns:
+        Tables, where a planner drove against tracks of a record that is among these.
+    """
+    sources = {record.content_id: record for record in records if _budget(record) is not None}
+    kinds: dict[str, list[tuple[DriveRecord, DriveRecord]]] = {}
+    for record in records:
+        facts = record.facts.measured.agents_facts
+        source = sources.get(str(facts.get(RECORD)))
+        if TRACKS_OF in facts and source is not None:
+            key = json.dumps([record.facts.data.name, record.facts.split, source.facts.measured.world])
+            kinds.setdefault(key, []).append((source, record))
+    return [_transfer_table(number, pairs) for number, (_, pairs) in enumerate(sorted(kinds.items()))]
+
+
+def _transfer_table(number: int, pairs: Sequence[tuple[DriveRecord, DriveRecord]]) -> Table:
+    first = pairs[0][0].facts
+    by_name = {(source.planner, record.planner): (source, record) for source, record in pairs}
+    rows_of = sorted({source for source, _ in by_name})
+    columns_of = sorted({victim for _, victim in by_name} | set(rows_of))
+    lines: list[list[str | Shown]] = []
+    for row in rows_of:
+        source = next(pair[0] for (name, _), pair in by_name.items() if name == row)
+        failed = _failed(source)
+        line: list[str | Shown] = [row, Origin(None, None).count(len(failed), "drives", len(source.rows)).shown()]
+        for column in columns_of:
+            pair = by_name.get((row, column), (source, source) if column == row else None)
+            line.append(UNDEFINED if pair is None else _transferred(*pair, column))
+        lines.append(line)
+    name = "drives-transfer" if not number else f"drives-transfer-{number + 1}"
+    title = f"{first.data.name} {first.split}: transfer in closed loop, {first.measured.world}"
+    return table_of(name, title, ("planned against", "fails", *columns_of), lines, notes=(_TRANSFER_NOTE,))
+
+
+def _failed(record: DriveRecord) -> set[tuple[str, int]]:
+    return {(row.scene, row.run) for row in record.rows if row.contact is not None and row.contact.at_fault}
+
+
+def _transferred(source: DriveRecord, victim: DriveRecord, name: str) -> Shown | str:
+    """Share of the source's failures that the victim fails too, with scenes as what is drawn."""
+    failed, also = _failed(source), _failed(victim)
+    drove = {(row.scene, row.run) for row in victim.rows if row.status == "ok"}
+    counted = sorted(failed & drove)
+    if not counted:
+        return UNDEFINED
+    known = source.facts.scene_facts
+    scenes = [known[scene].source if scene in known else scene for scene, _ in counted]
+    hits = np.array([[float(each in also)] for each in counted])
+    (rate,) = ratios_over_scenes(hits, np.ones_like(hits), scenes, seed=source.facts.seed)
+    return origin_of_drives(victim, name).percent(rate, "drives").shown(1)
+
+
+def _budget(record: DriveRecord) -> tuple[float, int, int] | None:
+    facts = record.facts.measured.agents_facts
+    if any(name not in facts for name in BUDGET):
+        return None
+    return float(facts["every_s"]), int(facts["rounds"]), int(facts["candidates"])
+
+
+def _without(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    return {name: value for name, value in facts.items() if name not in names}

@@ -1,0 +1,128 @@
+"""Rows that are kept compressed are the rows, and their columns say what the rows say."""
+
+import gc
+import json
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.errors import InputError
+from benchmark.evaluation import evaluate
+from benchmark.machine.garbage import uncollected
+from benchmark.metrics.consistency import apart, plans_apart
+from benchmark.protocols import Outcomes
+from benchmark.records.columns import RowColumns
+from benchmark.records.row_schema import SampleRow
+from benchmark.records.rows import Rows, columns_of, line_of
+from benchmark.records.run import RunRecord, load_record, scene_failures, write_record
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.planners import Failing
+from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path_factory.mktemp("rows"))
+
+
+def test_compressed_rows_are_the_rows(real: RunRecord) -> None:
+    plain = list(real.rows)
+    packed = Rows.of(plain)
+    assert list(packed) == plain == [packed[at] for at in range(len(packed))]
+    assert packed == tuple(plain) and packed[1:3] == plain[1:3] and packed[-1] == plain[-1]
+    assert packed != plain[:-1] and packed != [*plain[1:], plain[0]]
+    assert [SampleRow.model_validate(json.loads(line)) for line in packed.lines()] == plain
+    for scene in real.run.scenes:
+        assert packed.of_scene(scene) == [row for row in plain if row.scene == scene]
+    assert packed.of_scene("no such scene") == []
+    turned = packed.in_order_of(real.run.scenes[::-1])
+    assert [row.scene for row in turned] == sorted((row.scene for row in plain), reverse=True)
+    with pytest.raises(IndexError):
+        packed[len(packed)]
+
+
+def test_columns_say_what_rows_say(real: RunRecord) -> None:
+    plain = list(real.rows)
+    columns = RowColumns(plain)
+    assert [plain[at].status for at in columns.planned] == ["ok"] * sum(row.status == "ok" for row in plain)
+    for name in real.run.protocols:
+        expected = Outcomes.from_rows([vars(row.outcomes[name]) for row in plain if row.status == "ok"])
+        assert columns.outcomes(name).as_rows() == expected.as_rows()
+        hits = [
+            row.status == "ok" and row.outcomes[name].counted and any(row.outcomes[name].collision) for row in plain
+        ]
+        assert columns.collides(name).tolist() == hits
+    for brief, row in zip(columns.brief, plain, strict=True):
+        for name in ("scene", "sample_token", "index", "timestamp_us", "status", "command", "complete", "place"):
+            assert getattr(brief, name) == getattr(row, name)
+        assert (brief.severity, brief.diagnosis, dict(brief.disagreements)) == (
+            row.severity,
+            row.diagnosis,
+            row.disagreements,
+        )
+    with pytest.raises(KeyError):
+        columns.outcomes("none")
+
+
+def test_plans_apart_are_those_one_by_one(real: RunRecord) -> None:
+    columns, plain = real.columns, [row for row in real.rows if row.status == "ok"]
+    pairs = [at for at, (one, other) in enumerate(pairwise(plain)) if one.scene == other.scene]
+    pairs = [at for at in pairs if plain[at].recorded_future[0]]
+    after = [at + 1 for at in pairs]
+    found = plans_apart(columns.in_lidar[pairs], columns.moved[pairs], columns.in_lidar[after])
+    assert len(pairs) > 10
+    assert np.array_equal(found, [apart(plain[at], plain[at + 1]) for at in pairs])
+
+
+def test_a_record_is_written_and_read_as_the_same_bytes(real: RunRecord, tmp_path: Path) -> None:
+    again = load_record(real.directory)
+    assert again.rows == real.rows and again.summary == real.summary
+    facts = {
+        name: value
+        for name, value in dict(again.run).items()
+        if name not in {"schema_version", "status", "protocols", "seed", "files"}
+    }
+    write_record(tmp_path, facts, list(again.rows), again.run.protocols, seed=again.run.seed)
+    for name in ("samples.jsonl", "summary.json", "run.json"):
+        assert (tmp_path / name).read_bytes() == (real.directory / name).read_bytes()
+    assert (tmp_path / "samples.jsonl").read_text().splitlines() == [line_of(row) for row in real.rows]
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (lambda line: line[:-7], "line 1 is not valid JSON"),
+        (lambda line: line.replace('"status":"ok"', '"status":"fine"'), "does not belong to the run.json"),
+        (lambda line: line.replace('"index":0', '"index":NaN'), "does not belong to the run.json"),
+    ],
+)
+def test_damaged_rows_are_said_as_before(
+    real: RunRecord, tmp_path: Path, damage: Callable[[str], str], sentence: str
+) -> None:
+    for name in ("samples.jsonl", "summary.json", "run.json"):
+        (tmp_path / name).write_bytes((real.directory / name).read_bytes())
+    first, *others = (tmp_path / "samples.jsonl").read_text().splitlines()
+    (tmp_path / "samples.jsonl").write_text("\n".join([damage(first), *others]) + "\n")
+    with pytest.raises(InputError, match=sentence):
+        load_record(tmp_path)
+
+
+def test_verdicts_on_scenes_are_kept_and_nobody_can_change_them() -> None:
+    made = hand_made("one", {"a": [CLEAN, HIT], "b": [CLEAN, CLEAN]})
+    first = scene_failures(made.rows, "exact")
+    first["a"] = None
+    assert scene_failures(made.rows, "exact") == {"a": True, "b": False} == scene_failures(list(made.rows), "exact")
+    assert columns_of(made.rows) is made.columns
+    with pytest.raises(ValueError, match="read-only"):
+        made.columns.outcomes("exact").collision[0, 0] = True
+
+
+def test_collection_is_as_it_was_afterwards() -> None:
+    assert gc.isenabled()
+    with pytest.raises(RuntimeError), uncollected():
+        assert not gc.isenabled()
+        raise RuntimeError
+    assert gc.isenabled()

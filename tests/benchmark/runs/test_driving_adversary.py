@@ -1,0 +1,131 @@
+"""Drives against an adversary that answers: records, resumption, workers, the ladder beside them, and driving again."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adapters.registry import planner_factory
+from benchmark import api
+from benchmark.closed_loop.drives.default_engine import DefaultRides
+from benchmark.closed_loop.engines import rides_as, rides_of
+from benchmark.errors import InputError
+from benchmark.machine.workers import LocalProcesses
+from benchmark.records.drives import DriveRecord, load_drives
+from benchmark.runs import ladders
+from benchmark.runs.driving import DriveSettings, drive_planners
+from benchmark.runs.redriving import driven_again
+from generation.in_the_loop.settings import Knows
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.fake_data import FakeData, town_of_two
+from tests.generation.in_the_loop.loops import SETTINGS, rides
+
+ADVERSARY = DriveSettings("default", rides(), agents="adversary", ladder=("recorded", "cc"), runs=2, together=4)
+PLANNERS = [planner_factory(name) for name in ("constant-velocity", "stop")]
+
+
+def town() -> FakeData:
+    return town_of_two(slow_leader=True)
+
+
+def driven(out: Path, settings: DriveSettings = ADVERSARY, planners: Any = PLANNERS) -> list[DriveRecord]:
+    return drive_planners(town(), "val", planners, out, settings, reopen=town)
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> list[DriveRecord]:
+    return driven(tmp_path_factory.mktemp("adversary"))
+
+
+def test_what_the_adversary_depends_on_is_part_of_what_was_measured(records: list[DriveRecord], tmp_path: Path) -> None:
+    measured = records[0].facts.measured
+    assert measured.agents_facts["knows"] == "motion"
+    assert "knows motion" in measured.world
+    assert "candidates 24" in measured.world
+    other = replace(ADVERSARY, maker=rides(replace(SETTINGS, knows=Knows.NOTHING)), runs=1, ladder=("cc",))
+    (found,) = driven(tmp_path, other, PLANNERS[:1])
+    assert found.facts.measured.world != measured.world
+    assert found.directory.parent.name != records[0].directory.parent.name
+    # What has no adversary is written as it always was.
+    (plain,) = driven(tmp_path, DriveSettings("default", DefaultRides()), PLANNERS[:1])
+    assert "agents_facts" not in plain.facts.measured.model_dump(mode="json")
+    assert not {"adversary", "ladder"} & set(plain.rows[0].model_dump(mode="json"))
+
+
+def test_every_drive_says_where_the_adversary_went_and_whom_the_encounter_is_fair_to(
+    records: list[DriveRecord],
+) -> None:
+    for record in records:
+        assert len(record.rows) == 4
+        for row in record.rows:
+            assert row.adversary is not None
+            assert row.adversary.replanned[0] == row.adversary.start >= 12
+            assert row.ladder is not None
+            assert set(row.ladder) == {"recorded", "cc"}
+        survives = sum(bool(row.fair) for row in record.rows) / 4
+        assert record.summary.columns["survives_cc"].value == survives
+        blamed = [row.fair and row.contact is not None and row.contact.at_fault for row in record.rows]
+        assert record.summary.columns["attributable"].value == sum(map(bool, blamed)) / 4
+    ladders_of = [[row.ladder for row in record.rows] for record in records]
+    assert ladders_of[0] == ladders_of[1]
+    assert load_drives(records[0].directory).rows == records[0].rows
+
+
+def test_processes_and_stopping_half_way_change_no_byte(records: list[DriveRecord], tmp_path: Path) -> None:
+    expected = bytes_below(records[0].directory.parents[3])
+    driven(tmp_path / "two", replace(ADVERSARY, executor=LocalProcesses(2), together=1))
+    assert bytes_below(tmp_path / "two") == expected
+    out = tmp_path / "stopped"
+    driven(out, planners=PLANNERS[:1])
+    for path in [*out.rglob("drive.json"), *out.rglob("drives.jsonl"), *out.rglob("summary.json")]:
+        path.unlink()
+    next(path for path in out.rglob("drives/*.json")).write_text("{")
+    next(path for path in out.rglob("ladder/*.json")).unlink()
+    driven(out)
+    assert bytes_below(out) == expected
+
+
+def test_kept_ladders_are_not_climbed_again(
+    records: list[DriveRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven(tmp_path, planners=PLANNERS[:1])
+
+    def climbed(*_: Any) -> None:
+        raise AssertionError("climbed again")
+
+    monkeypatch.setattr(ladders, "climbed", climbed)
+    assert [row.ladder for row in driven(tmp_path)[1].rows] == [row.ladder for row in records[1].rows]
+
+
+def test_a_drive_is_repeated_without_any_search(records: list[DriveRecord], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("generation.in_the_loop.policy.run_together", None)
+    data = town()
+    maker = rides_as(records[0].facts.measured)
+    for row in [row for record in records for row in record.rows]:
+        assert driven_again(maker, data.scene(row.scene), data, row) == row
+
+
+def test_without_anybody_to_make_it_there_is_no_adversary() -> None:
+    data = town()
+    with pytest.raises(InputError, match="nobody says who the adversary is"):
+        rides_of("default", "adversary").begin(data.scene(data.scene_names("val")[0]), 0, None)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="never react"):
+        rides_of("neuroncap@code", "adversary")
+
+
+def test_tracks_of_one_planner_are_driven_against_another(records: list[DriveRecord], tmp_path: Path) -> None:
+    source = records[0]
+    settings = api.drive_settings("val", agents="adversary", adversary_tracks=source.directory, ladder=["cc"])
+    assert settings.runs_made == 2
+    (found,) = driven(tmp_path, settings, PLANNERS[1:])
+    assert found.facts.measured.agents_facts == {
+        "tracks_of": source.planner, "record": source.content_id, "others": "replay",
+    }  # fmt: skip
+    for ours, theirs in zip(found.rows, source.rows, strict=True):
+        assert ours.adversary is not None and theirs.adversary is not None
+        assert (ours.adversary.start, ours.adversary.poses) == (theirs.adversary.start, theirs.adversary.poses)
+    with pytest.raises(InputError, match="holds no track"):
+        api.drive_settings("adv", agents="adversary", adversary_tracks=source.directory)
+    with pytest.raises(InputError, match="add --agents adversary"):
+        api.drive_settings("val", adversary_tracks=source.directory)

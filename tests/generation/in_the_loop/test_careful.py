@@ -1,0 +1,80 @@
+"""The careful human of the search, beside the one of the ladder on the same tracks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmark.drivers.driving import Rung, Situation, drive
+from benchmark.drivers.outcomes import Surroundings
+from benchmark.drivers.reaction import Driver
+from benchmark.dynamics.bicycle import SimulatedMotion
+from benchmark.encounters.tracks import Tracks
+from benchmark.geometry import Floats
+from benchmark.scene import Scene
+from generation.in_the_loop.careful import CarefulAhead
+from tests.generation.in_the_loop.loops import road
+from tests.hand_made import Car
+
+FRAME = 24
+
+
+def slowing(scene: Scene, gap_m: float, speed: float, braking: float) -> Floats:
+    """(37, 3) a car in the ego's lane, so far ahead of it, that brakes."""
+    seconds = np.arange(37) / 12
+    time = np.minimum(seconds, speed / braking) if braking > 0 else seconds
+    front = scene.ego.boxes[FRAME, 0] + 0.5 * 4.084
+    x = front + gap_m + 0.5 * 4.6 + speed * time - 0.5 * braking * time**2
+    return np.column_stack([x, np.full(37, 198.25), np.zeros(37)])
+
+
+def motion_of(poses: Floats) -> SimulatedMotion:
+    return SimulatedMotion(poses[None], np.zeros((1, 37, 6)), np.zeros((1, 36, 2)), np.ones(1, np.bool_))
+
+
+def says(scene: Scene, poses: Floats) -> bool:
+    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    return bool(careful.hit(motion_of(poses), scene.agents.size[0, :2])[0])
+
+
+def ladder_says(scene: Scene, poses: Floats) -> bool:
+    made = scene.with_adversary(0, slice(FRAME, FRAME + 37), poses).first_frames(FRAME + 37)
+    tracks = Tracks.of_scene(made)
+    situation = Situation(tracks, tracks.grid(float(made.seconds[FRAME])))
+    (motion,) = drive(situation, [Rung(Driver.CC)])
+    return not Surroundings.of(situation).outcome(motion).survives
+
+
+@pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
+@pytest.mark.parametrize("braking", [0.0, 3.0, 5.0])
+def test_it_agrees_with_the_ladder_where_that_is_clear(speed: float, braking: float) -> None:
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    verdicts = {
+        gap: (says(scene, slowing(scene, gap, speed, braking)), ladder_says(scene, slowing(scene, gap, speed, braking)))
+        for gap in (0.5, 1.0, 2.0, 14.0, 25.0)
+    }
+    # Far away is safe, right ahead of a slower car is not; in between the ladder decides of executed tracks.
+    assert verdicts[25.0] == (False, False)
+    # Whoever the ladder has hit within the horizon is not let through.
+    assert all(ours for ours, theirs in verdicts.values() if theirs)
+
+
+def test_who_is_beside_the_way_hits_nobody_and_who_follows_does() -> None:
+    scene = road(Car(90.0, 198.25, 8.0), Car(46.4, 198.25, 8.0), seconds=8.0)
+    alone = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    braking = slowing(alone, 10.0, 4.0, 0.0)
+    assert not says(alone, braking)
+    assert says(scene, braking)
+    assert not says(scene, slowing(scene, 14.0, 8.0, 0.0))
+    aside = braking + np.array([0.0, 7.0, 0.0])
+    assert not says(scene, aside)
+
+
+def test_a_batch_is_as_if_alone() -> None:
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    ways = [slowing(scene, gap, 6.0, braking) for gap in (0.5, 3.0, 8.0) for braking in (0.0, 2.0, 5.0)]
+    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    batch = SimulatedMotion(np.stack(ways), np.zeros((9, 37, 6)), np.zeros((9, 36, 2)), np.array([True] * 8 + [False]))
+    found = careful.hit(batch, scene.agents.size[0, :2])
+    assert found[:8].tolist() == [says(scene, way) for way in ways[:8]]
+    assert replace(batch).finite.sum() == 8

@@ -1,0 +1,234 @@
+"""A split as one file and back: the same bytes, every file checked, built again with its verdicts."""
+
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmark.datasets.reviewed import record_verdicts, scene_tokens
+from benchmark.datasets.roots import DataSet, open_data
+from benchmark.errors import InputError
+from benchmark.foreign.packages import package_bytes, read_package
+from benchmark.machine.workers import LocalProcesses
+from benchmark.records.review import Verdict, read_review
+from generation.splits.building import build_frozen
+from generation.splits.packaged import NamedSplit
+from generation.splits.packing import PackageContents, Packed, pack_split
+from generation.splits.rebuilding import rebuild
+from generation.splits.unpacking import read_split_package, write_files
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.records.test_drives import row, written
+from tests.generation.splits.frozen_files import BUILT, drifting_split, recordings
+
+HERE = LocalProcesses(1)
+RULES = b"[changed]\nmost = 2\n"
+PLAIN = replace(BUILT, renderer=None)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    return recordings(tmp_path_factory.mktemp("recorded"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("packed")
+
+
+@pytest.fixture(scope="module")
+def split(source: DataSet, folder: Path) -> NamedSplit:
+    return drifting_split(source, folder / "road-adv-1.json")
+
+
+@pytest.fixture(scope="module")
+def built(source: DataSet, split: NamedSplit, folder: Path) -> DataSet:
+    build_frozen(source, split, replace(PLAIN, out=folder / "built"))
+    root = folder / "built"
+    name = split.frozen.scenes[0].name
+    said = Verdict(verdict="rejected", reason="drives over a kerb", token=scene_tokens(root)[name])
+    record_verdicts(root, {name: said})
+    return open_data(root)
+
+
+@pytest.fixture(scope="module")
+def contents(split: NamedSplit, built: DataSet, folder: Path) -> PackageContents:
+    (folder / "rules.toml").write_bytes(RULES)
+    names = [scene.name for scene in split.frozen.scenes]
+    drives = written(folder / "drives", row(names[0]), scenes=names[:1], frozen_split=split.name)
+    return PackageContents((split,), built, (drives,), folder / "rules.toml")
+
+
+@pytest.fixture(scope="module")
+def packed(contents: PackageContents, folder: Path) -> Packed:
+    return pack_split(folder / "road.zip", contents, HERE)
+
+
+def test_a_package_is_the_same_bytes_and_holds_what_belongs_to_the_split(
+    packed: Packed, contents: PackageContents, split: NamedSplit, tmp_path: Path
+) -> None:
+    again = pack_split(tmp_path / "again.zip", contents, HERE)
+    assert again.sha256 == packed.sha256 and again.path.read_bytes() == packed.path.read_bytes()
+    pack_split(packed.path, contents, HERE)
+    members = read_package(packed.path)
+    assert next(iter(members)) == "manifest.json"
+    kinds = sorted(file.kind for file in packed.manifest.files.values())
+    assert kinds == ["drive", "rules", "split", "statistics", "verdicts"]
+    assert members["rules/rules.toml"] == RULES
+    assert members[f"splits/{split.name}.json"].decode() == split.frozen.text()
+    counts = json.loads(members["statistics/split.json"])
+    assert counts["counts"]["scenes"] == len(split.frozen.scenes) and counts["judgement"]["scenes"]
+    drive = next(json.loads(data) for name, data in members.items() if name.startswith("drives/"))
+    assert (
+        drive["measured"]["engine"]
+        and drive["planner"]["name"]
+        and not {"environment", "config", "rows"} & drive.keys()
+    )
+
+
+def test_no_recording_and_no_place_of_this_machine_is_in_it(
+    packed: Packed, source: DataSet, split: NamedSplit, folder: Path
+) -> None:
+    adversaries = {each.instance for scene in split.frozen.scenes for each in scene.adversaries}
+    others = {name for scene in source.scene_names(None) for name in source.scene(scene).agents.ids} - adversaries
+    text = b"".join(read_package(packed.path).values()).decode()
+    assert others and not [name for name in others if name in text]
+    assert str(folder) not in text and str(source.root) not in text
+    assert all(str(path) not in text for path in (Path.home(), Path.cwd()))
+
+
+def test_it_is_unpacked_and_built_again_with_its_verdicts(
+    packed: Packed, source: DataSet, split: NamedSplit, built: DataSet, tmp_path: Path
+) -> None:
+    package = read_split_package(packed.path)
+    files = write_files(package, tmp_path / "files")
+    assert write_files(package, tmp_path / "files") == files and len(files) == len(package.files) + 1
+    report = rebuild(source, package, package.split(None), replace(PLAIN, out=tmp_path / "adv"))
+    assert report.other_tables == ()
+    assert read_review(tmp_path / "adv") == read_review(built.root)
+    again = open_data(tmp_path / "adv")
+    assert again.scene_names("adv") == built.scene_names("adv")
+    assert len(again.scene_names("adv")) == len(split.frozen.scenes) - 1
+    assert again.fingerprint() == built.fingerprint()
+    # Statistics of what was built are those that were packed.
+    whole = pack_split(tmp_path / "again.zip", PackageContents((split,), again), HERE)
+    assert read_package(whole.path)["statistics/split.json"] == package.files["statistics/split.json"]
+
+
+def test_the_commands_of_the_page(source: DataSet, packed: Packed, contents: PackageContents, tmp_path: Path) -> None:
+    folder = packed.path.parent
+    done = run_here(
+        "data", "pack", folder / "road-adv-1.json", "--root", folder / "built", "--drives", folder / "drives",
+        "--rules", folder / "rules.toml", "--to", tmp_path / "road.zip", "--workers", "1",
+    )  # fmt: skip
+    assert done.code == 0 and packed.sha256 in done.out and "settings of 1 drive record" in done.out, done.err
+    done = run_here("data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files")
+    assert done.code == 0 and "is whole: 5 files" in done.out and "generate --from" in done.out, done.err
+    done = run_here(
+        "data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "files", "--data", source.root, "--out",
+        tmp_path / "out", "--renderer", "none", "--frames", "keyframes", "--workers", "1", "--json",
+    )  # fmt: skip
+    said = json.loads(done.out)
+    assert done.code == 0 and said["built"]["other_tables"] == [], done.err
+    assert read_review(Path(said["built"]["root"])) == read_review(folder / "built")
+    before = bytes_below(tmp_path)
+    done = run_here(
+        "data", "unpack", tmp_path / "road.zip", "--to", tmp_path / "more", "--data", source.root, "--dry-run"
+    )
+    assert done.code == 0 and "would build" in done.out and bytes_below(tmp_path) == before
+
+
+def changed(packed: Packed, folder: Path, change: Any) -> Path:
+    members = read_package(packed.path)
+    change(members)
+    path = folder / "changed.zip"
+    path.write_bytes(package_bytes(members))
+    return path
+
+
+def edit(name: str, **changes: Any) -> Any:
+    def change(members: dict[str, bytes]) -> None:
+        key = next(each for each in members if each.startswith(name))
+        members[key] = json.dumps({**json.loads(members[key]), **changes}).encode()
+
+    return change
+
+
+def replaced(name: str, data: bytes) -> Any:
+    def change(members: dict[str, bytes]) -> None:
+        members[next(each for each in members if each.startswith(name))] = data
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda members: members.pop("manifest.json"), "is no package of a split"),
+        (lambda members: members.pop("rules/rules.toml"), "lacks rules/rules.toml"),
+        (lambda members: members.update({"more.txt": b"x"}), "holds more.txt, which its manifest does not name"),
+        (edit("manifest.json", format="other"), "is no package of a split"),
+        (edit("manifest.json", schema=2), "has version 2 of the format"),
+        (edit("manifest.json", splits=[]), "manifest.json is damaged"),
+        (edit("manifest.json", more=1), "manifest.json is damaged"),
+        (replaced("manifest.json", b"{" * 10_000), "manifest.json is no JSON"),
+        (replaced("rules", b"[changed]\nmost = 9\n"), "is not what the manifest says"),
+        (edit("splits", split="val"), "is not what the manifest says"),
+        (edit("statistics", more=1), "is not what the manifest says"),
+    ],
+)  # fmt: skip
+def test_what_was_tampered_with_is_refused(packed: Packed, tmp_path: Path, change: Any, message: str) -> None:
+    path = changed(packed, tmp_path, change)
+    done = run_here("data", "unpack", path, "--to", tmp_path / "files")
+    assert done.code == 2 and message in done.err and len(done.err.splitlines()) == 1
+    assert not (tmp_path / "files").exists()
+
+
+def test_a_split_that_names_itself_otherwise_is_refused(packed: Packed, tmp_path: Path) -> None:
+    def change(members: dict[str, bytes]) -> None:
+        manifest = json.loads(members["manifest.json"])
+        manifest["splits"][0]["content"] = "0" * 64
+        members["manifest.json"] = json.dumps(manifest).encode()
+
+    with pytest.raises(InputError, match="is not the one that the manifest names"):
+        read_split_package(changed(packed, tmp_path, change))
+
+
+def test_what_does_not_belong_together_is_not_packed(
+    packed: Packed, contents: PackageContents, split: NamedSplit, source: DataSet, tmp_path: Path
+) -> None:
+    other = written(tmp_path / "other", row("scene-1"), scenes=["scene-1"])
+    (tmp_path / "rules.toml").write_text("most = = 1")
+    (tmp_path / "more.toml").write_text("[changed]\nwheels = 3")
+    (tmp_path / "taken.zip").write_bytes(b"something")
+    for wrong, message in (
+        (replace(contents, root=source), "is not built from the frozen splits"),
+        (replace(contents, drives=(other,)), "drives scenes that are not in the packed splits, such as scene-1"),
+        (replace(contents, rules=tmp_path / "rules.toml"), "is not valid TOML"),
+        (replace(contents, rules=tmp_path / "more.toml"), "changed.wheels: .*; see docs/challenge.md"),
+        (replace(contents, splits=(split, split)), "is there twice"),
+        (replace(contents, splits=(NamedSplit("../up", split.frozen),)), "is no plain name"),
+    ):
+        with pytest.raises(InputError, match=message):
+            pack_split(tmp_path / "wrong.zip", wrong, HERE)
+    assert not (tmp_path / "wrong.zip").exists()
+    with pytest.raises(InputError, match="is there and holds something else"):
+        pack_split(tmp_path / "taken.zip", contents, HERE)
+    with pytest.raises(InputError, match="has no split 'more'"):
+        read_split_package(packed.path).split("more")
+
+
+def test_files_that_are_there_are_never_replaced(packed: Packed, tmp_path: Path) -> None:
+    (tmp_path / "rules").mkdir()
+    (tmp_path / "rules" / "rules.toml").write_text("mine = 1")
+    with pytest.raises(InputError, match="is there and holds something else"):
+        write_files(read_split_package(packed.path), tmp_path)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["rules.toml"]
+
+
+def test_any_tool_opens_it(packed: Packed) -> None:
+    with zipfile.ZipFile(packed.path) as archive:
+        assert archive.testzip() is None and len(archive.namelist()) == len(packed.manifest.files) + 1

@@ -1,0 +1,73 @@
+"""Tables of pressure and of transfer in closed loop, from made-up records."""
+
+from pathlib import Path
+from typing import Any
+
+from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drives import DriveRecord
+from leaderboard.tables.drives import drive_tables
+from leaderboard.tables.pressure import pressure_tables, pressures
+from tests.benchmark.records.test_drives import contact, row, written
+
+FACTS = {"policy": 1, "knows": "motion", "every_s": 1.0, "others": "replay", "rounds": 5, "candidates": 256}
+SURVIVED = {"cc": {"survives": True}}
+HURT = {"cc": {"survives": False, "seconds": 2.0, "agent": "a", "kind": "front", "at_fault": True}}
+
+
+def measured(**changes: Any) -> dict[str, Any]:
+    facts = {**FACTS, "search": f"4-{len(str(changes))}", **changes}
+    return {"engine": "default", "agents": "adversary", "sensor": "none", "agents_facts": facts}
+
+
+def drives(*ladders: Any) -> list[DriveRow]:
+    """A contact at fault in the first scene alone, where the ladders are these."""
+    both = (row("scene-1", end="contact", contact=contact()), row("scene-2"))
+    return [
+        DriveRow.model_validate({**each.model_dump(mode="json"), "ladder": ladder})
+        for each, ladder in zip(both, ladders, strict=True)
+    ]
+
+
+def records(folder: Path) -> list[DriveRecord]:
+    weak = written(folder / "weak", *drives(HURT, SURVIVED), measured=measured(rounds=0, candidates=32))
+    full = written(folder / "full", *drives(SURVIVED, SURVIVED), measured=measured())
+    plan = written(folder / "plan", *drives(SURVIVED, SURVIVED), measured=measured(knows="plan"))
+    return [full, weak, plan]
+
+
+def test_budgets_of_one_adversary_stand_in_one_table_the_weakest_first(tmp_path: Path) -> None:
+    made = records(tmp_path)
+    (table,) = pressure_tables(made)
+    assert [line[1:4] for line in table.rows] == [("1", "0", "32"), ("1", "5", "256")]
+    cells = [dict(zip(table.columns, line)) for line in table.rows]
+    # At fault both times, but fair to a careful human only once.
+    assert [each["at fault %"] for each in cells] == ["50.0", "50.0"]
+    assert [each["attributable %"] for each in cells] == ["0.0", "50.0"]
+    assert [each["careful survives %"] for each in cells] == ["50.0", "100.0"]
+    (found,) = pressures(made)
+    assert [each.candidates for each in found[1]] == [32.0, 1536.0]
+    assert not pressure_tables(made[:1])
+
+
+def test_what_an_adversary_knows_never_shares_a_table(tmp_path: Path) -> None:
+    made = records(tmp_path)
+    titles = [table.title for table in drive_tables(made)]
+    assert len(set(titles)) == 3
+    shown = [dict(zip(table.columns, table.rows[0])) for table in drive_tables(made)]
+    assert {each["careful survives %"] for each in shown} == {"50.0", "100.0"}
+
+
+def test_transfer_counts_what_the_source_failed(tmp_path: Path) -> None:
+    source = written(tmp_path / "source", *drives(SURVIVED, SURVIVED), measured=measured())
+    given = {"tracks_of": "made", "record": source.content_id, "others": "replay"}
+    world = {**measured(), "agents_facts": given}
+    other = {"name": "other", "privileged": False}
+    safe = written(tmp_path / "safe", row("scene-1"), row("scene-2"), planner=other, measured=world)
+    (table,) = pressure_tables([source, safe])
+    cells = dict(zip(table.columns, table.rows[0]))
+    assert cells == {"planned against": "made", "fails": "1", "made": "100.0", "other": "0.0"}
+    hit = written(tmp_path / "hit", *drives(None, None), planner={**other, "name": "third"}, measured=world)
+    (table,) = pressure_tables([source, safe, hit])
+    assert dict(zip(table.columns, table.rows[0]))["third"] == "100.0"
+    # Tracks of a record that is not there say nothing.
+    assert not pressure_tables([safe])

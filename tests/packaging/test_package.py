@@ -1,0 +1,131 @@
+"""What a wheel of this project holds, and what it asks for."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from tests.packaging.contents import PACKAGES, ROOT, archive_files, files_of_packages, wheel_files
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+MODULE_OF = {
+    "nuscenes-devkit": "nuscenes",
+    "opencv-python-headless": "cv2",
+    "pillow": "PIL",
+}
+BROUGHT_BY_OTHERS = {
+    "huggingface_hub": "transformers and diffusers need it; `weights fetch` says so where it is missing"
+}
+SERVERS = ("benchmark/closed_loop/wire/application.py", "benchmark/closed_loop/wire/server.py")
+"""Modules that need an extra when they are imported: `serve` imports them when everything was looked at."""
+NEEDED_BY_OTHERS = {
+    "sentencepiece": "the tokenizer of transformers that renderers load",
+}
+
+
+def distribution_names(requirements: list[str]) -> set[str]:
+    """Names alone of requirements such as ``numpy>=1.26``."""
+    return {re.split(r"[\[<>=!~; ]", each, maxsplit=1)[0].lower() for each in requirements}
+
+
+REQUIRED = distribution_names(PROJECT["dependencies"])
+OPTIONAL = {
+    extra: distribution_names(needed) for extra, needed in PROJECT["optional-dependencies"].items() if extra != "dev"
+}
+
+
+def module_of(distribution: str) -> str:
+    return MODULE_OF.get(distribution, distribution)
+
+
+def third_party_imports(*, at_import: bool) -> set[str]:
+    """Top-level modules of others that the four packages import; with ``at_import`` outside functions and servers."""
+    found: set[str] = set()
+    for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
+        if at_import and path.relative_to(ROOT).as_posix() in SERVERS:
+            continue
+        waiting: list[ast.AST] = [ast.parse(path.read_text())]
+        while waiting:
+            node = waiting.pop()
+            for_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+            if for_types or (at_import and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
+                continue
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                found.add((node.module or "").partition(".")[0])
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "devkit_module")):
+                named = node.args[0]
+                if isinstance(named, ast.Constant) and isinstance(named.value, str):
+                    found.add(named.value.partition(".")[0])
+            waiting += ast.iter_child_nodes(node)
+    return found - set(sys.stdlib_module_names) - set(PACKAGES)
+
+
+def test_every_import_is_declared_and_every_required_package_is_imported() -> None:
+    declared = REQUIRED.union(*OPTIONAL.values()) - set(NEEDED_BY_OTHERS)
+    imported = third_party_imports(at_import=False)
+    assert imported - set(BROUGHT_BY_OTHERS) <= {module_of(name) for name in declared}
+    assert {module_of(name) for name in REQUIRED - set(NEEDED_BY_OTHERS)} <= imported
+
+
+def test_no_module_needs_an_extra_to_be_imported() -> None:
+    of_extras = {module_of(name) for name in set().union(*OPTIONAL.values()) - REQUIRED}
+    assert of_extras and not third_party_imports(at_import=True) & of_extras
+
+
+def test_every_extra_that_a_sentence_names_is_one() -> None:
+    named = {
+        extra
+        for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+        for extra in re.findall(r"challenger-bench\[(\w+)\]", path.read_text())
+    }
+    assert named and named <= set(OPTIONAL)
+
+
+def test_all_that_setup_and_docs_install_is_pinned() -> None:
+    pinned = distribution_names((ROOT / "constraints.txt").read_text().splitlines()[1:])
+    installed = distribution_names(PROJECT["optional-dependencies"]["dev"]) | OPTIONAL["docs"] | REQUIRED
+    assert installed - {"challenger-bench"} <= pinned
+
+
+@pytest.mark.skipif(find_spec("setuptools") is None, reason="setuptools is what makes wheels")
+def test_every_file_of_the_packages_is_in_the_wheel() -> None:
+    # What setuptools would pack, without packing 18 MB.
+    program = """
+import json, sys
+from setuptools import Distribution
+project = Distribution({"script_name": "setup.py"})
+project.parse_config_files(["pyproject.toml"])
+build = project.get_command_obj("build_py")
+build.ensure_finalized()
+assert project.include_package_data is False
+data = [f"{folder}/{name}" for package, folder, _, names in build.data_files for name in names]
+folders = {package: build.get_package_dir(package) for package in project.packages}
+code = [path for package in folders for _, _, path in build.find_package_modules(package, folders[package])]
+print(json.dumps(data + code))
+"""
+    said = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    packed = set(json.loads(said.stdout.splitlines()[-1]))
+    expected = files_of_packages()
+    assert any(name.endswith(".safetensors") for name in expected)
+    assert {name for name in expected if not name.endswith(".py")} <= packed
+    assert packed == expected
+
+
+def test_contents_are_compared_file_by_file(tmp_path: Path) -> None:
+    wheel = tmp_path / "some.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("benchmark/__init__.py", "")
+        archive.writestr("some.dist-info/METADATA", "")
+    assert wheel_files(wheel) == {"benchmark/__init__.py"}
+    assert "benchmark/__init__.py" in files_of_packages()
+    with pytest.raises(FileNotFoundError):
+        archive_files(tmp_path / "none.tar.gz")

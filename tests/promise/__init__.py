@@ -1,0 +1,1 @@
+"""What docs/stability.md promises, and what holds it."""
