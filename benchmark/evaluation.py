@@ -26,6 +26,7 @@ from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import LocalProcesses, map_ordered
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
+from benchmark.records.planner_cost import SceneCost, cost_path, note_cost
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
 from benchmark.records.rows import Rows
@@ -35,7 +36,7 @@ from benchmark.report.words import counted
 from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, rows_path, supervision_said
 from benchmark.runs.planner_facts import facts_of
-from benchmark.runs.run_directory import note_times, run_directory, tidy, timing_path
+from benchmark.runs.run_directory import run_directory, tidy
 from benchmark.runs.scene_work import Run, SceneResult, reopen_root, work_here, work_in_worker
 from benchmark.runs.whole_split import work_through
 
@@ -57,7 +58,7 @@ class EvalSettings:
         workers: Number of processes; the result does not depend on it.
         seed: Seed of the intervals.
         fresh: Plan again even where plans are kept.
-        timings: Folder for notes on how long planning took, one file a record; without it none are kept.
+        timings: Folder for notes on what planners cost, one file a record; without it none are kept.
     """
 
     protocols: tuple[str, ...] = STANDARD
@@ -286,15 +287,15 @@ def _evaluated(
             here = partial(work_here, runs, data, [each.ready for each in planned])
             found = _results(scenes, here, elsewhere, workers, label)
         rows: list[Rows] = [Rows() for _ in runs]
-        seconds: list[dict[str, float | None]] = [{} for _ in runs]
+        costs: list[dict[str, SceneCost | None]] = [{} for _ in runs]
         for results in progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)):
             for place, result in enumerate(results):
                 rows[place].add(result.rows)
-                seconds[place][result.scene] = result.seconds
+                costs[place][result.scene] = result.cost
         return [
             # Rows are by scene and time, in whatever order scenes were planned.
             _written(each, shared, own.in_order_of(scenes), spent, out)
-            for each, own, spent in zip(planned, rows, seconds, strict=True)
+            for each, own, spent in zip(planned, rows, costs, strict=True)
         ]
 
 
@@ -315,7 +316,7 @@ def _of_the_data(data: "DataSet", split: str, scenes: tuple[str, ...], out: Path
 
 
 def _written(
-    planned: _Planned, shared: Mapping[str, Any], rows: Rows, seconds: Mapping[str, float | None], out: Path
+    planned: _Planned, shared: Mapping[str, Any], rows: Rows, costs: Mapping[str, SceneCost | None], out: Path
 ) -> RunRecord:
     """Write the record of one run."""
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
@@ -332,15 +333,18 @@ def _written(
     versions = {name: protocol(name).version for name in settings.protocols}
     record = write_record(directory, described, rows, versions, seed=settings.seed)
     write_failures(directory, record.rows)
-    tidy(directory, {rows_path(directory, scene) for scene in seconds})
+    tidy(directory, {rows_path(directory, scene) for scene in costs})
     # Looking plans up in a file says nothing of how fast their planner was.
     if settings.timings is not None and PLANS_SHA256 not in facts.settings:
-        note_times(timing_path(settings.timings, out, directory), seconds)
+        beside = {
+            scene: cost and cost.model_copy(update={"workers": settings.workers}) for scene, cost in costs.items()
+        }
+        note_cost(cost_path(settings.timings, out, directory), facts, beside)
     return record
 
 
 def _was_there(results: Sequence[SceneResult]) -> bool:
-    return all(result.seconds is None for result in results)
+    return all(result.cost is None for result in results)
 
 
 def _results(

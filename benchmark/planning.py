@@ -262,6 +262,10 @@ class PlannerLostError(PlannerFailedError):
 class SupervisedPlanner(Protocol):
     """A planner in a process of its own, which is watched over there: nobody else needs to look at the clock."""
 
+    @property
+    def pid(self) -> int | None:
+        """Its process; ``None`` while there is none."""
+
     def seed_generators(self, seed: int) -> None:
         """Global generators of its process begin there at the next `Planner.reset`."""
 

@@ -427,6 +427,7 @@ def _shown(
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.drives import find_drives
+    from benchmark.records.planner_cost import with_cost
     from benchmark.records.quality import find_quality
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
@@ -442,4 +443,5 @@ def _shown(
     no_runs = others and folders is None and not space.run_root().exists()
     roots = folders or [space.run_root()]
     records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
+    records = [with_cost(record, roots, space.timings_of) for record in records]
     return records, quality, sheets, ablations, drives

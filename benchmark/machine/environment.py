@@ -65,6 +65,16 @@ def _cpu_model() -> str:
 
 
 @cache
+def device_name(gpu: bool) -> str:
+    """Name of what networks run on: this process' GPU, or the machine's processor."""
+    if gpu:
+        import torch
+
+        return torch.cuda.get_device_name()
+    return _cpu_model()
+
+
+@cache
 def source_state() -> dict[str, Any]:
     """Commit of this project's source and whether it was changed since; both ``None`` outside a git checkout."""
     root = Path(__file__).resolve().parents[2]

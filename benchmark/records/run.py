@@ -9,7 +9,7 @@ Every run gives the same bytes; how long it took is noted elsewhere (``<out>/tim
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +27,7 @@ from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.columns import RowColumns
 from benchmark.records.driving import driving_summary
+from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.rows import Rows, columns_of
 from benchmark.records.run_schema import SCHEMA, ProtocolSummary, RateRow, RunFacts, SceneFacts, Summary
@@ -65,6 +66,7 @@ class RunRecord:
             are others.
         reproduced: Whose numbers this version of the planner gave (`benchmark.records.reproduction`), in words;
             ``None`` where nobody knows.
+        cost: What planning took (`benchmark.records.planner_cost`); no part of what makes two records equal.
     """
 
     directory: Path
@@ -73,6 +75,7 @@ class RunRecord:
     summary: Summary
     label: str | None = None
     reproduced: str | None = None
+    cost: PlannerCost | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         """Keep the rows compressed, whoever made them."""

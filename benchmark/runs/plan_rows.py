@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.environment import device_name
+from benchmark.machine.metering import Meter, peak_memory_mb
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import content_key, content_seed, file_name, read_json_lines, write_json_lines
 from benchmark.planning import (
@@ -31,10 +33,12 @@ from benchmark.planning import (
     PlannerLateError,
     PlannerLostError,
     PrivilegedPlanner,
+    RemotePlanner,
     SceneInfo,
     SupervisedPlanner,
     reads_message_after,
 )
+from benchmark.records.planner_cost import SceneCost
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.beginning_again import begun_again
 from benchmark.scene import Scene
@@ -42,6 +46,8 @@ from benchmark.scene import Scene
 ROW_FORMAT = 2
 """Raised whenever the rows of an unchanged planner would change."""
 
+
+_DIGITS = 6
 
 FAILURES = (Exception, SystemExit, GeneratorExit, CancelledError)
 """What a planner may raise: one that calls `sys.exit` must not end the run as if it had succeeded."""
@@ -92,11 +98,11 @@ class PlannedScene:
 
     Attributes:
         rows: One JSON object for each sample.
-        seconds: Time spent inside the planner, or ``None`` where the rows were kept from before.
+        cost: What it took, or ``None`` where the rows were kept from before.
     """
 
     rows: list[dict[str, Any]]
-    seconds: float | None
+    cost: SceneCost | None
 
 
 def scene_key(fingerprint: str, split: str, scene: str, facts: PlannerFacts) -> str:
@@ -144,14 +150,27 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
         return PlannedScene(kept, None)
     seed_everything(content_seed(key), planner)
     scene, observations = source.scene(name), list(source.observations(name))
-    started = time.perf_counter()
+    meter, started = Meter(), time.perf_counter()
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
     with contextlib.redirect_stdout(sys.stderr):
-        rows, lost = begun_again(partial(_rows, planner, scene, observations), planner)
-    seconds = time.perf_counter() - started
+        rows, lost = begun_again(partial(_rows, planner, scene, observations, meter), planner)
+    cost = _cost(planner, meter, time.perf_counter() - started)
     if not lost:
         write_json_lines(path, [_header(key, rows), *rows])
-    return PlannedScene(rows, seconds)
+    return PlannedScene(rows, cost)
+
+
+def _cost(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
+    """What a scene took; of a planner elsewhere only the time is known."""
+    elsewhere = isinstance(planner, RemotePlanner)
+    pid = planner.pid if isinstance(planner, SupervisedPlanner) else None
+    return SceneCost(
+        planning_s=round(planning_s, _DIGITS),
+        latency_s=[None if latency is None else round(latency, _DIGITS) for latency in meter.latency_s],
+        peak_memory_mb=None if elsewhere else peak_memory_mb(pid),
+        peak_device_mb=meter.peak_device_mb,
+        device="elsewhere" if elsewhere else device_name(meter.peak_device_mb is not None),
+    )
 
 
 def kept_rows(path: Path, key: str) -> list[dict[str, Any]] | None:
@@ -181,8 +200,12 @@ def seed_everything(seed: int, planner: Planner | None = None) -> None:
         sys.modules["torch"].manual_seed(seed)
 
 
-def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -> tuple[list[dict[str, Any]], bool]:
+def _rows(
+    planner: Planner, scene: Scene, observations: Sequence[Observation], meter: Meter
+) -> tuple[list[dict[str, Any]], bool]:
     """Rows of a scene, and whether the planner's process was lost in it."""
+    # A scene that begins again begins without what it took before.
+    meter.latency_s.clear()
     try:
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         if isinstance(planner, PrivilegedPlanner):
@@ -192,7 +215,7 @@ def _rows(planner: Planner, scene: Scene, observations: Sequence[Observation]) -
     except FAILURES as failure:
         error = said_of(failure)
         return [_row(observation, None, error) for observation in observations], isinstance(failure, PlannerLostError)
-    asked = _Asked(planner)
+    asked = _Asked(planner, meter)
     planned = progress(map(asked.row, observations), total=len(observations), label=scene.name, count=Count("sample"))
     return list(planned), asked.lost is not None
 
@@ -203,10 +226,12 @@ class _Asked:
 
     Attributes:
         planner: The planner.
+        meter: Times it.
         lost: Why nobody can be asked for the rest of the scene.
     """
 
     planner: Planner
+    meter: Meter
     lost: str | None = None
 
     def row(self, observation: Observation) -> dict[str, Any]:
@@ -217,7 +242,9 @@ class _Asked:
         views = {name: replace(view, load=loud(view.load)) for name, view in observation.views.items()}
         ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
         try:
-            plan = planner.plan(replace(observation, views=views, ego=ego))
+            seen = replace(observation, views=views, ego=ego)
+            with self.meter.call():
+                plan = planner.plan(seen)
             if not isinstance(plan, Plan):
                 raise TypeError(
                     f"{planner.name} returned {type(plan).__name__}, a planner returns benchmark.planning.Plan"

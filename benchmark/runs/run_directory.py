@@ -1,10 +1,9 @@
 """Where a run lies on disk, and what may be left there when it is done."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from benchmark.errors import InputError
-from benchmark.machine.storage import content_key, file_name, read_json, write_json, writing_to
+from benchmark.machine.storage import content_key, file_name, writing_to
 from benchmark.records.run_schema import AS_PUBLISHED, PlannerFacts
 
 
@@ -47,36 +46,3 @@ def tidy(directory: Path, kept: Collection[Path]) -> None:
         for path in (*directory.glob(".*.part"), *(directory / "rows").glob("*")):
             if path not in kept:
                 path.unlink()
-
-
-def timing_path(timings: Path, out: Path, directory: Path) -> Path:
-    """File of the times of a run: below a folder of their own, since they are part of no record.
-
-    Args:
-        timings: Folder of all of them.
-        out: Folder of run directories.
-        directory: Run directory.
-
-    Returns:
-        The file; what a planner took is in it by scene, seconds.
-    """
-    relative = directory.relative_to(out)
-    return timings / relative.parent / f"{relative.name}.timing.json"
-
-
-def note_times(path: Path, seconds: Mapping[str, float | None]) -> None:
-    """Note how long a planner took.
-
-    Args:
-        path: From `timing_path`.
-        seconds: By scene, of those that were planned now, else ``None``: known times of those stay.
-    """
-    known: dict[str, float] = {}
-    if path.exists():
-        try:
-            known = dict(read_json(path)["planning_s"])
-        except (InputError, KeyError, TypeError, ValueError):
-            # Times are a convenience; a damaged file of them is written anew.
-            known = {}
-    now = {scene: planned for scene, planned in seconds.items() if planned is not None}
-    write_json(path, {"planning_s": {**known, **now}})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from benchmark.machine.pages import keep_pages
 from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
+from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.judging import judge_scene_plans
@@ -46,12 +47,12 @@ class SceneResult:
     Attributes:
         scene: Its name.
         rows: One for each sample.
-        seconds: Planning time, or ``None`` where the plans were kept from before.
+        cost: What planning took, or ``None`` where the plans were kept from before.
     """
 
     scene: str
     rows: list[SampleRow]
-    seconds: float | None
+    cost: SceneCost | None
 
 
 def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner], scene: str) -> list[SceneResult]:
@@ -91,7 +92,7 @@ def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> Scen
     Raises:
         InputError: If the data is broken.
     """
-    return SceneResult(reading.name, judge_scene_plans(planned.rows, reading, run.protocols), planned.seconds)
+    return SceneResult(reading.name, judge_scene_plans(planned.rows, reading, run.protocols), planned.cost)
 
 
 _in_this_process: dict[str, tuple["DataSet", tuple[Planner, ...]]] = {}

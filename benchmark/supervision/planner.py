@@ -126,6 +126,11 @@ class Supervised:
         self._packing = Packing()
         self._looked: tuple[str, ...] = ()
 
+    @property
+    def pid(self) -> int | None:
+        """Its process; ``None`` while there is none, and where the system does not tell."""
+        return None if self._process is None else self._process.pid
+
     def seed_generators(self, seed: int) -> None:
         """Global generators of its process begin there at the next `reset`."""
         self._seed = seed

@@ -15,6 +15,7 @@ import sys
 import time
 import weakref
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -76,7 +77,7 @@ class PlannerProcess:
         finally:
             theirs.close()
             guardians.close()
-        self._asker, self._lifeline = Asker(channel), lifeline
+        self._asker, self._lifeline, self._guardian = Asker(channel), lifeline, process.pid
         self._end = weakref.finalize(self, _ended, process, channel, lifeline, self._shelf)
 
     def ask(
@@ -139,6 +140,13 @@ class PlannerProcess:
         if told[0] == "picture missing" and broken:
             raise broken[-1]
         return told
+
+    @property
+    def pid(self) -> int | None:
+        """The planner's process, the first child of its guardian; ``None`` where the system does not tell."""
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            return int(Path(f"/proc/{self._guardian}/task/{self._guardian}/children").read_text().split()[0])
+        return None
 
     def end(self, *, at_once: bool = False) -> None:
         """End the process and all that it started; ``at_once`` without letting it end by itself."""

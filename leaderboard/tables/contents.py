@@ -18,6 +18,7 @@ from leaderboard.tables.attacks import attack_tables
 from leaderboard.tables.collision import collision_table, native_table
 from leaderboard.tables.comparisons import Verdicts, planner_table, split_table
 from leaderboard.tables.consistency import consistency_table
+from leaderboard.tables.cost import cost_table
 from leaderboard.tables.diagnosis import diagnosis_tables
 from leaderboard.tables.disagreement import disagreement_table
 from leaderboard.tables.drawn_seeds import drawn_seeds_table
@@ -98,6 +99,7 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
         front += [table for table in disagreements if table.rows]
     if any(record.summary.driving is not None for record in records):
         front.append(driving_table(data_name, records))
+    front.append(cost_table(data_name, records))
     others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
     slices = _slices(data_name, records, (*names, PDM, DIAGNOSIS))

@@ -7,6 +7,8 @@ from benchmark.machine.storage import file_name
 from benchmark.records.driving import PDM
 from benchmark.report.table import Table
 
+COST: Final = "cost"
+"""What planners take; name of its table."""
 TABLES_FOLDER: Final = "tables"
 """Holds one folder for each data set and nothing else, so that what is no longer made there can be told."""
 
@@ -18,6 +20,7 @@ _GROUPS: Final = {
     "attacks and scenes": ("attack", "severity", "ladder", "validity", "realism"),
     "causes and protocols": ("diagnosis", "disagreement"),
     "driving scores": (PDM,),
+    "cost": (COST,),
 }
 """What the site shows together, by the first word of a table's name; all others are `_RATES`."""
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from adapters.registry import planner, planner_factory
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine.metering import peak_memory_mb
 from benchmark.planning import (
     CameraView,
     ContinuousPlanner,
@@ -81,6 +82,19 @@ def test_plans_are_the_same_bytes_as_in_this_process(tmp_path: Path) -> None:
     }
     assert rows["here"] == rows["there"]
     assert all(row["status"] == "ok" for scene in rows["there"] for row in scene)
+
+
+def test_the_memory_that_counts_is_that_of_its_own_process(tmp_path: Path) -> None:
+    made, identity = maker("Drawing")
+    planner = supervised(made, identity, QUICK)
+    assert isinstance(planner, SupervisedPlanner) and planner.pid is None
+    cost = plan_scene(planner, pictured(), "scene-9901", tmp_path / "a", "a", fresh=False).cost
+    assert planner.pid is not None and planner.pid != os.getpid() and cost is not None
+    own, here = peak_memory_mb(planner.pid), peak_memory_mb()
+    assert own is not None and here is not None and cost.peak_memory_mb is not None
+    assert 10.0 < cost.peak_memory_mb <= own and abs(cost.peak_memory_mb - here) > 1.0
+    planner.close()
+    assert planner.pid is None
 
 
 def test_pictures_of_a_sample_that_is_over_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,76 @@
+"""How long a call takes until the device is done, and how much memory a process needs meanwhile."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+_CLEAR_PEAK: Final = "5"
+"""Written to ``clear_refs`` it makes the peak of resident memory begin again (Linux, proc(5))."""
+_MB: Final = 1e6
+
+
+class Meter:
+    """Watches this process from when it is made.
+
+    Attributes:
+        latency_s: Seconds of each call so far; ``None`` for calls that raised.
+    """
+
+    def __init__(self) -> None:
+        """Begin."""
+        self.latency_s: list[float | None] = []
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text(_CLEAR_PEAK)
+        cuda = _gpu()
+        if cuda is not None:
+            cuda.reset_peak_memory_stats()
+
+    @contextmanager
+    def call(self) -> Iterator[None]:
+        """Time what is done inside, the device's work included."""
+        _wait()
+        begun = time.perf_counter()
+        try:
+            yield
+            _wait()
+        except BaseException:
+            self.latency_s.append(None)
+            raise
+        self.latency_s.append(time.perf_counter() - begun)
+
+    @property
+    def peak_device_mb(self) -> float | None:
+        """Greatest memory allocated on this process' GPU since the beginning; ``None`` without one."""
+        cuda = _gpu()
+        return None if cuda is None else cuda.max_memory_allocated() / _MB
+
+
+def peak_memory_mb(pid: int | None = None) -> float | None:
+    """Greatest resident memory of a process of this machine.
+
+    Args:
+        pid: Which, since it began; this one, since a `Meter` was made last, if not given.
+
+    Returns:
+        Megabytes, or ``None`` where the system does not tell.
+    """
+    with suppress(OSError, ValueError, IndexError):
+        for line in Path(f"/proc/{pid or 'self'}/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / _MB
+    return None
+
+
+def _gpu() -> Any:
+    """PyTorch's CUDA part, if this process uses a GPU: nobody else has anything to wait for."""
+    torch = sys.modules.get("torch")
+    return torch.cuda if torch is not None and torch.cuda.is_initialized() else None
+
+
+def _wait() -> None:
+    cuda = _gpu()
+    if cuda is not None:
+        cuda.synchronize()

@@ -1,0 +1,212 @@
+"""What a planner costs: the latency of each sample and the memory of each scene, kept beside the records.
+
+Costs are the clock's and the machine's: they lie in ``<out>/timings``, so that records of two machines are equal.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from benchmark.errors import InputError
+from benchmark.foreign.limits import RECORD
+from benchmark.machine.storage import content_key, read_json, write_json
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.store import validated
+from benchmark.records.stored import Stored
+
+if TYPE_CHECKING:
+    from benchmark.records.run import RunRecord
+
+COLD_SAMPLES: Final = 2
+"""The first samples of a scene are not counted: weights are fetched, memory of the past is filled."""
+
+_Positive = Annotated[float, Field(ge=0.0)]
+
+
+class SceneCost(Stored):
+    """What one scene took.
+
+    Attributes:
+        planning_s: By the clock, with reading images and writing plans down.
+        latency_s: From asking to the plan for each sample in time order, after the device is done; null for samples on
+            which the planner failed.
+        peak_memory_mb: Greatest resident memory of the process meanwhile, the harness included; null where the system
+            does not tell, and where the planner runs elsewhere.
+        peak_device_mb: Greatest memory allocated on the GPU meanwhile; null without one.
+        device: Where it ran, by name.
+        workers: How many processes planned at the same time on the machine.
+    """
+
+    planning_s: _Positive
+    latency_s: list[_Positive | None]
+    peak_memory_mb: _Positive | None
+    peak_device_mb: _Positive | None
+    device: str
+    workers: int = Field(default=1, ge=1)
+
+
+class PlannerCost(Stored):
+    """What a planner took on a split.
+
+    Attributes:
+        schema_version: Of this file.
+        planner: Content key of who planned: costs of another version are of another planner.
+        scenes: By scene; those of scenes that were planned before stay.
+    """
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    planner: str
+    scenes: dict[str, SceneCost]
+
+    def warm_s(self) -> list[float]:
+        """Latencies of the samples that count, by scene and time."""
+        every = (latency for scene in sorted(self.scenes) for latency in self.scenes[scene].latency_s[COLD_SAMPLES:])
+        return [latency for latency in every if latency is not None]
+
+
+@dataclass(frozen=True, slots=True)
+class CostSummary:
+    """A planner's cost in numbers.
+
+    Attributes:
+        samples: How many latencies count.
+        median_s: Of them; ``None`` if there are none.
+        p95_s: 95th percentile of them; ``None`` if there are none.
+        peak_memory_mb: Greatest of all scenes, or ``None``.
+        peak_device_mb: Greatest of all scenes, or ``None``.
+        devices: Names, sorted.
+        workers: Most processes at a time.
+    """
+
+    samples: int
+    median_s: float | None
+    p95_s: float | None
+    peak_memory_mb: float | None
+    peak_device_mb: float | None
+    devices: tuple[str, ...]
+    workers: int
+
+
+def summary_of(cost: PlannerCost) -> CostSummary:
+    """Put a cost into numbers.
+
+    Args:
+        cost: Of at least one scene.
+
+    Returns:
+        The numbers.
+    """
+    warm, scenes = np.array(cost.warm_s()), list(cost.scenes.values())
+    return CostSummary(
+        len(warm),
+        float(np.median(warm)) if warm.size else None,
+        float(np.percentile(warm, 95)) if warm.size else None,
+        _greatest([scene.peak_memory_mb for scene in scenes]),
+        _greatest([scene.peak_device_mb for scene in scenes]),
+        tuple(sorted({scene.device for scene in scenes})),
+        max(scene.workers for scene in scenes),
+    )
+
+
+def _greatest(values: Sequence[float | None]) -> float | None:
+    return max((value for value in values if value is not None), default=None)
+
+
+def cost_path(timings: Path, out: Path, directory: Path) -> Path:
+    """File of the cost of a run: below a folder of their own, since it is part of no record.
+
+    Args:
+        timings: Folder of all of them.
+        out: Folder of run directories.
+        directory: Run directory.
+
+    Returns:
+        The file.
+    """
+    relative = directory.relative_to(out)
+    return timings / relative.parent / f"{relative.name}.timing.json"
+
+
+def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | None]) -> None:
+    """Note what a planner took.
+
+    Args:
+        path: From `cost_path`.
+        facts: Who it is.
+        scenes: By scene, of those that were planned now, else ``None``: what is known of those stays.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    who = _who(facts)
+    try:
+        known = read_cost(path)
+    except InputError:
+        # Costs are a convenience; a damaged file of them is written anew.
+        known = None
+    before = known.scenes if known is not None and known.planner == who else {}
+    now = {scene: cost for scene, cost in scenes.items() if cost is not None}
+    kept = {scene: cost for scene, cost in {**before, **now}.items() if scene in scenes}
+    noted = PlannerCost(schema=1, planner=who, scenes=dict(sorted(kept.items())))
+    write_json(path, noted.model_dump(mode="json", by_alias=True))
+
+
+def read_cost(path: Path) -> PlannerCost | None:
+    """Read what a planner took.
+
+    Args:
+        path: From `cost_path`.
+
+    Returns:
+        It, or ``None`` where nothing was noted, or in a format of before.
+
+    Raises:
+        InputError: If the file is damaged.
+    """
+    if not path.is_file():
+        return None
+    stored = read_json(path, RECORD)
+    if isinstance(stored, dict) and set(stored) == {"planning_s"}:
+        return None
+    return validated(PlannerCost.model_validate, stored, partial(_fault, path))
+
+
+def cost_of(path: Path, facts: PlannerFacts) -> PlannerCost | None:
+    """`read_cost` of a run; ``None`` also where it is that of another version of the planner, or of no scene."""
+    found = read_cost(path)
+    return found if found is not None and found.scenes and found.planner == _who(facts) else None
+
+
+def _who(facts: PlannerFacts) -> str:
+    # What a planner is called elsewhere makes it no slower.
+    return content_key(facts.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"}))
+
+
+def _fault(path: Path, where: str, why: str) -> str:
+    return f"{path} is not what eval notes of the cost of a planner: {where or 'the whole'}: {why}; delete it"
+
+
+def with_cost(record: "RunRecord", roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> "RunRecord":
+    """A record that knows what planning took, if that was noted.
+
+    Args:
+        record: From below one of the folders.
+        roots: Folders of run directories.
+        timings_of: Where notes on what was made in a folder lie (`benchmark.machine.workspace.Workspace.timings_of`).
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: If a note is damaged.
+    """
+    for root in roots:
+        if record.directory.is_relative_to(root):
+            found = cost_of(cost_path(timings_of(root), root, record.directory), record.run.planner)
+            return record if found is None else replace(record, cost=found)
+    return record
