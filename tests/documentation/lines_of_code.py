@@ -40,6 +40,8 @@ NOT_HERE: Final = (
     (r"--tables v1\.0-mini|/data/Adv-nuSc", "nuScenes itself"),
     (r"scenarionet RECORDINGS|from RECORDINGS|--to recordings", "recordings of others"),
     (r"challenger-bench eval .*--results (?!results\.pkl)", "result files of official code"),
+    (r"scene-0553|--from edited", "a recording that somebody edited; tests/generation/splits edits one"),
+    (r"--freeze generation/splits", "a checkout to change"),
     (r"--data MINI|--data town|--root town", "hours of training; tests/adapters/training has minutes of it"),
     (r"--executor ray|^ray ", "a cluster; tests/benchmark/machine/test_ray_cluster.py has two nodes"),
     (r"^(pip|uv|echo|docker|make|for) ", "an index of packages, or a machine to change"),

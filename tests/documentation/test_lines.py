@@ -29,6 +29,8 @@ BEFORE = {
         "eval --split adv --model vad-mini --model idm --model uniad",
         "drive --split adv --model vad-mini --sensor schematic",
     ],
+    "cards.md": ["eval --split val --model constant-velocity"],
+    "challenge.md": ["eval --split val --model constant-velocity"],
     "site.md": ["eval --split adv --model constant-velocity"],
     "sheets.md": ["eval --split adv --model constant-velocity"],
     "models.md": ["eval --split adv --model constant-velocity"],
