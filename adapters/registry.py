@@ -17,6 +17,7 @@ from typing import Any, TextIO
 from adapters.models import MODELS, published_as
 from benchmark.closed_loop.wire.address import Address, is_address
 from benchmark.errors import InputError, did_you_mean
+from benchmark.machine.several_devices import device_here
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Planner
 from benchmark.records.run_schema import PlannerFacts
@@ -42,7 +43,7 @@ class NamedPlanner:
         checkpoint: Weights file, if not the planner's own.
         seed: Passed to planners that take one.
         facts: Identity of what is built.
-        device: Passed to planners that take one.
+        device: Passed to planners that take one; of several each process takes one.
         precision: Passed to planners that take one.
         as_published: Passed to planners that take it.
         over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``.
@@ -69,7 +70,7 @@ class NamedPlanner:
             self.name,
             checkpoint=self.checkpoint,
             seed=self.seed,
-            device=self.device,
+            device=device_here(self.device),
             precision=self.precision,
             as_published=self.as_published,
             over_http=self.over_http,
@@ -78,7 +79,7 @@ class NamedPlanner:
     @property
     def _maker(self) -> Maker:
         return _maker(
-            self.name, self.checkpoint, seed=self.seed, device=self.device, precision=self.precision,
+            self.name, self.checkpoint, seed=self.seed, device=device_here(self.device), precision=self.precision,
             as_published=self.as_published,
         )  # fmt: skip
 
@@ -104,7 +105,7 @@ def planner_factory(
         checkpoint: Weights file, if not the planner's own.
         data: The data set, for planners of this process; what needs the data set itself cannot be rebuilt elsewhere.
         seed: Of whatever is drawn.
-        device: cpu, cuda, cuda:1.
+        device: cpu, cuda, cuda:1; several with commas between them (`benchmark.machine.several_devices`).
         precision: float32, bfloat16.
         as_published: What networks do as in their published runs (`adapters.as_published`).
         over_http: How planners behind HTTP are asked.
@@ -120,7 +121,9 @@ def planner_factory(
     identity, limits = None, None
     if is_foreign(name):
         limits = supervision or Supervision()
-        maker = _maker(name, checkpoint, seed=seed, device=device, precision=precision, as_published=published)
+        maker = _maker(
+            name, checkpoint, seed=seed, device=device_here(device), precision=precision, as_published=published
+        )
         identity = identity_of(maker, limits)
         facts = identity.facts
         _require_name(facts.name, name)
@@ -130,7 +133,7 @@ def planner_factory(
             checkpoint=checkpoint,
             data=data,
             seed=seed,
-            device=device,
+            device=device_here(device),
             precision=precision,
             as_published=published,
             over_http=over_http,

@@ -141,7 +141,10 @@ def drive_command(
     ] = True,
     memory_limit: MemoryLimitOption = None,
     device: Annotated[
-        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
+        str | None,
+        typer.Option(
+            help="Where a network runs: cpu, cuda, cuda:1, or cuda:0,cuda:1 for a process on each; else the first GPU."
+        ),
     ] = None,
     precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
@@ -160,6 +163,7 @@ def drive_command(
     from benchmark.cli.beforehand.names import require_models, supervision_of
     from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place
+    from benchmark.machine.several_devices import require_one_device, workers_for
 
     _require_engine(engine, agents, latency, scenarios)
     about_adversary = (adversary_knows, adversary_every, adversary_others, adversary_rounds, adversary_candidates)
@@ -175,7 +179,9 @@ def drive_command(
     for each in model:
         _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
     require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
-    place = executor_of(executor, address, workers)
+    if executor is not ExecutorName.LOCAL:
+        require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
+    place = executor_of(executor, address, workers_for(workers, device))
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:

@@ -77,7 +77,10 @@ def eval_command(
         str | None, typer.Option(metavar="<str>", help="Also write the plans as a repository's result file.")
     ] = None,
     device: Annotated[
-        str | None, typer.Option(help="Where a network runs: cpu, cuda, cuda:1; the first GPU if there is one.")
+        str | None,
+        typer.Option(
+            help="Where a network runs: cpu, cuda, cuda:1, or cuda:0,cuda:1 for a process on each; else the first GPU."
+        ),
     ] = None,
     precision: Annotated[str | None, typer.Option(help="Of a network: float32 or bfloat16.")] = None,
     native: Annotated[
@@ -119,6 +122,7 @@ def eval_command(
     from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate_together, require_whole_split
+    from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.protocols import PROTOCOLS, STANDARD
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.runs.shards import Shard
@@ -130,12 +134,15 @@ def eval_command(
         )
     if native is not None and plans is None and not results:
         raise InputError("--native belongs to --plans and --results; planners that --model names say it themselves")
-    shown, count = _protocols_to_show(protocol), api.worker_count(workers)
-    mine = None if shard is None else Shard.named(shard)
     require_models(model, checkpoint, data=data, device=device, precision=precision)
+    shown, count = _protocols_to_show(protocol), api.worker_count(workers_for(workers, device))
+    mine = None if shard is None else Shard.named(shard)
+    if mine is not None:
+        require_one_device(device, "a shard plans in one process, on a device of its own")
     supervision = supervision_of(model, sample_limit, memory_limit)
     published = tuple(each.value for each in as_published or ())
     if require_published_runs(model, checkpoint, published, data=data):
+        require_one_device(device, "who remembers across scenes plans all of them in one process")
         require_whole_split("the model", name_list(scenes), limit, workers)
         count = 1
     require_servers(model, image_format)

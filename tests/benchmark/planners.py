@@ -29,6 +29,17 @@ class Straight:
         return Plan(AHEAD, PlanFrame.EGO)
 
 
+class Placed(Straight):
+    """Knows one device."""
+
+    name = "placed"
+
+    def __init__(self, device: str = "cpu") -> None:
+        super().__init__()
+        if device != "cpu":
+            raise ValueError(device)
+
+
 class Failing(Straight):
     """Raises on one sample of each scene."""
 

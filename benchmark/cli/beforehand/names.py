@@ -45,7 +45,7 @@ def require_models(
         if runs not in MODELS or MODELS[runs].network is None:
             continue
         if device is not None:
-            require_device(device)
+            require_devices(device)
         if precision is not None and precision not in _PRECISIONS:
             raise InputError(f"there is no precision {precision!r}; use {' or '.join(_PRECISIONS)}")
 
@@ -151,6 +151,14 @@ def require_device(name: str) -> None:
     """Refuse what names no device; whether this machine has it is only known to torch, which is slow to import."""
     if not _DEVICE.fullmatch(name):
         raise InputError(f"there is no device {name!r}; use cpu, cuda, cuda:1 or auto")
+
+
+def require_devices(names: str) -> None:
+    """`require_device` of each of several, which commas separate."""
+    from benchmark.machine.several_devices import device_names
+
+    for name in device_names(names):
+        require_device(name)
 
 
 def require_published(name: str, *, files: bool = False) -> None:

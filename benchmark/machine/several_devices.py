@@ -1,0 +1,80 @@
+"""Several devices in one option: each worker of a command takes one of them, scene after scene."""
+
+from benchmark.errors import InputError
+from benchmark.machine.workers import worker_number
+
+
+def device_names(text: str) -> tuple[str, ...]:
+    """Devices by name, as ``--device`` takes them.
+
+    Args:
+        text: For example ``cuda:0,cuda:1``.
+
+    Returns:
+        The names, at least one.
+
+    Raises:
+        InputError: If one is empty, or they are of different kinds: a record names one kind, and another one rounds
+            differently.
+    """
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise InputError(f"--device {text!r} has an empty name; separate devices by one comma: cuda:0,cuda:1")
+    if len({name.partition(":")[0] for name in names}) > 1:
+        raise InputError(f"--device {text} names devices of different kinds, whose numbers differ; name one kind")
+    return names
+
+
+def device_here(text: str | None) -> str | None:
+    """The device of this process: workers take them in turns, and the command itself the first.
+
+    Args:
+        text: As ``--device`` takes it, or ``None``.
+
+    Returns:
+        One name, or ``None``.
+
+    Raises:
+        InputError: As `device_names` does.
+    """
+    if text is None:
+        return None
+    names = device_names(text)
+    return names[worker_number() % len(names)]
+
+
+def workers_for(workers: int, device: str | None) -> int:
+    """How many processes a command asks for: with several devices, one each if nobody said otherwise.
+
+    Args:
+        workers: As ``--workers`` takes it; 0 is for the command to say.
+        device: As ``--device`` takes it, or ``None``.
+
+    Returns:
+        The same, or the number of devices.
+
+    Raises:
+        InputError: If there are fewer processes than devices, of which some would do nothing.
+    """
+    count = 1 if device is None else len(device_names(device))
+    if count == 1:
+        return workers
+    if 0 < workers < count:
+        raise InputError(
+            f"--workers {workers} leaves some of {device} without work; name at least {count}, or fewer devices"
+        )
+    return workers or count
+
+
+def require_one_device(text: str | None, why: str) -> None:
+    """Refuse several devices where one process does all.
+
+    Args:
+        text: As ``--device`` takes it, or ``None``.
+        why: What needs one process, as the beginning of a sentence.
+
+    Raises:
+        InputError: If there is more than one.
+    """
+    if text is not None and len(device_names(text)) > 1:
+        raise InputError(f"{why}; name one device instead of --device {text}")

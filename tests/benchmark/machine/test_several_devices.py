@@ -1,0 +1,74 @@
+"""Several devices: one for each worker, in turns, and the same bytes as one."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from adapters.registry import NamedPlanner, planner_factory
+from benchmark.errors import InputError
+from benchmark.evaluation import EvalSettings, evaluate
+from benchmark.machine import workers
+from benchmark.machine.several_devices import device_here, device_names, require_one_device, workers_for
+from tests.benchmark.cli.cli_runs import bytes_below, refusal
+from tests.benchmark.test_evaluation import town_of_six
+
+PLACED = "tests.benchmark.planners:Placed"
+
+
+def test_names_are_those_between_commas() -> None:
+    assert device_names("cuda:0, cuda:1") == ("cuda:0", "cuda:1") and device_names("cpu") == ("cpu",)
+    for text, why in (("cpu,", "empty"), (",", "empty"), ("", "empty"), ("cpu,cuda:0", "different kinds")):
+        with pytest.raises(InputError, match=why):
+            device_names(text)
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_workers_take_them_in_turns(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_number", number)
+    assert device_here("cuda:0,cuda:1") == f"cuda:{number % 2}"
+    assert device_here("cuda:3") == "cuda:3" and device_here(None) is None
+
+
+def test_there_is_a_process_for_each() -> None:
+    assert workers_for(0, "cuda:0,cuda:1,cuda:2") == 3 and workers_for(4, "cuda:0,cuda:1") == 4
+    assert workers_for(0, "cuda") == 0 and workers_for(0, None) == 0 and workers_for(1, "cpu") == 1
+    with pytest.raises(InputError, match="leaves some"):
+        workers_for(1, "cuda:0,cuda:1")
+    require_one_device("cuda:1", "why")
+    with pytest.raises(InputError, match="why; name one device"):
+        require_one_device("cpu,cpu", "why")
+
+
+def test_a_factory_builds_on_the_device_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str | None] = []
+    facts = planner_factory("constant-velocity").facts
+    monkeypatch.setattr("adapters.registry.planner", lambda *_, device, **__: asked.append(device))
+    factory = NamedPlanner("constant-velocity", None, 0, facts, "cuda:0,cuda:1")
+    for number in range(3):
+        monkeypatch.setattr(workers, "_number", number)
+        factory()
+    assert asked == ["cuda:0", "cuda:1", "cuda:0"]
+
+
+def test_two_devices_give_the_bytes_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmark.evaluation.PROCESSES_PAY_AFTER_S", 0.0)
+    one, two = (planner_factory(PLACED, device=device) for device in ("cpu", "cpu,cpu"))
+    assert one.facts == two.facts and replace(one, device="cpu,cpu") == two
+    for name, factory, count in (("one", one, 1), ("two", two, 2)):
+        evaluate(town_of_six(), "val", factory, tmp_path / name, EvalSettings(workers=count), reopen=town_of_six)
+    assert bytes_below(tmp_path / "one") == bytes_below(tmp_path / "two")
+
+
+@pytest.mark.parametrize(
+    ("options", "says_what"),
+    [
+        (["--device", "cpu,cuda"], "different kinds"),
+        (["--device", "cpu,"], "empty name"),
+        (["--device", "quantum:0,quantum:1"], "no device 'quantum:0'"),
+        (["--device", "cpu,cpu", "--workers", "1"], "leaves some"),
+        (["--device", "cpu,cpu", "--shard", "1/2"], "one process"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(options: list[str], says_what: str, tmp_path: Path) -> None:
+    assert says_what in refusal("eval", "--model", "vad-mini", "--out", tmp_path, *options)
