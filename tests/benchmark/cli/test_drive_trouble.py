@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,9 @@ def test_a_full_disk_is_one_sentence_and_the_same_command_goes_on(
     for room in (0, 1, 3):
         left[0] = room
         done = driving(source, tmp_path / "full", *models)
-        assert done.code == 2 and done.err.count("\n") == 1, done.err
+        # A slow machine says how far it was.
+        said = [line for line in done.err.splitlines() if not re.search(r"\d of \d drives", line)]
+        assert done.code == 2 and len(said) == 1, done.err
         assert "No space left on device; free some space, then run the same command again" in done.err
         assert done.out == ""
     monkeypatch.setattr("benchmark.machine.storage.os.fsync", sync)
