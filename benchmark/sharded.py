@@ -4,7 +4,6 @@ The plans of a scene are kept under a content key, as by any evaluation; a merge
 plans, so it has the bytes of one that was never cut.
 """
 
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +12,13 @@ from typing import TYPE_CHECKING, Any, cast
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate_together, runs_of
 from benchmark.machine.progress import Count, progress
-from benchmark.machine.storage import only_writer, writing_to
+from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import single_threaded
 from benchmark.planning import Observation, Plan, Planner, SceneInfo, remembers_across_scenes
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import PlannerFactory, kept_rows, plan_scene, rows_path, scene_key
-from benchmark.runs.shards import SHARDS_FOLDER, Shard, ShardFacts, shard_folder, sharded_runs, whole_run, write_shard
+from benchmark.runs.shards import Shard, ShardFacts, forget_shards, shard_folder, sharded_runs, whole_run, write_shard
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -130,8 +129,7 @@ def merge_shards(
         # Frozen attributes are no writable ones, as the protocol of planners has them; nobody writes to either.
         factory = cast("PlannerFactory", kept)
         yield from evaluate_together(data, facts.split, [(factory, whole)], _root_of(directory))
-        with writing_to(directory):
-            shutil.rmtree(directory / SHARDS_FOLDER)
+        forget_shards(directory)
 
 
 def _require_plans(directory: Path, facts: ShardFacts, data: "DataSet") -> None:

@@ -23,6 +23,7 @@ from benchmark.cli.options import (
     OutOption,
     ScenesOption,
     SeedOption,
+    ShardOption,
     SplitOption,
     TablesOption,
     WideOption,
@@ -34,12 +35,14 @@ from benchmark.cli.options import (
 )
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
+from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
     from benchmark.datasets.roots import DataSet
     from benchmark.records.drives import DriveRecord
     from benchmark.runs.driving import DriveSettings
+    from benchmark.runs.shards import Shard
 
 BASELINES: Final = ("stop", "constant-velocity", "constant-velocity-on-path", "log-replay", "idm")
 """Planners that every table has: without them no number of closed loop says much."""
@@ -150,6 +153,7 @@ def drive_command(
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
+    shard: ShardOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     executor: ExecutorOption = ExecutorName.LOCAL,
@@ -164,6 +168,7 @@ def drive_command(
     from benchmark.cli.beforehand.over_http import require_servers
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
+    from benchmark.runs.shards import Shard
 
     _require_engine(engine, agents, latency, scenarios)
     about_adversary = (adversary_knows, adversary_every, adversary_others, adversary_rounds, adversary_candidates)
@@ -179,6 +184,7 @@ def drive_command(
     for each in model:
         _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
     require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
+    mine = None if shard is None else Shard.named(shard)
     if executor is not ExecutorName.LOCAL:
         require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
     place = executor_of(executor, address, workers_for(workers, device))
@@ -236,6 +242,10 @@ def drive_command(
         said = [estimate(dataset, split, each, _settings_of(each, how), root) for each in factories]
         say_plan(said, json_output=json_output)
         return
+    if mine is not None:
+        again = same_place(data, out, tables)
+        _drive_shard(dataset, split, factories, root, how, mine, json_output=json_output, again=again)
+        return
     records = _driven(dataset, split, factories, root, how)
     sound = _show(records, wide=wide, json_output=json_output)
     say_next(
@@ -273,6 +283,38 @@ def _require_sight(name: str, sensor: str) -> None:
     """Refuse to drive a planner blindly that looks at images, or is sent some."""
     if sensor == "none" and api.looks_at_images(name):
         raise InputError(f"{name} looks at images, and --sensor none has none; add --sensor schematic")
+
+
+def _drive_shard(
+    data: "DataSet",
+    split: str,
+    factories: "Sequence[NamedPlanner]",
+    root: Path,
+    how: "DriveSettings",
+    shard: "Shard",
+    *,
+    json_output: bool,
+    again: str,
+) -> None:
+    """Drive one shard and say what is left to do."""
+    from benchmark.runs.driving import drive_shard
+
+    groups = [[each for each in factories if _looks_at_nothing(each)]]
+    groups += [[each] for each in factories if not _looks_at_nothing(each)]
+    found = []
+    for group in filter(None, groups):
+        found += drive_shard(data, split, group, root, _settings_of(group[0], how), shard)
+    if json_output:
+        print_json([{"directory": str(each.directory), "driven": each.driven, "scenes": each.scenes} for each in found])
+    for each in found:
+        typer.echo(
+            f"{each.directory}: shard {shard}, {each.driven} of {counted(each.scenes, 'scene')}", err=json_output
+        )
+    say_next(
+        f"shard {shard} is driven",
+        (f"drive{again}", "with the same options and no --shard, when all shards are"),
+        json_output=json_output,
+    )
 
 
 def _driven(

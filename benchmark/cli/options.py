@@ -189,7 +189,7 @@ RecordsOption = Annotated[
 ]
 ShardOption = Annotated[
     str | None,
-    typer.Option("--shard", metavar="<k/n>", help="Plan every n-th scene alone, for `merge`: 3/40 is the third of 40."),
+    typer.Option("--shard", metavar="<k/n>", help="Do every n-th scene alone: 3/40 is the third of 40."),
 ]
 LimitOption = Annotated[int | None, typer.Option("--limit", min=1, help="Only the first so many scenes.")]
 SeedOption = Annotated[

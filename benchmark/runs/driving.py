@@ -48,6 +48,14 @@ from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopen_root
+from benchmark.runs.shards import (
+    DrivenShard,
+    Shard,
+    forget_shards,
+    require_driven_shards,
+    shard_folder,
+    write_driven_shard,
+)
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -129,11 +137,11 @@ class DriveSettings:
         size = self.together if workers == 1 else min(self.together, -(-len(tasks) // (GROUPS_PER_WORKER * workers)))
         return [tasks[first : first + size] for first in range(0, len(tasks), max(size, 1))]
 
-    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
-        """All units, scene after scene.
+    def units_of(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+        """Units of some scenes, none perhaps.
 
         Raises:
-            InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
+            InputError: If a number of runs is asked for that no record holds.
         """
         if not 1 <= self.runs <= MOST_RUNS:
             raise InputError(f"--runs must be at least 1 and at most {MOST_RUNS}, got {self.runs}")
@@ -141,6 +149,15 @@ class DriveSettings:
         for scene in scenes:
             families = self.maker.families(lambda: (data.scene(scene), can_of(data, scene)))  # noqa: B023 - called at once
             found += [Unit(scene, run, family) for family in families for run in range(self.runs_made)]
+        return found
+
+    def units(self, data: "DataSet", scenes: tuple[str, ...]) -> list[Unit]:
+        """All units, scene after scene.
+
+        Raises:
+            InputError: If no scene has a scenario, or a number of runs is asked for that no record holds.
+        """
+        found = self.units_of(data, scenes)
         if not found and self.agents == ADVERSARY:
             raise InputError(
                 f"no vehicle of {', '.join(scenes[:3])}{' ...' if len(scenes) > 3 else ''} can become an adversary; "
@@ -219,14 +236,74 @@ def drive_planners(
     Raises:
         InputError: As in `drive_split`.
     """
+    jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
+    return _records(data, split, jobs, settings, Planners(), elsewhere)
+
+
+def drive_shard(
+    data: "DataSet",
+    split: str,
+    planners: Sequence[PlannerFactory],
+    out: Path,
+    settings: DriveSettings,
+    shard: Shard,
+    *,
+    reopen: Callable[[], "DataSet"] | None = None,
+) -> list[DrivenShard]:
+    """Drive the scenes of one shard and keep the drives; no record is written.
+
+    `drive_planners` with the same settings makes the records once all shards are there, and names one that is not.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        planners: Who plans.
+        out: Folder of all records of drives.
+        settings: How.
+        shard: Which scenes.
+        reopen: As in `drive_split`.
+
+    Returns:
+        What was done, for each planner.
+
+    Raises:
+        InputError: As in `drive_split`, and if another command drives the same shard.
+    """
+    jobs, settings, elsewhere = _ready(data, split, planners, out, settings, reopen)
+    scenes = settings.chosen(data, split)
+    mine = shard.part(scenes)
+    units = settings.units_of(data, mine)
+    tasks = [Task(job, unit) for unit in units for job in jobs]
+    who = jobs[0].planner.name if len(jobs) == 1 else counted(len(jobs), "planner")
+    label = f"{who} drive{'s' if len(jobs) == 1 else ''} {split}, shard {shard}"
+    with ExitStack() as writing:
+        for job in jobs:
+            writing.enter_context(only_writer(shard_folder(job.directory, shard)))
+        here = partial(work_here, data, Planners())
+        for _ in _results(settings.groups(tasks), here, elsewhere, settings, label) if tasks else ():
+            pass
+        for job in jobs:
+            write_driven_shard(job.directory, shard, mine)
+    return [DrivenShard(job.directory, len(mine), len(scenes)) for job in jobs]
+
+
+def _ready(
+    data: "DataSet",
+    split: str,
+    planners: Sequence[PlannerFactory],
+    out: Path,
+    settings: DriveSettings,
+    reopen: Callable[[], "DataSet"] | None,
+) -> tuple[list[Job], DriveSettings, Callable[[Sequence[Task]], list[UnitResult]] | None]:
+    """What every unit needs to know, the settings that these planners allow, and how others drive units."""
     built = [factory() for factory in planners]
     _require_drivable(built, settings)
     jobs = [replace(job_of(data, split, factory.facts, out, settings), factory=factory) for factory in planners]
-    open_again = reopen or partial(reopen_root, data.root, data.version, data.name)
     if isinstance(settings.sensor, RemoteSensor) or any(isinstance(each, RemotePlanner) for each in built):
         # What is elsewhere holds one scene at a time.
-        return _records(data, split, jobs, replace(settings, together=1), Planners(), None)
-    return _records(data, split, jobs, settings, Planners(), partial(work_in_worker, open_again))
+        return jobs, replace(settings, together=1), None
+    open_again = reopen or partial(reopen_root, data.root, data.version, data.name)
+    return jobs, settings, partial(work_in_worker, open_again)
 
 
 def _records(
@@ -248,6 +325,7 @@ def _records(
     with ExitStack() as writing:
         for job in jobs:
             writing.enter_context(only_writer(job.directory))
+            require_driven_shards(job.directory)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
         for place, job in enumerate(jobs):
@@ -255,6 +333,7 @@ def _records(
             rows = [result.row for result in results[place :: len(jobs)]]
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             _tidy(job, units)
+            forget_shards(job.directory)
     return records
 
 

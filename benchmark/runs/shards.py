@@ -5,6 +5,7 @@ scene, so that no two shards write the same one. What it planned, and who, is in
 """
 
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, Final, Self, TypeVar
 
 from benchmark.errors import InputError
 from benchmark.foreign.limits import RECORD
-from benchmark.machine.storage import read_json, write_json
+from benchmark.machine.storage import read_json, write_json, writing_to
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
@@ -165,3 +166,94 @@ def whole_run(directory: Path, data_name: str) -> ShardFacts | None:
             f"differs); run the same eval command with --shard {other.number}/{of} again"
         )
     return first.model_copy(update={"planned": first.scenes})
+
+
+class DrivenShardFacts(Stored):
+    """What a shard of drives says of itself: the drives that it kept are found by their content.
+
+    Attributes:
+        number: Which, from 1.
+        of: How many there are.
+        scenes: Scenes that it drove.
+    """
+
+    number: int
+    of: int
+    scenes: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenShard:
+    """What a shard of drives did.
+
+    Attributes:
+        directory: Folder of the record.
+        driven: How many scenes it drove or found driven.
+        scenes: How many the whole run has.
+    """
+
+    directory: Path
+    driven: int
+    scenes: int
+
+
+def write_driven_shard(directory: Path, shard: Shard, scenes: Sequence[str]) -> None:
+    """Write what a shard of drives says of itself, when all its scenes are driven.
+
+    Args:
+        directory: Folder of the record.
+        shard: Which.
+        scenes: Scenes that it drove.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    facts = DrivenShardFacts(number=shard.number, of=shard.of, scenes=list(scenes))
+    write_json(shard_folder(directory, shard) / "drives.json", facts.model_dump(mode="json"))
+
+
+def require_driven_shards(directory: Path) -> None:
+    """Refuse to make a record of drives of which some shards are there and others are not.
+
+    Args:
+        directory: Folder of the record.
+
+    Raises:
+        InputError: If a shard is missing, which is named, or there are shards of several divisions.
+    """
+    there = [
+        Shard(int(found.group(1)), int(found.group(2)))
+        for path in (directory / SHARDS_FOLDER).glob("*-of-*")
+        if (found := re.fullmatch(r"(\d{1,6})-of-(\d{1,6})", path.name))
+    ]
+    counts = sorted({shard.of for shard in there})
+    if not counts:
+        return
+    if len(counts) > 1:
+        raise InputError(
+            f"{directory} was driven in shards of {' and of '.join(map(str, counts))}; remove the folders of the "
+            f"others from {directory / SHARDS_FOLDER}"
+        )
+    done = {shard.number for shard in there if (shard_folder(directory, shard) / "drives.json").is_file()}
+    missing = [Shard(number, counts[0]) for number in range(1, counts[0] + 1) if number not in done]
+    if missing:
+        rest = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        raise InputError(
+            f"{directory}: shard {', '.join(map(str, missing[:3]))}{rest} of the drives is missing; run the same drive "
+            f"command with --shard {missing[0]}, or remove {directory / SHARDS_FOLDER} to drive what is missing here"
+        )
+
+
+def forget_shards(directory: Path) -> None:
+    """Remove what shards left beside a record that has all of them.
+
+    Args:
+        directory: Folder of the record.
+
+    Raises:
+        InputError: If it cannot be removed.
+    """
+    folder = directory / SHARDS_FOLDER
+    if folder.is_dir():
+        with writing_to(folder):
+            shutil.rmtree(folder)

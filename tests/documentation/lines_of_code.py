@@ -48,7 +48,7 @@ NOT_HERE: Final = (
     (r"^(cd|bash|\./tools|python tools)", "official code"),
     (r"data (pack|unpack|card) ", "a split and records of your own; the tests of these commands make some"),
     (r"challenge (check|score)", "entries of others; tests/benchmark/challenge has some"),
-    (r"--shard |challenger-bench merge", "several jobs; tests/benchmark/test_sharded.py gives them"),
+    (r"--shard |--model MODEL|challenger-bench merge", "several jobs; tests/benchmark/test_sharded.py gives them"),
     (r"data review (?!.*--(list|verdicts))", "somebody who looks at a page"),
     (r"--verdicts", "a file of verdicts; tests/benchmark/review has one"),
     (r"reproduce .*ROOT", "a file of expected values"),

@@ -1,0 +1,92 @@
+"""Drives in separate jobs: the record is the one of a run that was never cut, and who is missing is named."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmark.errors import InputError
+from benchmark.records.drives import load_drives
+from benchmark.runs.driving import drive_planners, drive_shard
+from benchmark.runs.shards import SHARDS_FOLDER, Shard
+from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
+from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.cli.in_process import run_here
+from tests.benchmark.planners import Factory, Straight
+from tests.benchmark.runs.test_driving import SETTINGS
+from tests.benchmark.test_evaluation import town_of_six
+from tests.hand_made import Car, scene_on_straight_road
+
+PLANNERS = [Factory(), Factory(Straight, (0.0001,))]
+
+
+def shard(out: Path, number: int, of: int, planners: int = 1) -> None:
+    drive_shard(town_of_six(), "val", PLANNERS[:planners], out, SETTINGS, Shard(number, of), reopen=town_of_six)
+
+
+@pytest.mark.parametrize("of", [1, 2, 4, 9])
+def test_shards_become_the_bytes_of_a_run_that_was_never_cut(tmp_path: Path, of: int) -> None:
+    (whole,) = drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path / "whole", SETTINGS, reopen=town_of_six)
+    for number in reversed(range(1, of + 1)):
+        shard(tmp_path / "cut", number, of)
+    assert not list((tmp_path / "cut").rglob("run.json"))
+    data = town_of_six()
+    (record,) = drive_planners(data, "val", PLANNERS[:1], tmp_path / "cut", SETTINGS, reopen=town_of_six)
+    assert replace(record, directory=whole.directory) == whole == load_drives(whole.directory)
+    assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole")
+
+
+def test_no_two_shards_write_the_same_file(tmp_path: Path) -> None:
+    written: list[set[str]] = []
+    for number in (1, 2, 3):
+        shard(tmp_path / str(number), number, 3)
+        written.append({name for name in bytes_below(tmp_path / str(number)) if not name.endswith(".lock")})
+    assert all(written) and not any(one & other for one in written for other in written if one is not other)
+
+
+def test_who_is_missing_is_named_and_nothing_is_driven(tmp_path: Path) -> None:
+    shard(tmp_path, 1, 3)
+    shard(tmp_path, 3, 3)
+    before = bytes_below(tmp_path)
+    with pytest.raises(
+        InputError, match=r"shard 2/3 of the drives is missing; run the same drive command with --shard 2/3"
+    ):
+        drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
+    assert {name: held for name, held in bytes_below(tmp_path).items() if name in before} == before
+    assert not list(tmp_path.rglob("run.json"))
+    shard(tmp_path, 1, 2)
+    with pytest.raises(InputError, match=r"in shards of 2 and of 3; remove the folders"):
+        drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
+
+
+def test_a_shard_that_was_killed_is_missing_and_goes_on(tmp_path: Path) -> None:
+    for number in (1, 2):
+        shard(tmp_path, number, 2)
+    (said,) = tmp_path.rglob("2-of-2/drives.json")
+    said.unlink()
+    with pytest.raises(InputError, match=r"shard 2/2"):
+        drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
+    shard(tmp_path, 2, 2)
+    (record,) = drive_planners(town_of_six(), "val", PLANNERS[:1], tmp_path, SETTINGS, reopen=town_of_six)
+    assert len(record.rows) == 6 and not (record.directory / SHARDS_FOLDER).exists()
+
+
+def test_the_command_drives_shards_and_then_makes_the_record(tmp_path: Path) -> None:
+    plan = DataSetPlan(root=tmp_path / "road", split="val", version="v1.0-mini")
+    cars = {f"scene-990{number}": Car(60.0 + 9 * number, 198.25, 0.0) for number in (1, 2)}
+    roads = [scene_on_straight_road((car,), seconds=4.0, name=name) for name, car in cars.items()]
+    finish_data_set(
+        plan, [write_scene(plan, each, name=each.name, source_scene=each.name, report={}) for each in roads]
+    )
+    given = ("drive", "--data", plan.root, "--split", "val", "--workers", "1", "--no-baselines")
+    models = ("--model", "stop", "--model", "constant-velocity")
+    whole = run_here(*given, *models, "--out", tmp_path / "whole")
+    assert whole.code == 0, whole.err
+    for number in (1, 2):
+        done = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", f"{number}/2", "--json")
+        assert done.code == 0 and [each["driven"] for each in json.loads(done.out)] == [1, 1], done.err
+    assert run_here(*given, *models, "--out", tmp_path / "cut").code == 0
+    assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole")
+    refused = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", "3/2")
+    assert refused.code == 2 and "--shard takes a number" in refused.err
