@@ -200,8 +200,8 @@ def _without(base: tuple[str, ...], option: str) -> tuple[str, ...]:
 def planner_tries() -> list[Try]:
     """Each odd planner in open and in closed loop."""
     commands: dict[str, Callable[[], tuple[str, ...]]] = {
-        "eval": lambda: ("eval", *_ROOT, "--model", "odd:Planner"),
-        "drive": lambda: ("drive", *_ROOT, "--split", "val", "--model", "odd:Planner", "--agents", "idm"),
+        "eval": lambda: ("eval", *_ROOT, "--model", "odd:Planner", "--sample-limit", "4"),
+        "drive": lambda: ("drive", *_ROOT, "--split", "val", "--model", "odd:Planner", "--agents", "idm", "--timeout", "4"),
     }
     return [
         Try("planners of others", f"{command} --model module:Class", name, line(), source)
