@@ -34,6 +34,8 @@ print({_AT!r} + cluster.address, flush=True)
 sys.stdin.read()
 cluster.shutdown()
 """
+_FULL: Final = ("No space left", "free some space")
+"""What a command says that meets a full disk, or sees before it begins that there is too little room."""
 _LOOK_S: Final = 0.01
 _PATIENCE_S: Final = 300.0
 
@@ -177,7 +179,7 @@ class Bench:
             shutil.copytree(before, out, dirs_exist_ok=True)
             ended = self._run(command, 1)
             said = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
-            full = ended.code == 2 and said.startswith("error: ") and "No space left" in said
+            full = ended.code == 2 and said.startswith("error: ") and any(each in said for each in _FULL)
             give_room()
             wrong = "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {said}"
             return self._compared(command, "a full disk", number, int(full), wanted, 1, wrong)
