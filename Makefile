@@ -85,9 +85,10 @@ docs: $(VENV)/.docs
 bench: setup
 	for script in bench/[a-z]*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-# Hostile variants of everything that commands read; the same command goes on (docs/hostile-input.md).
+# Hostile variants of everything that commands read, and absurd command lines, side by side: an hour on two processors.
+# The same command goes on (docs/hostile-input.md).
 attack: setup
-	$(BIN)/python bench/attack.py --seed $${SEED:-0} --count $${COUNT:-500}
+	$(BIN)/python bench/attack.py --seed $${SEED:-0} --count $${COUNT:-1000}
 
 clean:
 	rm -rf $(VENV) challenger-out build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

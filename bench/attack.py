@@ -1,6 +1,7 @@
-"""Attack every reader of foreign files: hostile variants of valid files, each given to the command that reads it.
+"""Attack every reader of foreign files, and every other door: options, planners of others, answers of model servers.
 
-Run as ``make attack``, or ``python bench/attack.py --seed 1 --count 1000 --folder attack``. The same seed makes the
+Run as ``make attack``, or ``python bench/attack.py --seed 1 --count 1000 --folder attack``: half of the variants are
+hostile variants of valid files, half are absurd command lines, side by side in two processes. The same seed makes the
 same variants; the same command goes on where it was broken off, from the list of results in the folder. Each variant
 runs in a process of its own, and is fine if the command answers it with exit code 2 and one sentence that names the
 path, or finds in it what it finds in the valid file, or the variant is a valid file with another content. Anything else
@@ -9,6 +10,7 @@ fell, is listed with the command that repeats it, and makes the exit code 1. ``d
 
 import argparse
 import gc
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -16,8 +18,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench.attacking.campaign import Campaign, Result, run_campaign
-from bench.attacking.doors import Doors
+from bench.attacking.campaign import RESULTS, Campaign, Result, known_results, run_campaign
+from bench.attacking.doors import DOORS, Doors
 from bench.attacking.targets import TARGETS
 from bench.attacking.verdicts import FALLEN, FINE
 
@@ -25,32 +27,71 @@ from bench.attacking.verdicts import FALLEN, FINE
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--count", type=int, default=500, help="variants of the campaign")
+    parser.add_argument("--count", type=int, default=1000, help="variants of the campaign, or of each with --kind")
     parser.add_argument(
         "--folder", type=Path, default=Path("challenger-out") / "attack", help="valid files and results"
     )
     parser.add_argument("--only", type=int, action="append", help="run this variant again; may be repeated")
-    parser.add_argument("--kind", help="only kinds whose name holds this")
-    parser.add_argument("--doors", action="store_true", help="options and planners instead of files")
+    parser.add_argument("--kind", action="append", help="only kinds whose name holds this; may be repeated")
+    parser.add_argument("--files", action="store_true", help="files only")
+    parser.add_argument("--doors", action="store_true", help="options, planners and model servers only")
     options = parser.parse_args()
-    campaign: Campaign | Doors = (Doors if options.doors else Campaign)(options.folder, options.seed)
-    # A child that collects garbage would copy every page that it shares with this process.
-    gc.freeze()
-    if isinstance(campaign, Doors):
-        kinds = [tried.kind for tried in campaign.tries[: options.count]]
+    if options.only and not options.doors:
+        options.files = True
+    if not options.files and not options.doors:
+        results = in_two_processes(options)
     else:
-        kinds = [TARGETS[number % len(TARGETS)].kind for number in range(options.count)]
-    numbers = options.only or [number for number, kind in enumerate(kinds) if (options.kind or "") in kind]
-    results = list(run_campaign(campaign, numbers, again=bool(options.only)))
+        campaign: Campaign | Doors = (Doors if options.doors else Campaign)(options.folder, options.seed)
+        # A child that collects garbage would copy every page that it shares with this process.
+        gc.freeze()
+        results = list(run_campaign(campaign, chosen(campaign, options), again=bool(options.only)))
     print(table(results))
     for result in results:
         if result.verdict in FALLEN or options.only:
             print(f"\n{result.verdict}: {result.kind}, {result.command}: {result.name}")
             print(f"  exit code {result.code}, {result.cpu_s} s of processor time, {result.peak_mb} MB")
             print(f"  {result.said or 'said nothing'}")
-            doors = " --doors" if options.doors else ""
-            print(f"  again: python bench/attack.py{doors} --seed {options.seed} --only {result.number}")
+            what = "--doors" if is_door(result) else "--files"
+            print(f"  again: python bench/attack.py {what} --seed {options.seed} --only {result.number}")
     sys.exit(any(result.verdict in FALLEN for result in results))
+
+
+def chosen(campaign: Campaign | Doors, options: argparse.Namespace) -> list[int]:
+    """Numbers of the variants that are wanted; those of a kind are looked for as far as there are any."""
+    if options.only:
+        return list(options.only)
+    if isinstance(campaign, Doors):
+        kinds = [tried.kind for tried in campaign.tries]
+    else:
+        kinds = [TARGETS[number % len(TARGETS)].kind for number in range(options.count * len(TARGETS))]
+    wanted = options.kind or [""]
+    return [number for number, kind in enumerate(kinds) if any(each in kind for each in wanted)][: options.count]
+
+
+def in_two_processes(options: argparse.Namespace) -> list[Result]:
+    """Half of the variants are of files, half of doors, each in a process and a folder of its own, side by side."""
+    count, folders = -(-options.count // 2), [options.folder / what for what in ("files", "doors")]
+    again = ["--seed", str(options.seed), "--count", str(count)]
+    again += [word for kind in options.kind or () for word in ("--kind", kind)]
+    children = [
+        subprocess.Popen(
+            [sys.executable, __file__, f"--{folder.name}", "--folder", str(folder), *again], stdout=subprocess.DEVNULL
+        )
+        for folder in folders
+    ]
+    broken = [child.wait() not in (0, 1) for child in children]
+    if any(broken):
+        sys.exit(f"a campaign did not end well; see above, and what is in {options.folder}")
+    return [
+        result
+        for name, folder in zip((RESULTS.format(seed=options.seed), DOORS.format(seed=options.seed)), folders)
+        for result in known_results(folder / name).values()
+    ]
+
+
+def is_door(result: Result) -> bool:
+    """Whether a result is of a door that is no file."""
+    return result.kind not in {target.kind for target in TARGETS}
 
 
 def table(results: Sequence[Result]) -> str:

@@ -11,11 +11,14 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import adapters.training.ego_status
 import benchmark.evaluation
+from adapters.training.ego_status import TrainingSettings
 from bench.attacking.campaign import preload
 from bench.killing.commands import COMMANDS, Killed
 from bench.killing.series import EXEMPT, Bench, Series
@@ -33,10 +36,17 @@ def main() -> None:
     parser.add_argument("--command", action="append", choices=[each.name for each in COMMANDS])
     parser.add_argument("--how", action="append", choices=HOW)
     parser.add_argument("--workers", type=int, action="append", help="1 and 2 by default")
+    parser.add_argument("--kept", action="store_true", help="print what has been found, run nothing")
     options = parser.parse_args()
+    if options.kept:
+        print(table(list(known_series(results_path(options.folder, options.seed)).values())))
+        return
     preload()
     # Scenes this small would all be planned in one process, and none could be killed.
     benchmark.evaluation.PROCESSES_PAY_AFTER_S = 0.0
+    # Its command has no option of how long it trains, which is minutes.
+    short = partial(TrainingSettings, steps=60, batch=64)
+    adapters.training.ego_status.TrainingSettings = short  # type: ignore[assignment, misc]
     bench = Bench(options.folder, options.seed)
     try:
         found = list(_series(bench, options))
@@ -63,11 +73,8 @@ def cases(options: argparse.Namespace) -> Iterator[tuple[Killed, str, int, int]]
 
 
 def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
-    path = bench.folder / f"results-{options.seed}.jsonl"
-    known = {}
-    for line in path.read_text().splitlines() if path.is_file() else ():
-        row = json.loads(line)
-        known[row["key"]] = Series(**row["series"])
+    path = results_path(bench.folder, options.seed)
+    known = known_series(path)
     for command, how, workers, number in cases(options):
         key = f"{command.name}/{how}/{workers}/{number}"
         if key not in known:
@@ -77,6 +84,17 @@ def _series(bench: Bench, options: argparse.Namespace) -> Iterator[Series]:
                 stream.write(json.dumps({"key": key, "series": asdict(known[key])}) + "\n")
             print(f"{key}: {'same' if known[key].same else 'DIFFERS'}", file=sys.stderr, flush=True)
         yield known[key]
+
+
+def results_path(folder: Path, seed: int) -> Path:
+    """The list of a seed's cases."""
+    return folder / f"results-{seed}.jsonl"
+
+
+def known_series(path: Path) -> dict[str, Series]:
+    """Cases that earlier commands have run, by key."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+    return {row["key"]: Series(**row["series"]) for row in rows}
 
 
 def _one(bench: Bench, command: Killed, how: str, workers: int, number: int) -> Series:
@@ -98,7 +116,7 @@ def _require_commit(folder: Path) -> None:
 
 def table(found: list[Series]) -> str:
     """A row for each command and way: how often it was disturbed, and how often nothing shows it."""
-    rows = list(dict.fromkeys((each.command, each.how) for each in found))
+    rows = sorted({(each.command, each.how) for each in found})
     lines = [
         "| command | disturbed by | cases | of them hit | files compared | same bytes |",
         "|---|---|--:|--:|--:|--:|",

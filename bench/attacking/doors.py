@@ -1,5 +1,6 @@
 """Doors that are no file: every option of every command with absurd values, and planners that are anything but."""
 
+import contextlib
 import os
 import re
 import shutil
@@ -11,36 +12,51 @@ from typing import Any, Final
 
 import typer
 
+import benchmark.closed_loop.wire.model
 from bench.attacking.campaign import Result, listing, preload
 from bench.attacking.children import HANG_S, MEMORY_BYTES, Ended, run_command
 from bench.attacking.planners import ODD_PLANNERS
+from bench.attacking.servers import SLOW, OddServer, odd_answers
 from bench.attacking.valid import SEARCH, make_valid
 from bench.attacking.verdicts import Verdict, is_sentence
 from benchmark.cli.app import app
 
+DOORS: Final = "doors-{seed}.jsonl"
 _SHOWN: Final = 400
 _AT_WORK: Final = ("--workers", "1")
 _ROOT: Final = ("--data", "{valid}/root", "--out", "{out}", *_AT_WORK)
+_CHALLENGE: Final = ("--base", "{valid}/root", "--out", "{out}", *_AT_WORK)
 _SHOWN_ROOT: Final = ("--data", "{valid}/root", "--out", "{case}/shown")
 BASES: Final[dict[str, tuple[str, ...]]] = {
     "ablate": (*_ROOT, "--dry-run"),
+    "challenge check": ("{valid}/generated", *_CHALLENGE),
+    "challenge rules": (),
+    "challenge score": ("{valid}/generated", *_CHALLENGE, "--model", "constant-velocity"),
+    "data card": ("{valid}/generated", "--to", "{out}/card.json", "--out", "{case}/shown", *_AT_WORK),
     "data check": ("{valid}/root",),
+    "data export openscenario": ("{valid}/generated", "--to", "{out}", *_AT_WORK),
+    "data export scenarionet": ("{valid}/generated", "--to", "{out}", *_AT_WORK),
     "data export infos": ("{valid}/root", "--for", "vad", "--to", "{out}"),
     "data import": ("scenarionet", "{valid}/recordings", "--out", "{out}", "--renderer", "none", *_AT_WORK),
     "data info": ("{valid}/root",),
+    "data pack": ("{valid}/frozen.json", "--root", "{valid}/generated", "--to", "{out}/a.zip", *_AT_WORK),
     "data review": ("{valid}/root", "--list"),
     "data show": ("{valid}/root", "--to", "{out}", *_AT_WORK),
     "data stats": ("{valid}/generated", *_AT_WORK),
+    "data unpack": ("{valid}/package.zip", "--to", "{out}", *_AT_WORK),
     "doctor": (),
     "drive": (*_ROOT, "--split", "val", "--model", "stop"),
     "eval": (*_ROOT, "--model", "constant-velocity"),
     "film": (*_SHOWN_ROOT, "--split", "val", "--to", "{out}", "--format", "png", "--fps", "1", "--width", "320"),
     "generate": (*_ROOT, *SEARCH, "--dry-run"),
     "leaderboard": ("--records", "{valid}/records", "--to", "{out}", "--no-site", "--out", "{out}"),
+    "leaderboard card": ("--to", "{out}/card.json", "--records", "{valid}/records", "--out", "{out}"),
     "leaderboard slices": ("--records", "{valid}/records", "--out", "{out}"),
     "leaderboard submit-check": ("{valid}/records", "--data", "{valid}/root", "--out", "{out}"),
+    "merge": _ROOT,
     "models": (),
     "quality": (*_ROOT,),
+    "reproduce": ("--model", "uniad", *_ROOT, "--dry-run"),
     "rescore": ("--records", "{case}/shown/runs", "--data", "{valid}/root", "--out", "{out}"),
     "sheets": (*_ROOT, "--split", "val", "--pictures", "none"),
     "train denoiser": ("--tracks", "{case}/folder", "--out", "{out}/a.safetensors", "--steps", "1"),
@@ -49,8 +65,10 @@ BASES: Final[dict[str, tuple[str, ...]]] = {
         *("--model", "uniad-mini", "--data", "{case}/folder", "--out", "{out}/a.safetensors", "--steps", "1"),
         *_AT_WORK,
     ),
+    "train judge": ("{valid}/network.safetensors", "--data", "{case}/folder"),
     "transfer": ("--records", "{valid}/records", "--out", "{out}"),
     "verify": ("physics",),
+    "weights anchors": ("--model", "sparsedrive", "--data", "{valid}/root", "--out", "{out}/a.npy", *_AT_WORK),
     "weights import": ("{valid}/tensors.pth",),
 }
 """A cheap, valid use of each command that is attacked. The others begin servers, or work that takes minutes."""
@@ -96,6 +114,8 @@ class Try:
         name: How.
         arguments: Of the command line, with places in braces.
         planner: Source of the module ``odd``, beside the command.
+        server: Path and name of what a model server answers; its address is the place ``{server}``.
+        keeps_work: Whether a command that is refused half-way keeps what was finished before, as drives of others.
     """
 
     kind: str
@@ -103,6 +123,8 @@ class Try:
     name: str
     arguments: tuple[str, ...]
     planner: str = ""
+    server: tuple[str, str] | None = None
+    keeps_work: bool = False
 
 
 class Doors:
@@ -112,8 +134,10 @@ class Doors:
         self.folder, self.seed = folder.resolve(), seed
         preload()
         self.valid = make_valid(self.folder)
-        self.results = f"doors-{seed}.jsonl"
-        tries = [*option_tries(), *planner_tries()]
+        self.results = DOORS.format(seed=seed)
+        # So long does a command wait for a server that went away; in a campaign nobody restarts any.
+        benchmark.closed_loop.wire.model.RETURN_S = 1.0  # type: ignore[misc]
+        tries = [*option_tries(), *planner_tries(), *server_tries()]
         self.tries = Random(seed).sample(tries, len(tries))
 
     def run(self, number: int) -> Result:
@@ -122,10 +146,13 @@ class Doors:
         case = self.folder / f"door-{self.seed}-{number}"
         self._furnish(case, tried)
         before = listing(self.valid)
-        places = {"valid": self.valid, "case": case, "out": case / "out"}
-        # Values hold braces of their own.
-        ended = run_command([_put(each, places) for each in tried.arguments], case, case / "cache")
-        found = door_verdict(ended, case / "out")
+        places: dict[str, Path | str] = {"valid": self.valid, "case": case, "out": case / "out"}
+        with contextlib.ExitStack() as stack:
+            server = "" if tried.server is None else stack.enter_context(OddServer(*tried.server)).url
+            # Values hold braces of their own.
+            given = [_put(each, {**places, "server": server}) for each in tried.arguments]
+            ended = run_command(given, case, case / "cache")
+        found = door_verdict(ended, case / "out", keeps_work=tried.keeps_work)
         if listing(self.valid) != before:
             found = Verdict.WROTE
         _remove(case)
@@ -149,8 +176,8 @@ class Doors:
             (case / "odd.py").write_text(tried.planner)
 
 
-def _put(text: str, places: dict[str, Path]) -> str:
-    return re.sub(r"\{(valid|case|out)\}", lambda found: str(places[found[1]]), text)
+def _put(text: str, places: dict[str, Path | str]) -> str:
+    return re.sub(r"\{(valid|case|out|server)\}", lambda found: str(places[found[1]]), text)
 
 
 def _remove(case: Path) -> None:
@@ -200,8 +227,19 @@ def _without(base: tuple[str, ...], option: str) -> tuple[str, ...]:
 def planner_tries() -> list[Try]:
     """Each odd planner in open and in closed loop."""
     commands: dict[str, Callable[[], tuple[str, ...]]] = {
-        "eval": lambda: ("eval", *_ROOT, "--model", "odd:Planner"),
-        "drive": lambda: ("drive", *_ROOT, "--split", "val", "--model", "odd:Planner", "--agents", "idm"),
+        "eval": lambda: ("eval", *_ROOT, "--model", "odd:Planner", "--sample-limit", "4"),
+        "drive": lambda: (
+            "drive",
+            *_ROOT,
+            "--split",
+            "val",
+            "--model",
+            "odd:Planner",
+            "--agents",
+            "idm",
+            "--timeout",
+            "4",
+        ),
     }
     return [
         Try("planners of others", f"{command} --model module:Class", name, line(), source)
@@ -210,12 +248,38 @@ def planner_tries() -> list[Try]:
     ]
 
 
-def door_verdict(ended: Ended, out: Path) -> Verdict:
+def server_tries() -> list[Try]:
+    """Each odd answer of a model server in open and in closed loop; who is slow only where a limit can be said."""
+    lines = {
+        "eval": ("eval", *_ROOT, "--model", "{server}", "--image-format", "png"),
+        "drive": (
+            *("drive", *_ROOT, "--split", "val", "--model", "{server}", "--sensor", "schematic", "--timeout", "1"),
+            *("--agents", "idm", "--image-format", "png"),
+        ),
+    }
+    return [
+        Try(
+            "answers of model servers",
+            f"{command} --model http",
+            f"{path}: {name}",
+            line,
+            "",
+            (path, name),
+            command == "drive",
+        )
+        for command, line in lines.items()
+        for path, name in odd_answers()
+        if command == "drive" or name not in SLOW
+    ]
+
+
+def door_verdict(ended: Ended, out: Path, *, keeps_work: bool = False) -> Verdict:
     """Classify: 0 is fine, 1 a failed or partial run that is spoken of, 2 a sentence and nothing written.
 
     Args:
         ended: How the command ended.
         out: Folder that it might write to; nothing was in it before.
+        keeps_work: Whether what is written there may be finished work.
 
     Returns:
         The worst that can be said.
@@ -235,4 +299,4 @@ def door_verdict(ended: Ended, out: Path) -> Verdict:
     if ended.code != 2 or not is_sentence(ended.err):
         return Verdict.UNCLEAR
     wrote = [path for path in out.rglob("*") if path.is_file()]
-    return Verdict.WROTE if wrote and f"{out}/" not in ended.err else Verdict.ANSWERED
+    return Verdict.WROTE if wrote and not keeps_work and f"{out}/" not in ended.err else Verdict.ANSWERED

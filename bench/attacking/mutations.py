@@ -1,5 +1,6 @@
 """Seeded changes of a valid file: of its bytes, and of what is written in them where the form is known."""
 
+import hashlib
 import io
 import json
 import pickletools
@@ -293,6 +294,63 @@ def _in_archive(data: bytes, chance: Random) -> bytes:
 ARCHIVE: Final = (Mutation("another record in the archive", _in_archive, may_be_valid=True),)
 
 
+def _in_package(mutation: Mutation) -> Mutation:
+    """The same in one member of a package, whose manifest says what is there then: hashes are right."""
+
+    def change(data: bytes, chance: Random) -> bytes:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            held = {entry.filename: archive.read(entry) for entry in archive.infolist()}
+        name = chance.choice([each for each in held if each.endswith(".json")])
+        held[name] = mutation.change(held[name], chance)
+        if name != _MANIFEST:
+            manifest = json.loads(held[_MANIFEST])
+            said = manifest["files"][name]
+            said["bytes"], said["sha256"] = len(held[name]), hashlib.sha256(held[name]).hexdigest()
+            held[_MANIFEST] = json.dumps(manifest).encode()
+        made = io.BytesIO()
+        with zipfile.ZipFile(made, "w") as archive:
+            for each, content in held.items():
+                archive.writestr(each, content)
+        return made.getvalue()
+
+    # Neither statistics nor an inspector's words can be looked up anywhere.
+    return Mutation(f"in a member, {mutation.name}", change, may_be_valid=True)
+
+
+_MANIFEST: Final = "manifest.json"
+_TOML_VALUES: Final = (
+    "nan", "-inf", "1e400", "-1", "0", "9" * 400, "true", '""', "[]", "{}", '"x"', "1979-05-27T07:32:00Z",
+    "0x7fffffffffffffffffff", '"\\u0000"', '"\\U0010ffff"', '"""\na\nb"""', "[[[[]]]]", "1_000", "", "= 1",
+    "[" * 100_000, "'a\nb'",
+)  # fmt: skip
+
+
+def _toml_value(data: bytes, chance: Random) -> bytes:
+    lines = data.decode().splitlines()
+    at = chance.choice([number for number, line in enumerate(lines) if " = " in line])
+    lines[at] = f"{lines[at].split(' = ')[0]} = {chance.choice(_TOML_VALUES)}"
+    return "\n".join(lines).encode() + b"\n"
+
+
+def _toml_lines(act: Callable[[list[str], int], None]) -> Callable[[bytes, Random], bytes]:
+    def change(data: bytes, chance: Random) -> bytes:
+        lines = data.decode().splitlines()
+        act(lines, chance.randrange(len(lines)))
+        return "\n".join(lines).encode() + b"\n"
+
+    return change
+
+
+TOML: Final = (
+    Mutation("another value", _toml_value, may_be_valid=True),
+    Mutation("another value", _toml_value, may_be_valid=True),
+    Mutation("a line missing", _toml_lines(lambda lines, at: lines.__delitem__(at)), may_be_valid=True),
+    Mutation("a line twice", _toml_lines(lambda lines, at: lines.insert(at, lines[at])), may_be_valid=True),
+    Mutation("lines in another order", _toml_lines(lambda lines, _: lines.reverse()), may_be_valid=True),
+    Mutation("a key of keys", _toml_lines(lambda lines, at: lines.insert(at, "a" + ".b" * 5000 + " = 1")), False),
+)
+
+
 def _in_header(mutation: Mutation) -> Mutation:
     """The same in the header of a file of tensors, whose length stays right."""
 
@@ -316,5 +374,7 @@ FORMS: Final[dict[str, tuple[Mutation, ...]]] = {
     "pickle": (*PICKLE * 6, *BYTES),
     "archive": (*ARCHIVE * 6, *BYTES),
     "tensors": (*TENSORS, *BYTES, *BYTES),
+    "package": (*map(_in_package, JSON), *map(_in_package, BYTES), *BYTES),
+    "toml": (*TOML, *BYTES),
 }
 """What is done to files of each form; what is named twice is done twice as often."""

@@ -320,6 +320,86 @@ _FILES: Final = (
         for what in ("physics", "denoiser")
     ),
 )
+_CHECK: Final = ("challenge", "check")
+_CHALLENGE: Final = ("--base", "{valid}/root", "--out", "{out}", "--workers", "1", "--no-page")
+
+
+def _verdicts(_: Ended, folder: Path) -> str:
+    """What a challenge says of an entry, but for hashes of what was given."""
+    found = [json.loads(path.read_text()) for path in sorted(folder.glob("challenge/*/verdict.json"))]
+    return json.dumps([_without_places(each) for each in found], sort_keys=True)
+
+
+_EXCHANGED: Final = (
+    _file(
+        "packages",
+        "data unpack",
+        "package.zip",
+        "package",
+        ("data", "unpack", "{in}", "--to", "{out}"),
+        numbers=written("**/*.*"),
+        named=SPARSE,
+        other_files=True,
+    ),
+    _file(
+        "packages",
+        "data unpack --data",
+        "package.zip",
+        "package",
+        ("data", "unpack", "{in}", "--to", "{out}/un", *_READ, *_OUT, "--renderer", "none"),
+        numbers=written("data/*/*/v*/sample_annotation.json"),
+        named=SPARSE,
+        other_files=True,
+        # A package is checked as a whole; whether its split fits the recordings is seen when that is built.
+        keeps_work=True,
+    ),
+    _file(
+        "rules of challenges",
+        "challenge check --rules",
+        "rules.toml",
+        "toml",
+        (*_CHECK, "{valid}/generated", "--rules", "{in}", *_CHALLENGE),
+        numbers=_verdicts,
+        named=SPARSE,
+        lists_faults=True,
+        other_files=True,
+    ),
+    _file(
+        "rules of challenges",
+        "challenge rules",
+        "rules.toml",
+        "toml",
+        ("challenge", "rules", "{in}"),
+        numbers=printed,
+        named=SPARSE,
+        other_files=True,
+    ),
+    _file(
+        "entries of challenges",
+        "challenge check",
+        "generated",
+        "json",
+        (*_CHECK, "{in}", "--rules", "{valid}/rules.toml", *_CHALLENGE),
+        files=("v*/[!m]*.json", "v*/[!m]*.json", "maps/expansion/*.json", "can_bus/*.json"),
+        numbers=_verdicts,
+        named=(*_of_bytes(variants.JSONS), *SPARSE),
+        lists_faults=True,
+        # An entry says for itself what it is; what breaks no rule may be so.
+        other_files=True,
+    ),
+    _file(
+        "edited scenes",
+        "generate --from FOLDER",
+        "edited",
+        "pickle",
+        (*_GENERATE, *_READ, "--renderer", "none", "--from", "{in}"),
+        files=("*.pkl",),
+        numbers=written("data/*/*/v*/sample_annotation.json"),
+        named=_PICKLES,
+        # Another edit is another scene.
+        other_files=True,
+    ),
+)
 _RECORDS: Final = tuple(
     _file(
         kind,
@@ -419,6 +499,7 @@ TARGETS: Final[tuple[Target, ...]] = (
     ),
     *_RECORDS,
     *_NEWER,
+    *_EXCHANGED,
     *(
         _root("pictures of roots", command, "samples/CAM_*/*.jpg", form="bytes", named=SPARSE)
         for command in ("data show", "sheets", "data check")

@@ -31,7 +31,8 @@ def make_valid(folder: Path) -> Path:
         folder: Holds everything of a campaign.
 
     Returns:
-        Their folder: ``root`` and what was ``generated`` from it, ``recordings``, ``records``, and files.
+        Their folder: ``root`` and what was ``generated`` from it, ``recordings``, ``records``, ``edited`` scenes, and
+        files.
     """
     valid = folder / "valid"
     if (valid / "complete").is_file():
@@ -59,6 +60,7 @@ def make_valid(folder: Path) -> Path:
     write_verdicts(valid)
     _by_command(valid, "generate", *SEARCH, "--freeze", "frozen.json")
     (valid / "made" / "data" / "root" / "adv").rename(valid / "generated")
+    write_exchanged(valid)
     shutil.rmtree(valid / "generated" / ".challenger")
     shutil.rmtree(valid / "made")
     (valid / "complete").touch()
@@ -123,8 +125,34 @@ def write_plans(folder: Path) -> None:
     pd.DataFrame(rows).to_json(folder / "plans.json", orient="records")
 
 
+def write_exchanged(valid: Path) -> None:
+    """What strangers exchange: rules of a challenge, a package, and a scene edited in ScenarioNet's form."""
+    # What is generated here has no pictures.
+    rules = _commanded(valid, "challenge", "rules").replace("required = true", "required = false")
+    (valid / "rules.toml").write_text(rules)
+    frozen, generated = str(valid / "frozen.json"), str(valid / "generated")
+    given = ("--root", generated, "--rules", str(valid / "rules.toml"), "--to", str(valid / "package.zip"))
+    _commanded(valid, "data", "pack", frozen, *given)
+    _commanded(valid, "data", "export", "scenarionet", str(valid / "root"), "--to", str(valid / "exported"))
+    (exported,) = (valid / "exported").glob("sd_*.pkl")
+    # This command's own file.
+    scene = pickle.loads(exported.read_bytes())  # noqa: S301
+    moved = next(track for name, track in scene["tracks"].items() if name != scene["metadata"]["sdc_id"])
+    position = moved["state"]["position"]
+    position[:, 1] += 1.5 * np.clip(np.linspace(-1.0, 1.0, len(position)), 0.0, 1.0) ** 2
+    (valid / "edited").mkdir()
+    (valid / "edited" / exported.name).write_bytes(pickle.dumps(scene))
+    shutil.rmtree(valid / "exported")
+
+
 def _by_command(valid: Path, command: str, *arguments: str) -> None:
-    given = ["--data", str(valid / "root"), "--out", str(valid / "made"), "--workers", "1"]
-    ended = run_command([command, *given, *arguments], valid, valid / "cache")
+    given = ("--data", str(valid / "root"), "--out", str(valid / "made"), "--workers", "1")
+    _commanded(valid, command, *given, *arguments)
+
+
+def _commanded(valid: Path, *arguments: str) -> str:
+    """Run a command, and say what it printed."""
+    ended = run_command(list(arguments), valid, valid / "cache")
     if ended.code:
-        raise InputError(f"{command} failed on what is valid: {ended.err.strip()}; mend it first")
+        raise InputError(f"{arguments[0]} failed on what is valid: {ended.err.strip()}; mend it first")
+    return ended.out

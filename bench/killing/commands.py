@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
+from adapters.training.ego_status import HELD_OUT_SOURCES, TRAINING_SOURCES
 from bench.attacking.children import run_command
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
@@ -23,7 +26,8 @@ class Killed:
 
     Attributes:
         name: As the table shows it.
-        arguments: Of the command line; ``{data}`` is the recorded data set, ``{out}`` the folder to write to.
+        arguments: Of the command line; ``{data}`` is the recorded data set, ``{tracks}`` a folder of track files beside
+            it, ``{out}`` the folder to write to.
         after: Commands whose results it needs, by name.
         parallel: Whether it has ``--workers``.
         on_ray: Whether it has ``--executor``.
@@ -40,6 +44,10 @@ _OF_DATA: Final = ("--data", "{data}", "--out", "{out}")
 _MADE: Final = ("generate", "eval", "sheets")
 COMMANDS: Final = (
     Killed("generate", ("generate", *_OF_DATA, *_SMALL, *_DRAWN, "--keep-rounds"), on_ray=True),
+    Killed(
+        "generate --surrogate",
+        ("generate", *_OF_DATA, *_SMALL, "--renderer", "none", "--surrogate", "bench.killing.weaving:Weaving"),
+    ),
     Killed("generate --split val-r", ("generate", *_OF_DATA, *_DRAWN, "--split", "val-r")),
     Killed(
         "eval", ("eval", *_OF_DATA, "--split", "adv", "--model", "constant-velocity", "--model", "idm"), ("generate",)
@@ -60,6 +68,11 @@ COMMANDS: Final = (
         parallel=False,
     ),
     Killed(
+        "train ego-status",
+        ("train", "ego-status", "--tracks", "{tracks}", "--out", "{out}/ego-status.safetensors"),
+        parallel=False,
+    ),
+    Killed(
         "train planner",
         ("train", "planner", "--model", "image-encoder", "--data", "{data}", "--split", "val", "--steps", "4")
         + ("--device", "cpu", "--out", "{out}/encoder.safetensors"),
@@ -73,7 +86,7 @@ def command_named(name: str) -> Killed:
 
 
 def write_recorded(root: Path) -> Path:
-    """The recorded data set: two short scenes with pictures; made once."""
+    """The recorded data set: two short scenes with pictures, and track files beside it; made once."""
     if (root / "complete").is_file():
         return root / "road"
     shutil.rmtree(root, ignore_errors=True)
@@ -82,8 +95,31 @@ def write_recorded(root: Path) -> Path:
     scenes = [scene_on_straight_road(cars, seconds=10.0, name=f"scene-{n}") for n, cars in enumerate(_SCENES, 9901)]
     keys = [write_scene(plan, each, name=each.name, source_scene=each.name, report={}) for each in scenes]
     finish_data_set(plan, keys)
+    _write_tracks(root / "tracks")
     (root / "complete").touch()
     return root / "road"
+
+
+def _write_tracks(folder: Path) -> None:
+    """A car that drives straight on and one that turns, in every track file of ``train ego-status``."""
+    folder.mkdir()
+    seconds = np.arange(120) / 10.0
+    heading = np.concatenate([np.zeros_like(seconds), 0.05 * seconds])
+    x, y = np.concatenate([8.0 * seconds, 120.0 * np.sin(0.05 * seconds)]), 0.0 * heading
+    y[len(seconds) :] = 120.0 * (1.0 - np.cos(0.05 * seconds))
+    for source in (*TRAINING_SOURCES, *HELD_OUT_SOURCES):
+        np.savez(
+            folder / f"{source}.npz",
+            ptr=[0, len(seconds), 2 * len(seconds)],
+            x=x,
+            y=y,
+            heading=heading,
+            length=[4.6, 4.6],
+            cls=["car", "car"],
+            hz=10.0,
+            source=source,
+            licence="none",
+        )
 
 
 def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
@@ -117,7 +153,7 @@ def write_needed(command: Killed, data: Path, folder: Path, case: Path) -> Path:
 
 def words(command: Killed, data: Path, out: Path, workers: int, *, ray: str | None = None) -> list[str]:
     """The command line of a command; ``ray`` is the address of a cluster."""
-    given = [each.format(data=data, out=out) for each in command.arguments]
+    given = [each.format(data=data, tracks=data.parent / "tracks", out=out) for each in command.arguments]
     if ray is not None:
         return [*given, "--executor", "ray", "--address", ray]
     return [*given, "--workers", str(workers)] if command.parallel else given

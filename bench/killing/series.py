@@ -34,6 +34,8 @@ print({_AT!r} + cluster.address, flush=True)
 sys.stdin.read()
 cluster.shutdown()
 """
+_FULL: Final = ("No space left", "free some space")
+"""What a command says that meets a full disk, or sees before it begins that there is too little room."""
 _LOOK_S: Final = 0.01
 _PATIENCE_S: Final = 300.0
 
@@ -78,6 +80,7 @@ class Bench:
         self.data = write_recorded(self.folder / "recorded")
         self._left: dict[str, Listing] = {}
         self._lasting: dict[tuple[str, int], float] = {}
+        self._pages: dict[str, int] = {}
         self._cluster: RayHere | None = None
 
     @property
@@ -100,6 +103,7 @@ class Bench:
             if ended.code:
                 raise InputError(f"{command.name} failed undisturbed: {ended.err.strip()[-400:]}; mend it first")
             self._lasting[command.name, workers] = ended.wall_s
+            self._pages.setdefault(command.name, pages_below(self.case / "out"))
             found = listing(self.case)
             if self._left.setdefault(command.name, found) != found:
                 names = differences(self._left[command.name], found)
@@ -162,11 +166,11 @@ class Bench:
         """Run a command on a disk that gets full, then with room; needs the right to mount."""
         wanted, _ = self.undisturbed(command, 1)
         chance = Random(f"{self.seed}/{command.name}/disk/{number}")
-        needs, has = self._pages(command, wanted), 0
         self._begin(command)
         out = self.case / "out"
-        has = sum(_pages(path) for path in out.rglob("*"))
-        room = has + 2 + int(chance.random() * max(1, needs - has))
+        has = pages_below(out)
+        # One page less than all is the most that is too little.
+        room = has + 1 + int(chance.random() * max(1, self._pages[command.name] - has - 1))
         before = self.folder / "before"
         shutil.rmtree(before, ignore_errors=True)
         out.rename(before)
@@ -175,16 +179,10 @@ class Bench:
             shutil.copytree(before, out, dirs_exist_ok=True)
             ended = self._run(command, 1)
             said = "" if ended.code == 0 else ended.err.strip().splitlines()[-1][:400]
-            full = ended.code == 2 and said.startswith("error: ") and "No space left" in said
+            full = ended.code == 2 and said.startswith("error: ") and any(each in said for each in _FULL)
             give_room()
             wrong = "" if full or ended.code == 0 else f"a full disk: exit code {ended.code}, {said}"
             return self._compared(command, "a full disk", number, int(full), wanted, 1, wrong)
-
-    def _pages(self, command: Killed, wanted: Listing) -> int:
-        """Pages that a command's output takes on a disk in memory."""
-        self._begin(command)
-        self._run(command, 1)
-        return sum(_pages(self.case / name) for name in listing(self.case) if name.startswith("out/"))
 
     def _begin(self, command: Killed) -> None:
         """An ``--out`` with what the command needs, nothing else."""
@@ -222,9 +220,9 @@ class Bench:
         return Series(command.name, how, number, kills, differences(wanted, found), len(wanted), said)
 
 
-def _pages(path: Path) -> int:
-    """Of a disk in memory, on which folders take none."""
-    return -(-path.lstat().st_size // 4096) if path.is_file() else 0
+def pages_below(folder: Path) -> int:
+    """Pages that what is below a folder takes on a disk in memory, on which folders take none."""
+    return sum(-(-path.lstat().st_size // 4096) for path in folder.rglob("*") if path.is_file())
 
 
 class RayHere:

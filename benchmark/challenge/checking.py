@@ -210,7 +210,9 @@ class _SceneCheck:
         rules = self.rules.unchanged
         yield from times_of(self.scene, self.recorded, self.common)
         yield from ego_of(self.scene, self.recorded, self.common, rules)
-        yield from sensors_of(self.scene, self.recorded, self.common, self.views, rules)
+        yield from sensors_of(
+            self.scene, self.recorded, self.common, self.views, rules, required=self.rules.images.required
+        )
         if not self.views[1]:
             self.notes.append(NO_CAMERAS)
         if self.base.has_map(self.recorded.name):

@@ -96,6 +96,8 @@ def sensors_of(
     common: Keyframes,
     views: tuple[Mapping[str, Sequence[CameraView]], Mapping[str, Sequence[CameraView]]],
     rules: Unchanged,
+    *,
+    required: bool,
 ) -> Iterator[Reason]:
     """Whether lidar and cameras are mounted, calibrated, timed and posed as in the recording.
 
@@ -105,6 +107,8 @@ def sensors_of(
         common: Keyframes of both.
         views: Of the entry and of the recording, by camera, one a keyframe.
         rules: What may differ.
+        required: Whether the entry must have every camera at every keyframe; those that it has are compared in any
+            case.
 
     Yields:
         Reasons, at most one for each camera.
@@ -114,13 +118,14 @@ def sensors_of(
     ):
         yield Reason(rule="unchanged.position_m", sentence="mounts LIDAR_TOP elsewhere, whose origin plans are told of")
     mine, theirs = views
-    if missing := sorted(set(theirs) - set(mine)):
+    if required and (missing := sorted(set(theirs) - set(mine))):
         yield Reason(rule="images.required", sentence=f"has no {', '.join(missing)}")
     if further := sorted(set(mine) - set(theirs)) if theirs else []:
         yield Reason(rule="images.required", sentence=f"has {', '.join(further)}, which the recording has not")
     for name in (camera for camera in mine if camera in theirs):
         if len(mine[name]) != len(entry.keyframes) or len(theirs[name]) != len(recorded.keyframes):
-            yield Reason(rule="images.required", sentence=f"has {name} not at every keyframe")
+            if required:
+                yield Reason(rule="images.required", sentence=f"has {name} not at every keyframe")
             continue
         for here, there in zip(common.here.tolist(), common.there.tolist(), strict=True):
             said = _view_differs(mine[name][here], theirs[name][there], recorded, there, rules)

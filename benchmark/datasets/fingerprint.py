@@ -1,10 +1,13 @@
 """A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called."""
 
+import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.machine.storage import content_key, file_sha256
+from benchmark.foreign.files import open_file
+from benchmark.foreign.limits import TABLE
+from benchmark.machine.storage import content_key
 
 
 def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
@@ -20,6 +23,9 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
 
     Returns:
         64 hexadecimal digits.
+
+    Raises:
+        InputError: If a table or map is longer than any is.
     """
     tables = root / version
     hashed = {f"tables/{table}.json": tables / f"{table}.json" for table in NUSCENES_TABLES}
@@ -28,10 +34,15 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     hashed["splits.json"] = root / "splits.json"
     for path in sorted((root / "maps" / "expansion").glob("*.json")):
         hashed[f"maps/expansion/{path.name}"] = path
-    contents = {name: file_sha256(path) for name, path in hashed.items() if path.is_file()}
+    contents = {name: _sha256(path) for name, path in hashed.items() if path.is_file()}
     can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
     sizes = {name: _size(root / name) for name in sorted(set(images))}
     return content_key("data set", 1, contents, can_bus, sizes)
+
+
+def _sha256(path: Path) -> str:
+    with open_file(path, TABLE) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _size(path: Path) -> int:

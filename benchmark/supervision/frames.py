@@ -17,6 +17,8 @@ from benchmark.foreign.limits import PLANNER_ANSWER
 
 _HEAD: Final = struct.Struct("<QQ")
 _PIECE: Final = 1 << 20
+_AT_ONCE: Final = 1 << 16
+"""Bytes that are read of a message before its length is known; most messages are shorter."""
 
 
 class ClosedError(Exception):
@@ -47,13 +49,24 @@ def answer(number: int, value: Any) -> bytes:
 
 def next_question(stream: socket.socket) -> tuple[int, str, tuple[Any, ...]]:
     """In the planner's process: wait for a question; raises `ClosedError` when nobody asks any more."""
-    number, length = _HEAD.unpack(_exactly(stream, _HEAD.size))
-    kind, parts = pickle.loads(_exactly(stream, length))  # noqa: S301 - from the process that started this one
+    # Nobody sends a second question before the first is answered, so that what comes together belongs together.
+    begun = b""
+    while len(begun) < _HEAD.size:
+        some = stream.recv(_AT_ONCE)
+        if not some:
+            raise ClosedError
+        begun += some
+    number, length = _HEAD.unpack_from(begun)
+    body = memoryview(begun)[_HEAD.size :]
+    if len(body) < length:
+        body = memoryview(_exactly(stream, length, body))
+    kind, parts = pickle.loads(body)  # noqa: S301 - from the process that started this one
     return number, kind, parts
 
 
-def _exactly(stream: socket.socket, count: int) -> bytearray:
-    found, place = bytearray(count), 0
+def _exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
+    found, place = bytearray(count), len(begun)
+    found[:place] = begun
     while place < count:
         size = stream.recv_into(memoryview(found)[place:])
         if not size:
@@ -72,6 +85,9 @@ class Asker:
     def __init__(self, stream: socket.socket) -> None:
         self._stream = stream
         stream.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(stream, 0)
+        self._ahead = bytearray()
 
     def send(self, message: bytes, deadline: float) -> None:
         """Send a question.
@@ -86,19 +102,19 @@ class Asker:
         """
         left = memoryview(message)
         while left:
-            self.wait(select.POLLOUT, deadline - time.monotonic(), required=True)
             try:
                 left = left[self._stream.send(left) :]
             except BlockingIOError:
-                continue
+                self.wait(select.POLLOUT, deadline - time.monotonic(), required=True)
             except OSError as error:
                 raise ClosedError from error
 
     def wait(self, what: int, seconds: float, *, required: bool = False) -> bool:
         """Whether the connection is ready within a time; with ``required`` `LateError` is raised where it is not."""
-        poll = select.poll()
-        poll.register(self._stream, what)
-        ready = bool(poll.poll(max(seconds, 0.0) * 1000.0))
+        if what == select.POLLIN and self._ahead:
+            return True
+        self._poll.modify(self._stream, what)
+        ready = bool(self._poll.poll(max(seconds, 0.0) * 1000.0))
         if required and not ready:
             raise LateError
         return ready
@@ -118,29 +134,50 @@ class Asker:
             LateError: If it does not end.
             MalformedError: If it is none, or one to another question.
         """
-        found, length = _HEAD.unpack(self._exactly(_HEAD.size, deadline))
+        begun = self._begun(deadline)
+        found, length = _HEAD.unpack_from(begun)
         if found != number:
             raise MalformedError("it answered what it was not asked")
         if length > PLANNER_ANSWER.content_bytes:
             raise MalformedError(f"its answer has {length} bytes")
-        data = self._exactly(length, deadline)
+        data = self._whole(begun, length, deadline)
         try:
             return read_answer(data)
         # What a stranger's process says may be anything, and readers raise whatever they come upon.
         except Exception as error:
             raise MalformedError("its answer cannot be read") from error
 
-    def _exactly(self, count: int, deadline: float) -> bytearray:
-        found, place = bytearray(count), 0
-        while place < count:
-            self.wait(select.POLLIN, deadline - time.monotonic(), required=True)
+    def _begun(self, deadline: float) -> bytearray:
+        """The first bytes of an answer, a whole head at least."""
+        found, self._ahead = self._ahead, bytearray()
+        while len(found) < _HEAD.size:
+            found += self._some(_AT_ONCE, deadline)
+        return found
+
+    def _whole(self, begun: bytearray, length: int, deadline: float) -> bytearray:
+        """An answer of which some bytes are there; what comes behind it is kept."""
+        end = _HEAD.size + length
+        if len(begun) >= end:
+            self._ahead = begun[end:]
+            return begun[_HEAD.size : end]
+        found, place = bytearray(length), len(begun) - _HEAD.size
+        found[:place] = memoryview(begun)[_HEAD.size :]
+        while place < length:
+            some = self._some(min(_PIECE, length - place), deadline)
+            found[place : place + len(some)] = some
+            place += len(some)
+        return found
+
+    def _some(self, most: int, deadline: float) -> bytes:
+        """What there is, once there is something."""
+        while True:
             try:
-                size = self._stream.recv_into(memoryview(found)[place : place + _PIECE])
+                found = self._stream.recv(most)
             except BlockingIOError:
+                self.wait(select.POLLIN, deadline - time.monotonic(), required=True)
                 continue
             except OSError as error:
                 raise ClosedError from error
-            if not size:
+            if not found:
                 raise ClosedError
-            place += size
-        return found
+            return found

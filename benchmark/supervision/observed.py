@@ -4,6 +4,7 @@ Ready-made ways of handing values on look at every object by itself, which costs
 sample. Of pictures there are names here, calibration and poses (`pictures.py` has what is on them).
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from benchmark.planning import CameraView, Command, EgoState, Observation
 from benchmark.scene import Camera, LidarMount
 
-Layout = tuple[tuple[str, tuple[int, ...]] | None, ...]
+Layout = tuple[tuple[np.dtype[Any], tuple[int, ...]] | None, ...]
 """Type and shape of each array; ``None`` where there is none."""
 _ALIGNED_BYTES: Final = 8
 
@@ -39,7 +40,7 @@ class Packing:
             camera = view.camera
             arrays += [camera.translation, camera.rotation, camera.intrinsic, view.global_T_ego]
             views.append((name, camera.name, camera.width, camera.height, str(view.path), view.timestamp_us))
-        layout: Layout = tuple(None if each is None else (each.dtype.str, each.shape) for each in arrays)
+        layout: Layout = tuple(None if each is None else (each.dtype, each.shape) for each in arrays)
         known, self._said = layout == self._said, layout
         values = (seen.scene, seen.sample_token, seen.index, seen.timestamp_us, int(seen.command))
         motion = (ego.yaw_rate, ego.steering_angle, ego.source)
@@ -50,7 +51,8 @@ class Unpacking:
     """The planner's side."""
 
     def __init__(self) -> None:
-        self._layout: Layout = ()
+        self._places: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
+        self._folders: dict[str, Path] = {}
 
     def unpacked(self, packed: Sequence[Any], load: Callable[[str], NDArray[np.uint8]]) -> Observation:
         """The observation.
@@ -64,8 +66,8 @@ class Unpacking:
         """
         values, motion, views, layout, data = packed
         if layout is not None:
-            self._layout = layout
-        arrays = iter(_arrays(self._layout, data))
+            self._places = _places(layout)
+        arrays = iter([None if each is None else np.ndarray(each[0], each[1], data, each[2]) for each in self._places])
         scene, sample_token, index, timestamp_us, command = values
         yaw_rate, steering_angle, source = motion
         pose, position, rotation, velocity, acceleration, can_motion, can_motion_after = (
@@ -76,7 +78,7 @@ class Unpacking:
         for name, called, width, height, path, time_us in views:
             translation, camera_rotation, intrinsic, view_pose = (next(arrays) for _ in range(4))
             camera = Camera(called, translation, camera_rotation, intrinsic, width, height)
-            seen[name] = CameraView(camera, Path(path), time_us, view_pose, partial(load, name))
+            seen[name] = CameraView(camera, self._path(path), time_us, view_pose, partial(load, name))
         ego = EgoState(
             pose,
             position,
@@ -102,6 +104,16 @@ class Unpacking:
             Command(command),
         )
 
+    def _path(self, text: str) -> Path:
+        """A path; pictures of a camera lie in one folder, which is made a path of once."""
+        folder, _, name = text.rpartition("/")
+        if not folder or name in ("", ".", ".."):
+            return Path(text)
+        known = self._folders.get(folder)
+        if known is None:
+            known = self._folders[folder] = Path(folder)
+        return known / name
+
 
 def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
     """The bytes of arrays one after the other, each beginning where every number may."""
@@ -115,15 +127,16 @@ def _bytes(arrays: Sequence[NDArray[Any] | None]) -> bytearray:
     return bytearray(b"".join(pieces))
 
 
-def _arrays(layout: Layout, data: bytearray) -> list[Any]:
-    found: list[Any] = []
+def _places(layout: Layout) -> list[tuple[tuple[int, ...], np.dtype[Any], int] | None]:
+    """Shape, type and first byte of each array."""
+    found: list[tuple[tuple[int, ...], np.dtype[Any], int] | None] = []
     place = 0
     for each in layout:
         if each is None:
             found.append(None)
             continue
         kind, shape = each
-        array: NDArray[Any] = np.ndarray(shape, kind, data, place)
-        found.append(array)
-        place += array.nbytes + -array.nbytes % _ALIGNED_BYTES
+        found.append((shape, kind, place))
+        size = kind.itemsize * math.prod(shape)
+        place += size + -size % _ALIGNED_BYTES
     return found

@@ -293,15 +293,17 @@ def _plan(told: Any) -> Plan:
     try:
         forecasts, waypoints = told["forecasts"], told["waypoints"]
         sound = np.isfinite(waypoints)
+        whole = bool(sound.all())
         plan = Plan(
-            waypoints=np.where(sound, waypoints, waypoints.dtype.type(0)),
+            waypoints=waypoints if whole else np.where(sound, waypoints, waypoints.dtype.type(0)),
             frame=PlanFrame(told["frame"]),
             modes=told["modes"],
             mode_scores=told["mode_scores"],
             forecasts=None if forecasts is None else Forecasts(**forecasts),
         )
         # It was one when it was made there; its numbers may have been changed since, and whoever asks looks at them.
-        np.copyto(plan.waypoints, waypoints)
+        if not whole:
+            np.copyto(plan.waypoints, waypoints)
         return plan
     except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise PlannerFailedError(*[f"{type(error).__name__}: {error}"] * 2) from error

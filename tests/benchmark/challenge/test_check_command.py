@@ -1,5 +1,6 @@
 import json
 import re
+import shutil
 from pathlib import Path
 
 from benchmark.challenge.page import page_text
@@ -43,6 +44,22 @@ def test_a_forged_entry_ends_with_1_and_json_is_what_is_written(entry: Path, bas
     verdict = read_verdict(tmp_path / "to" / "verdict.json")
     assert [scene.accepted for scene in verdict.scenes] == [False, True]
     assert verdict.challenge == "of 5 cm" and not (tmp_path / "to" / "index.html").exists()
+
+
+def test_an_entry_without_pictures_is_accepted_where_rules_ask_for_none(
+    entry: Path, base: DataSet, tmp_path: Path
+) -> None:
+    bare = Forged.copy(entry, tmp_path / "bare")
+    for folder in bare.root.glob("samples/CAM_*"):
+        shutil.rmtree(folder)
+    with bare.rows("sample_data") as rows:
+        rows[:] = [row for row in rows if "CAM_" not in row["filename"]]
+    (tmp_path / "rules.toml").write_text("[images]\nrequired = false\n")
+    given = ("challenge", "check", bare.root, "--base", base.root, "--to", tmp_path / "to", "--no-page")
+    given = (*given, "--workers", "1", "--json")
+    verdicts = [json.loads(run_here(*given, *more).out) for more in ((), ("--rules", tmp_path / "rules.toml"))]
+    reasons = [{reason["rule"] for scene in each["scenes"] for reason in scene["reasons"]} for each in verdicts]
+    assert reasons == [{"images.required"}, set()]
 
 
 def test_bad_input_is_one_sentence_and_2(entry: Path, base: DataSet, tmp_path: Path) -> None:

@@ -3,10 +3,13 @@
 import importlib
 import os
 import pickle
+import select
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
@@ -32,6 +35,7 @@ from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import BrokenImageError, plan_scene
 from benchmark.runs.planner_facts import facts_of
 from benchmark.supervision import libraries
+from benchmark.supervision.frames import Asker, MalformedError, answer
 from benchmark.supervision.libraries import on_import_of_torch
 from benchmark.supervision.limits import Supervision
 from benchmark.supervision.observed import Packing, Unpacking
@@ -225,7 +229,7 @@ class Interrupts(Straight):
 @pytest.mark.parametrize(
     ("model", "says"),
     [
-        ("at_home:Hangs", "importing and building it did not end within 4 s; its process was ended"),
+        ("at_home:Hangs", "importing and building it did not end within 2 s; its process was ended"),
         ("at_home:Faults", r"the planner's process died \(signal SIGSEGV\)"),
         ("at_home:Interrupts", "KeyboardInterrupt"),
         ("leaving:Planner", "the planner's process ended by itself with exit status 0"),
@@ -237,7 +241,7 @@ def test_who_dies_when_it_is_loaded_is_one_sentence(
     (tmp_path / "at_home.py").write_text(textwrap.dedent(LOADING))
     (tmp_path / "leaving.py").write_text("import os\nos._exit(0)\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    limits = Supervision(1.0, loading_s=4.0 if model == "at_home:Hangs" else 60.0)
+    limits = Supervision(1.0, loading_s=2.0 if model == "at_home:Hangs" else 60.0)
     with pytest.raises(InputError, match=f"model '{model}' cannot be loaded: {says}") as error:
         planner_factory(model, supervision=limits)
     assert "\n" not in str(error.value)
@@ -398,3 +402,29 @@ def test_nothing_outlives_who_asks(tmp_path: Path, how: str) -> None:
         asker.send_signal(signal.SIGKILL)
     asker.wait(60)
     wait_until_gone([there])
+
+
+def test_an_answer_may_come_in_pieces_and_with_the_next_one() -> None:
+    asking, answering = socket.socketpair()
+    with asking, answering:
+        asker, until = Asker(asking), time.monotonic() + 20.0
+        first, second = (answer(number, ["plan", np.arange(count)]) for number, count in ((1, 3), (2, 60_000)))
+
+        def dribbled() -> None:
+            for end in range(len(first)):
+                answering.sendall(first[end : end + 1])
+            answering.sendall(second[:7])
+            answering.sendall(second[7:])
+
+        thread = threading.Thread(target=dribbled)
+        thread.start()
+        for number, count in ((1, 3), (2, 60_000)):
+            assert asker.wait(select.POLLIN, until - time.monotonic())
+            assert asker.receive(number, until)[1].tolist() == [*range(count)]
+        thread.join()
+        answering.sendall(answer(3, []) + answer(3, []))
+        assert asker.wait(select.POLLIN, 1.0) and asker.receive(3, until) == []
+        # What was said too much is there at the next question, and is no answer to that.
+        assert asker.wait(select.POLLIN, 0.0)
+        with pytest.raises(MalformedError, match="not asked"):
+            asker.receive(4, until)
