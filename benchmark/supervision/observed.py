@@ -5,7 +5,7 @@ sample. Of pictures there are names here, calibration and poses (`pictures.py` h
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -67,7 +67,9 @@ class Unpacking:
         values, motion, views, layout, data = packed
         if layout is not None:
             self._places = _places(layout)
-        arrays = iter([None if each is None else np.ndarray(each[0], each[1], data, each[2]) for each in self._places])
+        arrays: Iterator[Any] = iter(
+            [None if each is None else np.ndarray(each[0], each[1], data, each[2]) for each in self._places]
+        )
         scene, sample_token, index, timestamp_us, command = values
         yaw_rate, steering_angle, source = motion
         pose, position, rotation, velocity, acceleration, can_motion, can_motion_after = (

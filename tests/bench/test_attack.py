@@ -37,7 +37,7 @@ def test_a_hundred_variants_of_files_and_doors_are_answered(tmp_path: Path) -> N
     assert {each.kind for each in files.values()} == {target.kind for target in TARGETS}
     assert all(sum(each.verdict == Verdict.ANSWERED for each in found.values()) > 35 for found in (files, doors))
     assert "| all | 120 |" in done.stdout
-    assert not [path for path in tmp_path.glob("*/*") if path.name.startswith(("case", "door"))]
+    assert not [path for path in tmp_path.glob("*/*") if path.name.startswith(("case-", "door-"))]
 
 
 @pytest.fixture(scope="module")

@@ -56,8 +56,8 @@ def test_an_entry_without_pictures_is_accepted_where_rules_ask_for_none(
         rows[:] = [row for row in rows if "CAM_" not in row["filename"]]
     (tmp_path / "rules.toml").write_text("[images]\nrequired = false\n")
     given = ("challenge", "check", bare.root, "--base", base.root, "--to", tmp_path / "to", "--no-page")
-    given = (*given, "--workers", "1", "--json")
-    verdicts = [json.loads(run_here(*given, *more).out) for more in ((), ("--rules", tmp_path / "rules.toml"))]
+    whole = (*given, "--workers", "1", "--json")
+    verdicts = [json.loads(run_here(*whole, *more).out) for more in ((), ("--rules", tmp_path / "rules.toml"))]
     reasons = [{reason["rule"] for scene in each["scenes"] for reason in scene["reasons"]} for each in verdicts]
     assert reasons == [{"images.required"}, set()]
 

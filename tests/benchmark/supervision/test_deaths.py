@@ -104,7 +104,7 @@ def rows(notes: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
     names = (*LOST, *RAISED, *HARMLESS, "dies-in-reset", "ordinary")
     kept, data = tmp_path_factory.mktemp("rows"), roads(*names)
     made, identity = maker("Dying", notes=notes)
-    found = {}
+    found: dict[str, list[dict[str, Any]]] = {}
     # Those whose limit is waited for wait for a short one; the others never do.
     for limit_s, late in ((SHORT_S, True), (LIMIT_S, False)):
         planner = supervised(made, identity, Supervision(limit_s, memory_bytes=GIB, loading_s=60.0))
