@@ -19,6 +19,8 @@ _STILL_M: Final = 0.05
 """Shorter ways have no direction."""
 REACTION_S: Final = 0.75
 """Of whoever gives way: that of a careful human (UN Regulation 157, Annex 3)."""
+AS_RECORDED_M: Final = 1.0
+"""An ego this near to where it was recorded at the same time drives as recorded."""
 MOST_TURN_RAD: Final = np.pi / 2
 """Nobody is expected to turn farther than round one corner."""
 
@@ -58,6 +60,12 @@ class Seen:
         span = (self.times_us[-1] - self.times_us[first]) / 1e6
         turned = float(wrap_angle(self.poses[-1, 2] - self.poses[first, 2]))
         return turned / float(span) if span > 0.0 else 0.0
+
+    def as_recorded(self, scene: Scene) -> bool:
+        """Whether the ego is where it was recorded."""
+        times = (scene.timestamps_us - self.times_us[-1]) / 1e6
+        place = [np.interp(0.0, times, scene.ego.pose[:, axis]) for axis in range(2)]
+        return bool(np.hypot(*(self.poses[-1, :2] - place)) <= AS_RECORDED_M)
 
     def at(self, times_us: NDArray[np.int64]) -> Floats:
         """(K, 3) poses at (K,) times up to now."""
