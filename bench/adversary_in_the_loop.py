@@ -14,7 +14,6 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,8 +117,6 @@ def main() -> None:
     parser.add_argument("--every", type=float, default=1.0)
     parser.add_argument("--rounds", type=int)
     parser.add_argument("--candidates", type=int)
-    parser.add_argument("--survivable", action="store_true")
-    parser.add_argument("--gives-way", type=float, default=0.0)
     parser.add_argument("--first", type=int, default=0, help="first run")
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--no-careful", action="store_true")
@@ -132,7 +129,6 @@ def main() -> None:
         rounds=chosen.rounds,
         candidates=chosen.candidates,
     )
-    settings = replace(settings, survivable=chosen.survivable, gives_way_m_s2=chosen.gives_way)
     maker = InTheLoop.of(settings) if chosen.agents == "adversary" else None
     rides = DefaultRides(chosen.agents, 0, maker)
     world = {"data": chosen.data, "split": chosen.split, "model": chosen.model, "agents": chosen.agents}

@@ -34,8 +34,7 @@ class PlanningAgainst(Planning):
     def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
         """As in open loop, and what is not survivable costs."""
         rate = Planning.rated(self, frame, offsets, track)
-        speed = ego_speed(self.scene, frame)
-        careful = CarefulAhead.of(self.scene, self.agent, frame, speed)
+        careful = CarefulAhead.of(self.scene, self.agent, frame, ego_speed(self.scene, frame))
         size = self.scene.agents.size[self.agent, :2]
 
         def rated(motion: SimulatedMotion) -> Terms:

@@ -25,7 +25,7 @@ LOOK_FRAMES: Final = 60
 _RISE_M_S3: Final = 12.65
 _AIR_ALONG_M: Final = 1.0
 _AIR_ASIDE_M: Final = 0.4
-_ASIDE_M_S: Final = 0.25
+_ASIDE_M_S: Final = 0.1
 """What is nearer than this, in the ego's way and beside it, is as good as touched: where the ego will be is not known,
 and less so the farther ahead."""
 
@@ -86,7 +86,7 @@ class CarefulAhead:
     lost: bool
 
     @classmethod
-    def of(cls, scene: Scene, agent: int, frame: int, speed: float) -> Self:
+    def of(cls, scene: Scene, agent: int, frame: int, speed: float, look_frames: int = LOOK_FRAMES) -> Self:
         """The careful human of a planning frame.
 
         Args:
@@ -94,8 +94,9 @@ class CarefulAhead:
             agent: The adversary.
             frame: The planning frame.
             speed: Of the ego there, m/s.
+            look_frames: How far is looked.
         """
-        last = min(frame + LOOK_FRAMES, len(scene.timestamps_us) - 1)
+        last = min(frame + look_frames, len(scene.timestamps_us) - 1)
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
         way = EgoWay.of(scene)
         others = _others(scene, agent, way, frame, steps)
@@ -112,19 +113,20 @@ class CarefulAhead:
         """
         return self.hits(self.placed(motion, size))
 
-    def met(self, placed: Bodies) -> Bools:
-        """(B,) whether an ego that does not react runs into somebody who is in front of it.
+    def met(self, placed: Bodies, *, in_front: bool = True) -> Bools:
+        """(B,) whether an ego that does not react and somebody meet.
 
         Args:
             placed: B bodies.
+            in_front: Whether only those count who are in front of it: who comes from the side may hit the ego.
         """
         time = np.arange(len(self.steps) + 1) * EVERY_FRAMES / FRAME_HZ
         station, half = self.station + self.speed * time, 0.5 * self.way.length_m
         over = (placed.rear < station + half) & (placed.front > station - half) & (placed.beside <= 0.0)
         first = np.argmax(over, axis=1)
         rows = np.arange(len(over))
-        # Who is beside the ego, or behind it, hits the ego.
-        return over.any(axis=1) & ~over[:, 0] & (placed.rear[rows, first] > station[first])
+        ahead = placed.rear[rows, first] > station[first] if in_front else True
+        return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
 
     def placed(self, motion: SimulatedMotion, size: Floats) -> Bodies:
         """Candidates along the ego's way."""

@@ -142,14 +142,15 @@ class Adversary:
     def _planning(self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None) -> Planning:
         stages = {"physics": 0.0, "scoring": 0.0}
         hyper = self.settings.hyper
-        kind = PlanningAgainst if self.settings.survivable else Planning
+        # Open loop knows where the ego will be, and keeps clear of it.
+        kind = Planning if self.settings.knows is Knows.RECORDING else PlanningAgainst
         return kind(
             scene, self.agent, self.start, hyper, self.diversify, self.model, rng, stages, road_around=road_around
         )
 
     def _planned(self, memory: Memory, moment: Moment, frame: int) -> Memory:
         """Plan at a frame and drive on to the next one."""
-        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows, self.settings.gives_way_m_s2)
+        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows)
         scene = replace(self.scene, ego=ego, sweep_poses=None)
         if self.settings.others != "replay":
             scene = with_expected_others(scene, self, memory, moment, frame)
@@ -157,7 +158,7 @@ class Adversary:
         rng.bit_generator.state = memory.randomness
         planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
         steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
-        chosen = self._as_made(planning, scene, frame, steps, memory)
+        chosen = self._as_made(scene, frame, steps, memory)
         if chosen is None:
             chosen = self._chosen(scene, frame, steps, self._searched(planning, frame, memory), memory)
         return replace(
@@ -170,15 +171,13 @@ class Adversary:
             as_made=chosen.as_made,
         )
 
-    def _as_made(
-        self, planning: Planning, scene: Scene, frame: int, steps: int, memory: Memory
-    ) -> _Chosen | None:
+    def _as_made(self, scene: Scene, frame: int, steps: int, memory: Memory) -> _Chosen | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
         known = self.scene.agents.ids[self.agent] in self.scene.adversaries
         if not known or not memory.as_made or self.settings.knows is Knows.RECORDING:
             return None
         agents = scene.agents
-        last = min(frame + AHEAD_FRAMES + steps, len(scene.timestamps_us) - 1)
+        last = len(scene.timestamps_us) - 1
         if not agents.valid[self.agent, frame : last + 1].all():
             return None
         poses = np.column_stack([agents.position[self.agent, :, :2], agents.yaw[self.agent]])[frame : last + 1]
@@ -191,11 +190,10 @@ class Adversary:
         return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), state, replanning, as_made=True)
 
     def _meets(self, scene: Scene, frame: int, poses: Floats) -> bool:
-        """Whether an ego that does not react would run into a track that a careful human survives."""
-        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame))
+        """Whether an ego that does not react would run into a track, however late."""
         size = self.scene.agents.size[self.agent, :2]
-        placed = careful.placed(driven_motion(poses, float(size[0])), size)
-        return bool(careful.met(placed)[0] and not careful.hits(placed)[0])
+        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame), len(poses))
+        return bool(careful.met(careful.placed(driven_motion(poses, float(size[0])), size), in_front=False)[0])
 
     def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
         """What the search finds; nothing where it has nothing to draw from."""
