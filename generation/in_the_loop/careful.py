@@ -22,6 +22,8 @@ from generation.search.ego_way import EgoWay
 EVERY_FRAMES: Final = 2
 LOOK_FRAMES: Final = 60
 """5 s; candidates are known for 3 s of them and go on at their speed."""
+BLIND_FRAMES: Final = 12
+"""Until the next plan."""
 _RISE_M_S3: Final = 12.65
 _AIR_ALONG_M: Final = 1.0
 _AIR_ASIDE_M: Final = 0.4
@@ -170,7 +172,20 @@ class CarefulAhead:
             needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
             hit |= (beside[:, -1] <= 0.0) & (gap > -half) & (gap < needed)
         # Whoever would be hit by others in any case is not hit because of a candidate.
-        return np.asarray(hit | (lost & (not self.lost)))
+        return np.asarray(hit | (lost & (not self.lost)) | self._runs_into(placed))
+
+    def _runs_into(self, placed: Bodies) -> Bools:
+        """(B,) whether who comes up behind the ego could not stop if it braked as hard as it can from now on.
+
+        It is planned anew after a second, and brakes no earlier.
+        """
+        at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
+        # Nobody is infinitely far away.
+        with np.errstate(invalid="ignore"):
+            speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)
+            stops = placed.front[:, at] + speed**2 / (2.0 * HARDEST_BRAKING)
+        behind = (placed.rear[:, 0] < self.station - half) & (placed.beside[:, at] <= _AIR_ASIDE_M)
+        return np.asarray(behind & (stops > self.station - half + self.speed**2 / (2.0 * HARDEST_BRAKING)))
 
 
 def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:

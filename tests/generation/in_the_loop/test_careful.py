@@ -78,3 +78,12 @@ def test_a_batch_is_as_if_alone() -> None:
     found = careful.hit(batch, scene.agents.size[0, :2])
     assert found[:8].tolist() == [says(scene, way) for way in ways[:8]]
     assert replace(batch).finite.sum() == 8
+
+
+@pytest.mark.parametrize(
+    ("gap", "aside", "hit"), [(2.0, 0.0, True), (5.0, 0.0, True), (12.0, 0.0, False), (2.0, 3.5, False)]
+)
+def test_who_follows_too_closely_to_stop_behind_it_is_not_let_through(gap: float, aside: float, hit: bool) -> None:
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    x = scene.ego.boxes[FRAME, 0] - 0.5 * 4.084 - 0.5 * 4.6 - gap + 8.0 * np.arange(37) / 12
+    assert says(scene, np.column_stack([x, np.full(37, 198.25 + aside), np.zeros(37)])) is hit
