@@ -130,6 +130,11 @@ class CarefulAhead:
         ahead = placed.rear[rows, first] > station[first] if in_front else True
         return np.asarray(over.any(axis=1) & ~over[:, 0] & ahead)
 
+    def follows(self, now: Floats, size: Floats) -> bool:
+        """Whether somebody at (1, 3) is behind the ego."""
+        body = Bodies.of(self.way, now[None], size[None], (self.frame, self.frame))
+        return bool(body.rear[0, 0] < self.station - 0.5 * self.way.length_m)
+
     def placed(self, motion: SimulatedMotion, size: Floats) -> Bodies:
         """Candidates along the ego's way."""
         known = [step for step in self.steps if step < motion.center.shape[1]]

@@ -21,7 +21,7 @@ _STILL_M: Final = 0.05
 ON_ROUTE_M: Final = 1.5
 ON_ROUTE_RAD: Final = 0.35
 """Who is no farther from the route, nor looks elsewhere, follows it."""
-AS_RECORDED_M: Final = 0.5
+AS_RECORDED_M: Final = 1.0
 """An ego this near to where it was recorded at the same time drives as recorded."""
 MOST_TURN_RAD: Final = np.pi / 2
 """Nobody is expected to turn farther than round one corner."""

@@ -23,7 +23,7 @@ from generation.in_the_loop.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounde
 from generation.in_the_loop.answering import with_expected_others
 from generation.in_the_loop.careful import CarefulAhead
 from generation.in_the_loop.expecting import Seen, expected_ego
-from generation.in_the_loop.settings import AdversarySettings, Knows
+from generation.in_the_loop.settings import LONGEST_FRAMES, AdversarySettings, Knows
 from generation.search.adversary import ALGORITHM_VERSION, scene_identity
 from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, run_together
@@ -161,6 +161,8 @@ class Adversary:
         chosen = self._as_made(scene, frame, steps, memory)
         if chosen is None:
             chosen = self._chosen(scene, frame, steps, self._searched(planning, frame, memory), memory)
+            if self.settings.knows is not Knows.RECORDING:
+                chosen = self._yielding(scene, frame, steps, chosen, memory)
         return replace(
             memory,
             state=chosen.state,
@@ -194,6 +196,30 @@ class Adversary:
         size = self.scene.agents.size[self.agent, :2]
         careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame), len(poses))
         return bool(careful.met(careful.placed(driven_motion(poses, float(size[0])), size), in_front=False)[0])
+
+    def _yielding(self, scene: Scene, frame: int, steps: int, chosen: _Chosen, memory: Memory) -> _Chosen:
+        """What was chosen, or the brakes where a careful human does not survive it but survives them."""
+        size = self.scene.agents.size[self.agent, :2]
+        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame))
+        now = memory.track[-1:]
+
+        def hits(poses: Floats) -> bool:
+            return bool(careful.hit(driven_motion(poses[: LONGEST_FRAMES + 1], float(size[0])), size)[0])
+
+        if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
+            return chosen
+        around = Surrounded.of(scene, self.agent, frame)
+        path = np.concatenate([now, memory.ahead])
+        clear = [
+            slowed
+            for slowed in (self._slowed(path, around.frame_seconds, memory.state, each) for each in BRAKING_M_S2)
+            if around.clear_for(slowed) == np.inf
+        ]
+        for slowed in clear:
+            if not hits(slowed):
+                return self._as_braked(frame, steps, slowed)
+        # Whoever is behind the ego and can do nothing that is safe does what is nearest to it.
+        return self._as_braked(frame, steps, clear[-1]) if clear and careful.follows(now, size) else chosen
 
     def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
         """What the search finds; nothing where it has nothing to draw from."""
@@ -268,12 +294,16 @@ class Adversary:
             lasting = around.clear_for(slowed)
             if lasting > clear:
                 found, clear = slowed, lasting
-        executed = found[1 : steps + 1]
-        length = float(self.scene.agents.size[self.agent, 0])
-        way = executed[-1, :2] - found[steps - 1, :2]
-        speed = float(np.hypot(*way)) * FRAME_HZ
-        state = VehicleState(rear_axle(executed[-1], length), speed)
-        return _Chosen(executed, _ahead(found, steps), state, Replanning(frame, None, braked=True)), clear
+        return self._as_braked(frame, steps, found), clear
+
+    def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
+        """Poses from the planning frame on that no search found."""
+        executed = poses[1 : steps + 1]
+        way = executed[-1, :2] - poses[steps - 1, :2]
+        state = VehicleState(
+            rear_axle(executed[-1], float(self.scene.agents.size[self.agent, 0])), float(np.hypot(*way)) * FRAME_HZ
+        )
+        return _Chosen(executed, _ahead(poses, steps), state, Replanning(frame, None, braked=True))
 
     @staticmethod
     def _slowed(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
