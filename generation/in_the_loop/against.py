@@ -19,6 +19,10 @@ HIT_WEIGHT: Final = 20.0
 MET_WEIGHT: Final = 5.0
 """Of one that a careful human survives and that an ego that does not react runs into."""
 
+FOLLOW_WEIGHT: Final = 1.0
+FOLLOW_MOST_M: Final = 20.0
+"""A metre that is missing to stop behind the ego, and how many count."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlanningAgainst(Planning):
@@ -41,7 +45,8 @@ class PlanningAgainst(Planning):
             terms = rate(motion)
             placed = careful.placed(motion, size)
             hit = careful.hits(placed)
-            more = HIT_WEIGHT * hit - MET_WEIGHT * (careful.met(placed) & ~hit)
+            follows = FOLLOW_WEIGHT * np.minimum(careful.lacking(placed), FOLLOW_MOST_M)
+            more = HIT_WEIGHT * hit - MET_WEIGHT * (careful.met(placed) & ~hit) + follows
             return replace(terms, further=more if terms.further is None else terms.further + more)
 
         return rated

@@ -177,20 +177,22 @@ class CarefulAhead:
             needed = closing * np.maximum(waiting, 0.0) + closing**2 / (2.0 * HARDEST_BRAKING)
             hit |= (beside[:, -1] <= 0.0) & (gap > -half) & (gap < needed)
         # Whoever would be hit by others in any case is not hit because of a candidate.
-        return np.asarray(hit | (lost & (not self.lost)) | self._runs_into(placed))
+        return np.asarray(hit | (lost & (not self.lost)))
 
-    def _runs_into(self, placed: Bodies) -> Bools:
-        """(B,) whether who comes up behind the ego could not stop if it braked as hard as it can from now on.
+    def lacking(self, placed: Bodies) -> Floats:
+        """(B,) metres that are missing to stop behind the ego, for who comes up behind it, if it brakes from now on.
 
         It is planned anew after a second, and brakes no earlier.
+
+        Args:
+            placed: B bodies.
         """
         at, half = min(BLIND_FRAMES // EVERY_FRAMES, len(self.steps)), 0.5 * self.way.length_m
-        # Nobody is infinitely far away.
-        with np.errstate(invalid="ignore"):
-            speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)
-            stops = placed.front[:, at] + speed**2 / (2.0 * HARDEST_BRAKING)
+        speed = np.maximum(placed.rear[:, at] - placed.rear[:, at - 1], 0.0) * (FRAME_HZ / EVERY_FRAMES)
+        stops = placed.front[:, at] + speed**2 / (2.0 * HARDEST_BRAKING)
         behind = (placed.rear[:, 0] < self.station - half) & (placed.beside[:, at] <= _AIR_ASIDE_M)
-        return np.asarray(behind & (stops > self.station - half + self.speed**2 / (2.0 * HARDEST_BRAKING)))
+        missing = stops - (self.station - half + self.speed**2 / (2.0 * HARDEST_BRAKING))
+        return np.asarray(behind * np.maximum(missing, 0.0))
 
 
 def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
