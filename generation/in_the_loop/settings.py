@@ -22,9 +22,9 @@ OTHERS: Final = ("replay", "idm")
 class Knows(StrEnum):
     """What an adversary expects of the ego.
 
-    ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed and its turn. ``NOTHING``: that it
-    stays where it is. ``RECORDING``: the recorded future, which only the recorded ego has; it is for tests, and no
-    command line offers it.
+    ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed on its route, or its turn where it
+    has left that. ``NOTHING``: that it stays where it is. ``RECORDING``: the recorded future, which only the recorded
+    ego has; it is for tests, and no command line offers it.
     """
 
     PLAN = "plan"
