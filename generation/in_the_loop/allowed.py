@@ -143,7 +143,7 @@ def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> F
 
 
 def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
-    """Round and index of the best candidates, the best first.
+    """Round and index of the best candidates, the best first, and of as many from all over the rest.
 
     Args:
         scores: (R, B), lower is better; infinite ones are left out.
@@ -153,6 +153,9 @@ def in_order(scores: Floats, most: int) -> Iterator[tuple[int, int]]:
         Their places.
     """
     flat = scores.ravel()
-    order: Integers = np.argsort(flat, kind="stable")[:most]
-    for place in order[np.isfinite(flat[order])].tolist():
+    order: Integers = np.argsort(flat, kind="stable")
+    order = order[np.isfinite(flat[order])]
+    # The best are all alike: what stops one of them stops the others.
+    spread = np.unique(np.linspace(0, max(len(order) - 1, 0), most - most // 2).astype(np.int64))
+    for place in order[np.union1d(np.arange(min(most // 2, len(order))), spread[: len(order)])].tolist():
         yield divmod(place, scores.shape[1])

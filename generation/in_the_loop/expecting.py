@@ -12,13 +12,17 @@ from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, PLAN_STEP_S
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global, wrap_angle
 from benchmark.scene import EgoTrack, Scene
 from generation.in_the_loop.settings import Knows
+from generation.search.ego_way import EgoWay
 
 _TURN_US: Final = 300_000
 """Over how long a turn is looked at: one instant says little of it."""
 _STILL_M: Final = 0.05
 """Shorter ways have no direction."""
-REACTION_S: Final = 0.75
-"""Of whoever gives way: that of a careful human (UN Regulation 157, Annex 3)."""
+ON_ROUTE_M: Final = 1.5
+ON_ROUTE_RAD: Final = 0.35
+"""Who is no farther from the route, nor looks elsewhere, follows it."""
+AS_RECORDED_M: Final = 1.0
+"""An ego this near to where it was recorded at the same time drives as recorded."""
 MOST_TURN_RAD: Final = np.pi / 2
 """Nobody is expected to turn farther than round one corner."""
 
@@ -59,6 +63,12 @@ class Seen:
         turned = float(wrap_angle(self.poses[-1, 2] - self.poses[first, 2]))
         return turned / float(span) if span > 0.0 else 0.0
 
+    def as_recorded(self, scene: Scene) -> bool:
+        """Whether the ego is where it was recorded."""
+        times = (scene.timestamps_us - self.times_us[-1]) / 1e6
+        place = [np.interp(0.0, times, scene.ego.pose[:, axis]) for axis in range(2)]
+        return bool(np.hypot(*(self.poses[-1, :2] - place)) <= AS_RECORDED_M)
+
     def at(self, times_us: NDArray[np.int64]) -> Floats:
         """(K, 3) poses at (K,) times up to now."""
         first = self.times_us[0]
@@ -67,17 +77,14 @@ class Seen:
         return np.column_stack([np.interp(asked, seconds, column) for column in columns])
 
 
-def expected_ego(
-    scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Knows, gives_way_m_s2: float = 0.0
-) -> EgoTrack:
-    """The ego's track as an adversary takes it to be.
+def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Knows) -> EgoTrack:
+    """The ego's track as an adversary takes it to be; one that keeps its motion follows its route if it is on it.
 
     Args:
-        scene: The scene, of which only the heights of the ego's path are taken.
+        scene: The scene, of which the route and its heights are taken.
         seen: Where the ego has been.
         plan: Its plan in force; looked at by those alone who know it.
         knows: What is expected.
-        gives_way_m_s2: How hard it is expected to brake, once it has had the time to react to who gets in its way.
 
     Returns:
         Its track at all frames of the scene; that of the scene itself where the recording is known.
@@ -94,11 +101,26 @@ def expected_ego(
     elif knows is Knows.NOTHING:
         poses[~past] = seen.poses[-1]
     else:
-        poses[~past] = _kept_up(seen, seconds)
-    if gives_way_m_s2 > 0.0 and len(seconds):
-        poses[~past] = _giving_way(np.concatenate([seen.poses[-1:], poses[~past]]), seconds, gives_way_m_s2)
+        on_its_way = _on_its_way(scene, seen, seconds)
+        poses[~past] = _kept_up(seen, seconds) if on_its_way is None else on_its_way
     position = np.column_stack([poses[:, :2], scene.ego.position[:, 2]])
     return EgoTrack(position, quaternion_from_yaw(poses[:, 2]))
+
+
+def _on_its_way(scene: Scene, seen: Seen, seconds: Floats) -> Floats | None:
+    """(K, 3) poses of an ego that keeps its speed on its route; ``None`` if it is not on it."""
+    now = max(int(np.searchsorted(scene.timestamps_us, seen.times_us[-1], side="right")) - 1, 0)
+    way, back = EgoWay.of(scene), EGO_CENTER_FROM_REAR_AXLE_M
+    center = seen.poses[-1].copy()
+    center[:2] += back * np.array([np.cos(center[2]), np.sin(center[2])])
+    station, offset, turn = (float(each[0]) for each in way.places(center[None], now, now))
+    if abs(offset) > ON_ROUTE_M or abs(turn) > ON_ROUTE_RAD:
+        return None
+    reached = station + seen.speed * seconds
+    yaw = np.interp(reached, way.stations, np.unwrap(way.headings))
+    place = np.column_stack([np.interp(reached, way.stations, way.points[:, axis]) for axis in range(2)])
+    ahead, left = np.column_stack([np.cos(yaw), np.sin(yaw)]), np.column_stack([-np.sin(yaw), np.cos(yaw)])
+    return np.column_stack([place + offset * left - back * ahead, yaw])
 
 
 def _kept_up(seen: Seen, seconds: Floats) -> Floats:
@@ -134,24 +156,3 @@ def _planned(plan: PlanInForce, times_us: NDArray[np.int64]) -> Floats:
     at = np.arange(len(knots))
     place = np.column_stack([np.interp(steps, at, knots[:, axis]) for axis in range(2)])
     return np.column_stack([to_global(place, plan.origin), yaw + plan.origin[2]])
-
-
-def _giving_way(poses: Floats, seconds: Floats, braking_m_s2: float) -> Floats:
-    """(K, 3) the same way, braked on from a reaction time on.
-
-    Args:
-        poses: (K + 1, 3) now, and after each of the seconds.
-        seconds: (K,) since now.
-        braking_m_s2: Deceleration, in addition to what the way says already.
-
-    Returns:
-        Poses on the same path.
-    """
-    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    late = np.maximum(seconds - REACTION_S, 0.0)
-    behind = station[1:] - 0.5 * braking_m_s2 * late**2
-    # Nobody drives backwards: where the braking would, it stands.
-    reached = np.maximum.accumulate(np.maximum(behind, 0.0))
-    yaw = np.unwrap(poses[:, 2])
-    columns = (poses[:, 0], poses[:, 1], yaw)
-    return np.column_stack([np.interp(reached, station, column) for column in columns])

@@ -14,18 +14,20 @@ from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryTrack, Ha
 from benchmark.closed_loop.agents.contract import AgentPolicy, Moment, Moved
 from benchmark.closed_loop.following import SUBSTEP_US
 from benchmark.constants import FRAME_HZ
-from benchmark.dynamics.bicycle import MotionModel, VehicleState, rear_axle
+from benchmark.dynamics.bicycle import MotionModel, SimulatedMotion, VehicleState, rear_axle
 from benchmark.geometry import Floats, to_local
 from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
-from generation.in_the_loop.against import PlanningAgainst
+from generation.in_the_loop.against import PlanningAgainst, ego_speed
 from generation.in_the_loop.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
 from generation.in_the_loop.answering import with_expected_others
+from generation.in_the_loop.careful import CarefulAhead
 from generation.in_the_loop.expecting import Seen, expected_ego
-from generation.in_the_loop.settings import AdversarySettings
+from generation.in_the_loop.settings import LONGEST_FRAMES, AdversarySettings, Knows
 from generation.search.adversary import ALGORITHM_VERSION, scene_identity
 from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, run_together
+from generation.search.recorded_motion import initial_state
 from generation.search.refinement import NothingToDraw, Refinement, scores_together
 from generation.search.rounds import rounds_of
 
@@ -47,6 +49,7 @@ class Memory:
         ahead: (60, 3) how what was planned last would have gone on.
         randomness: State of its generator of random numbers.
         replanned: Its planning frames.
+        as_made: Whether it is still on the track that the scene was made with.
     """
 
     others: Any
@@ -56,6 +59,7 @@ class Memory:
     ahead: Floats
     randomness: Any
     replanned: tuple[Replanning, ...] = ()
+    as_made: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,7 @@ class _Chosen:
     ahead: Floats
     state: VehicleState
     replanning: Replanning
+    as_made: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,23 +142,27 @@ class Adversary:
     def _planning(self, scene: Scene, rng: np.random.Generator, road_around: Floats | None = None) -> Planning:
         stages = {"physics": 0.0, "scoring": 0.0}
         hyper = self.settings.hyper
-        kind = PlanningAgainst if self.settings.survivable else Planning
+        # Open loop knows where the ego will be, and keeps clear of it.
+        kind = Planning if self.settings.knows is Knows.RECORDING else PlanningAgainst
         return kind(
             scene, self.agent, self.start, hyper, self.diversify, self.model, rng, stages, road_around=road_around
         )
 
     def _planned(self, memory: Memory, moment: Moment, frame: int) -> Memory:
         """Plan at a frame and drive on to the next one."""
-        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows, self.settings.gives_way_m_s2)
+        ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows)
         scene = replace(self.scene, ego=ego, sweep_poses=None)
         if self.settings.others != "replay":
             scene = with_expected_others(scene, self, memory, moment, frame)
         rng = np.random.default_rng()
         rng.bit_generator.state = memory.randomness
         planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
-        found = self._searched(planning, frame, memory)
         steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
-        chosen = self._chosen(scene, frame, steps, found, memory)
+        chosen = self._as_made(scene, frame, steps, memory)
+        if chosen is None:
+            chosen = self._chosen(scene, frame, steps, self._searched(planning, frame, memory), memory)
+            if self.settings.knows is not Knows.RECORDING:
+                chosen = self._yielding(scene, frame, steps, chosen, memory)
         return replace(
             memory,
             state=chosen.state,
@@ -161,7 +170,56 @@ class Adversary:
             ahead=chosen.ahead,
             randomness=rng.bit_generator.state,
             replanned=(*memory.replanned, chosen.replanning),
+            as_made=chosen.as_made,
         )
+
+    def _as_made(self, scene: Scene, frame: int, steps: int, memory: Memory) -> _Chosen | None:
+        """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
+        known = self.scene.agents.ids[self.agent] in self.scene.adversaries
+        if not known or not memory.as_made or self.settings.knows is Knows.RECORDING:
+            return None
+        agents = scene.agents
+        last = len(scene.timestamps_us) - 1
+        if not agents.valid[self.agent, frame : last + 1].all():
+            return None
+        poses = np.column_stack([agents.position[self.agent, :, :2], agents.yaw[self.agent]])[frame : last + 1]
+        if Surrounded.of(scene, self.agent, frame).clear_for(poses) < np.inf:
+            return None
+        if not memory.seen.as_recorded(self.scene) and not self._meets(scene, frame, poses):
+            return None
+        state = initial_state(scene, self.agent, frame + steps, self.model.limits)
+        replanning = Replanning(frame, None, braked=False)
+        return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), state, replanning, as_made=True)
+
+    def _meets(self, scene: Scene, frame: int, poses: Floats) -> bool:
+        """Whether an ego that does not react would run into a track, however late."""
+        size = self.scene.agents.size[self.agent, :2]
+        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame), len(poses))
+        return bool(careful.met(careful.placed(driven_motion(poses, float(size[0])), size), in_front=False)[0])
+
+    def _yielding(self, scene: Scene, frame: int, steps: int, chosen: _Chosen, memory: Memory) -> _Chosen:
+        """What was chosen, or the brakes where a careful human does not survive it but survives them."""
+        size = self.scene.agents.size[self.agent, :2]
+        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame))
+        now = memory.track[-1:]
+
+        def hits(poses: Floats) -> bool:
+            return bool(careful.hit(driven_motion(poses[: LONGEST_FRAMES + 1], float(size[0])), size)[0])
+
+        if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
+            return chosen
+        around = Surrounded.of(scene, self.agent, frame)
+        path = np.concatenate([now, memory.ahead])
+        clear = [
+            slowed
+            for slowed in (self._slowed(path, around.frame_seconds, memory.state, each) for each in BRAKING_M_S2)
+            if around.clear_for(slowed) == np.inf
+        ]
+        for slowed in clear:
+            if not hits(slowed):
+                return self._as_braked(frame, steps, slowed)
+        # Whoever is behind the ego and can do nothing that is safe does what is nearest to it.
+        return self._as_braked(frame, steps, clear[-1]) if clear and careful.follows(now, size) else chosen
 
     def _searched(self, planning: Planning, frame: int, memory: Memory) -> Refinement | None:
         """What the search finds; nothing where it has nothing to draw from."""
@@ -236,12 +294,16 @@ class Adversary:
             lasting = around.clear_for(slowed)
             if lasting > clear:
                 found, clear = slowed, lasting
-        executed = found[1 : steps + 1]
-        length = float(self.scene.agents.size[self.agent, 0])
-        way = executed[-1, :2] - found[steps - 1, :2]
-        speed = float(np.hypot(*way)) * FRAME_HZ
-        state = VehicleState(rear_axle(executed[-1], length), speed)
-        return _Chosen(executed, _ahead(found, steps), state, Replanning(frame, None, braked=True)), clear
+        return self._as_braked(frame, steps, found), clear
+
+    def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
+        """Poses from the planning frame on that no search found."""
+        executed = poses[1 : steps + 1]
+        way = executed[-1, :2] - poses[steps - 1, :2]
+        state = VehicleState(
+            rear_axle(executed[-1], float(self.scene.agents.size[self.agent, 0])), float(np.hypot(*way)) * FRAME_HZ
+        )
+        return _Chosen(executed, _ahead(poses, steps), state, Replanning(frame, None, braked=True))
 
     @staticmethod
     def _slowed(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:
@@ -251,6 +313,25 @@ class Adversary:
         before = np.array([[*(path[0, :2] - back), path[0, 2]]])
         times = np.concatenate([[-1.0 / FRAME_HZ], seconds])
         return braked(np.concatenate([before, path]), 1, times, braking_m_s2)[1:]
+
+
+def driven_motion(poses: Floats, length_m: float) -> SimulatedMotion:
+    """The motion of one track, as if a candidate had done it.
+
+    Args:
+        poses: (S + 1, 3) of the box centre, one a frame.
+        length_m: Length of the vehicle.
+
+    Returns:
+        A batch of one; what the tracker asked for is not known.
+    """
+    axle = rear_axle(poses, length_m)
+    heading = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    velocity = np.gradient(axle[:, :2], 1.0 / FRAME_HZ, axis=0) if len(poses) > 1 else np.zeros((1, 2))
+    speed = (velocity * heading).sum(axis=1)
+    acceleration = np.gradient(speed, 1.0 / FRAME_HZ) if len(poses) > 1 else np.zeros(1)
+    states = np.column_stack([axle, speed, acceleration, np.zeros(len(poses))])
+    return SimulatedMotion(poses[None], states[None], np.zeros((1, len(poses) - 1, 2)), np.ones(1, np.bool_))
 
 
 def _ahead(poses: Floats, steps: int) -> Floats:

@@ -11,7 +11,7 @@ from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.hyperparameters import HyperParameters
 from generation.search.presets import threatening
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Raised whenever the same adversary would drive elsewhere in the same drive."""
 AHEAD_WEIGHT: Final = 4.0
 LONGEST_FRAMES: Final = 36
@@ -22,9 +22,9 @@ OTHERS: Final = ("replay", "idm")
 class Knows(StrEnum):
     """What an adversary expects of the ego.
 
-    ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed and its turn. ``NOTHING``: that it
-    stays where it is. ``RECORDING``: the recorded future, which only the recorded ego has; it is for tests, and no
-    command line offers it.
+    ``PLAN``: that it drives its plan in force. ``MOTION``: that it keeps its speed on its route, or its turn where it
+    has left that. ``NOTHING``: that it stays where it is. ``RECORDING``: the recorded future, which only the recorded
+    ego has; it is for tests, and no command line offers it.
     """
 
     PLAN = "plan"
@@ -45,10 +45,6 @@ class AdversarySettings:
     Attributes:
         knows: What it expects of the ego.
         every_frames: It is planned anew after so many frames of 1/12 s.
-        gives_way_m_s2: How hard the ego is expected to brake for who gets in its way, after a reaction time. Where it
-            is 0 it is expected to hit nobody and to make room for nobody, and nobody ever gets in its way.
-        survivable: Whether a candidate may touch the ego if a careful human in the ego's place would not be touched by
-            it, instead of never touching the ego where it is expected.
         others: Policy of everybody else.
         hyper: Its search.
         keep_considered: Whether what it considered is kept; nothing else depends on it.
@@ -59,8 +55,6 @@ class AdversarySettings:
 
     knows: Knows = Knows.MOTION
     every_frames: int = FRAME_HZ
-    gives_way_m_s2: float = 0.0
-    survivable: bool = False
     others: str = "replay"
     hyper: HyperParameters = field(default_factory=in_the_loop)
     keep_considered: bool = False
@@ -118,8 +112,6 @@ class AdversarySettings:
         return {
             "policy": VERSION,
             "knows": self.knows.value,
-            "gives_way_m_s2": self.gives_way_m_s2,
-            "survivable": self.survivable,
             "every_s": round(self.every_frames / FRAME_HZ, 6),
             "others": self.others,
             "rounds": self.hyper.rounds,

@@ -150,10 +150,8 @@ class Planning:
         Returns:
             A function of (B, 16, 3) waypoints.
         """
-        left = len(self.scene.timestamps_us) - 1 - frame
-        # Where less than a timestep is left, the scene's last frame stands for it.
-        offsets = tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
-        steps = max(offsets[-1], min(self.hyper.executed_frames, left))
+        offsets = self.offsets(frame)
+        steps = max(offsets[-1], min(self.hyper.executed_frames, len(self.scene.timestamps_us) - 1 - frame))
         rate = self.rated(frame, offsets, track)
         length = float(self.scene.agents.size[self.agent, 0])
 
@@ -167,6 +165,12 @@ class Planning:
             return Evaluated(motion, terms)
 
         return evaluate
+
+    def offsets(self, frame: int) -> tuple[int, ...]:
+        """Frames after a planning frame that are scored."""
+        left = len(self.scene.timestamps_us) - 1 - frame
+        # Where less than a timestep is left, the scene's last frame stands for it.
+        return tuple(offset for offset in self.hyper.scored_frames if offset <= left) or (left,)
 
     def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
         """What rates the motion of candidates at a planning frame."""

@@ -20,7 +20,7 @@ from tests.generation.search.driving_prior import DrivingPrior, unchanged
 from tests.hand_made import Car, scene_on_straight_road
 
 HYPER = replace(in_the_loop(), candidates=24, rounds=2)
-SETTINGS = AdversarySettings(gives_way_m_s2=3.0, survivable=True, hyper=HYPER)
+SETTINGS = AdversarySettings(hyper=HYPER)
 CARS = (Car(62.0, 194.75, 9.0), Car(90.0, 198.25, 8.0), Car(120.0, 201.75, 9.0, np.pi))
 MAKER = InTheLoop(SETTINGS, DrivingPrior, DrivingPrior.fingerprint)
 
@@ -66,4 +66,4 @@ def loop(
 
 
 def knowing(knows: Knows) -> AdversarySettings:
-    return replace(SETTINGS, knows=knows, survivable=knows is not Knows.RECORDING)
+    return replace(SETTINGS, knows=knows)

@@ -78,3 +78,15 @@ def test_a_batch_is_as_if_alone() -> None:
     found = careful.hit(batch, scene.agents.size[0, :2])
     assert found[:8].tolist() == [says(scene, way) for way in ways[:8]]
     assert replace(batch).finite.sum() == 8
+
+
+@pytest.mark.parametrize(("gap", "aside"), [(2.0, 0.0), (5.0, 0.0), (12.0, 0.0), (2.0, 3.5)])
+def test_who_follows_too_closely_to_stop_lacks_what_is_missing(gap: float, aside: float) -> None:
+    """At the same speed a second of way is needed: that in which nothing is planned."""
+    scene = road(Car(90.0, 198.25, 8.0), seconds=8.0)
+    x = scene.ego.boxes[FRAME, 0] - 0.5 * 4.084 - 0.5 * 4.6 - gap + 8.0 * np.arange(37) / 12
+    poses = np.column_stack([x, np.full(37, 198.25 + aside), np.zeros(37)])
+    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    size = np.array([4.6, 1.9])
+    found = careful.lacking(careful.placed(motion_of(poses), size))[0]
+    assert found == pytest.approx(max(8.0 - gap, 0.0) if aside == 0.0 else 0.0, abs=0.1)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -6,7 +8,7 @@ from hypothesis import strategies as st
 from benchmark.closed_loop.agents.contract import Moment
 from benchmark.closed_loop.plans_in_force import PlanInForce
 from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M
-from benchmark.geometry import Floats
+from benchmark.geometry import Floats, quaternion_from_yaw
 from benchmark.scene import EgoTrack
 from generation.in_the_loop.allowed import braked
 from generation.in_the_loop.expecting import Seen, expected_ego
@@ -74,19 +76,28 @@ def test_a_plan_is_driven_and_goes_on_as_it_ends() -> None:
     np.testing.assert_array_equal(unplanned.position, expected_ego(SCENE, seen(8.0, 0.0), None, Knows.MOTION).position)
 
 
-@pytest.mark.parametrize("speed", [2.0, 8.0, 15.0])
-def test_who_gives_way_stays_on_its_way_reacts_first_and_never_drives_backwards(speed: float) -> None:
-    drives_on, gives_way = (expected_ego(SCENE, seen(speed, 0.1), None, Knows.MOTION, each) for each in (0.0, 3.0))
-    seconds = (SCENE.timestamps_us - NOW) / 1e6
-    reacting = seconds <= 0.75
-    np.testing.assert_allclose(gives_way.pose[reacting], drives_on.pose[reacting], atol=1e-9)
-    lag = np.hypot(*(gives_way.position - drives_on.position)[:, :2].T)
-    at = int(np.flatnonzero(seconds > 1.25)[0])
-    assert lag[at] == pytest.approx(1.5 * (seconds[at] - 0.75) ** 2, rel=0.05)
-    steps = np.diff(gives_way.position[36:, :2], axis=0)
-    ahead = np.column_stack([np.cos(gives_way.yaw[36:-1]), np.sin(gives_way.yaw[36:-1])])
-    assert ((steps * ahead).sum(axis=1) >= -1e-9).all()
-    assert np.hypot(*steps[-1]) < 1e-9 if 0.75 + speed / 3.0 < seconds[-2] else True
+@pytest.mark.parametrize("speed", [2.0, 8.0])
+@pytest.mark.parametrize("aside", [0.0, 1.2, 4.0])
+def test_who_is_on_its_route_follows_it_and_who_is_not_keeps_its_turn(speed: float, aside: float) -> None:
+    """A route that bends: the ego is expected round the bend as far aside as it is, or straight on."""
+    frames = np.arange(len(SCENE.timestamps_us))
+    yaw = np.clip((frames - 60) * 0.02, 0.0, 1.2)
+    ways = 8.0 / 12 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    place = np.concatenate([np.zeros((1, 2)), np.cumsum(ways[:-1], axis=0)])
+    bent = EgoTrack(np.column_stack([place, np.zeros(len(place))]), quaternion_from_yaw(yaw))
+    scene = replace(SCENE, ego=bent)
+    known = Seen(SCENE.timestamps_us[35:37], bent.pose[35:37] + np.array([0.0, aside, 0.0]), speed)
+    track = expected_ego(scene, known, None, Knows.MOTION)
+    assert known.as_recorded(scene) is (aside == 0.0)
+    steps = np.hypot(*np.diff(track.position[40:, :2], axis=0).T)
+    np.testing.assert_allclose(steps.mean(), speed / 12, rtol=0.15)
+    turned = later(track, 95)[2]
+    if aside > 1.5:
+        assert turned == pytest.approx(0.0, abs=1e-6)
+    else:
+        way = speed * (SCENE.timestamps_us[95] - SCENE.timestamps_us[36]) / 1e6
+        at = round(36 + way / (8.0 / 12))
+        assert turned == pytest.approx(yaw[min(at, len(yaw) - 1)], abs=0.15)
 
 
 @given(st.floats(0.0, 15.0), st.sampled_from([2.5, 5.0, 8.0]), st.integers(0, 12))

@@ -174,3 +174,36 @@ def test_bad_settings_are_sentences_and_names_tell_them_apart() -> None:
     )  # fmt: skip
     facts = [AdversarySettings.of(**each).facts("p") for each in different]
     assert all(a != b for at, a in enumerate(facts) for b in facts[:at])
+
+
+def test_an_ego_that_drives_as_recorded_meets_the_track_that_the_scene_was_made_with() -> None:
+    """One that does not is met by the search, from where the adversary is by then."""
+    scene = road(Car(62.0, 194.75, 9.0), seconds=8.0)
+    made = replace(scene, adversaries=(scene.agents.ids[0],))
+    recorded = np.column_stack([made.agents.position[0, :, :2], made.agents.yaw[0]])
+    track, _, _ = loop(made, policy_of(made))
+    np.testing.assert_allclose(track.poses, recorded[12 : 12 + len(track.poses)], atol=1e-6)
+    assert not any(each.braked or each.score is not None for each in track.replanned)
+
+    def crawling(seconds: float) -> Floats:
+        return np.array([51.4 + 8.0 * min(seconds, 2.5) + 2.0 * max(seconds - 2.5, 0.0), 198.25, 4.084, 1.73, 0.0])
+
+    left, _, _ = loop(made, policy_of(made), crawling)
+    searched = [each.frame for each in left.replanned if each.score is not None]
+    assert searched and min(searched) > 24
+    kept = searched[0] - 12 + 1
+    np.testing.assert_allclose(left.poses[:kept], recorded[12 : 12 + kept], atol=1e-6)
+    assert np.hypot(*(left.poses[-1] - recorded[12 + len(left.poses) - 1])[:2]) > 5.0
+
+
+def test_it_stays_on_that_track_for_an_ego_that_would_run_into_it() -> None:
+    """A car that stops in the ego's lane, for one that was recorded slowing down and does not slow down."""
+    scene = road(Car(110.0, 198.25, 0.0), seconds=8.0, ego_speed=5.0)
+    made = replace(scene, adversaries=(scene.agents.ids[0],))
+
+    def faster(seconds: float) -> Floats:
+        return np.array([51.4 + 5.0 * min(seconds, 1.5) + 8.0 * max(seconds - 1.5, 0.0), 198.25, 4.084, 1.73, 0.0])
+
+    track, boxes, _ = loop(made, policy_of(made), faster)
+    assert np.ptp(track.poses[:, :2], axis=0).max() < 0.1
+    assert np.isclose(boxes[-1, 0, 0], made.agents.position[0, -1, 0], atol=0.1)
