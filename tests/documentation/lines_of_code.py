@@ -46,6 +46,8 @@ NOT_HERE: Final = (
     (r"--executor ray|^ray ", "a cluster; tests/benchmark/machine/test_ray_cluster.py has two nodes"),
     (r"^(pip|uv|echo|docker|make|for) ", "an index of packages, or a machine to change"),
     (r"^(cd|bash|\./tools|python tools)", "official code"),
+    (r"--for sparsedrive", "pictures of 1600x900; tests/benchmark/datasets/infos draws some"),
+    (r"leaderboard card", "pyarrow, which the tests do not bring"),
     (r"data (pack|unpack|card) ", "a split and records of your own; the tests of these commands make some"),
     (r"challenge (check|score)", "entries of others; tests/benchmark/challenge has some"),
     (r"--shard |--model MODEL|challenger-bench merge", "several jobs; tests/benchmark/test_sharded.py gives them"),
