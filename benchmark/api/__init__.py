@@ -427,7 +427,7 @@ def _shown(
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.drives import find_drives
-    from benchmark.records.planner_cost import with_cost
+    from benchmark.records.record_costs import with_cost
     from benchmark.records.quality import find_quality
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records

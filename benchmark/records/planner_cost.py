@@ -3,11 +3,11 @@
 Costs are the clock's and the machine's: they lie in ``<out>/timings``, so that records of two machines are equal.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -18,9 +18,6 @@ from benchmark.machine.storage import content_key, read_json, write_json
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
-
-if TYPE_CHECKING:
-    from benchmark.records.run import RunRecord
 
 COLD_SAMPLES: Final = 2
 """The first samples of a scene are not counted: weights are fetched, memory of the past is filled."""
@@ -189,24 +186,3 @@ def _who(facts: PlannerFacts) -> str:
 
 def _fault(path: Path, where: str, why: str) -> str:
     return f"{path} is not what eval notes of the cost of a planner: {where or 'the whole'}: {why}; delete it"
-
-
-def with_cost(record: "RunRecord", roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> "RunRecord":
-    """A record that knows what planning took, if that was noted.
-
-    Args:
-        record: From below one of the folders.
-        roots: Folders of run directories.
-        timings_of: Where notes on what was made in a folder lie (`benchmark.machine.workspace.Workspace.timings_of`).
-
-    Returns:
-        The record.
-
-    Raises:
-        InputError: If a note is damaged.
-    """
-    for root in roots:
-        if record.directory.is_relative_to(root):
-            found = cost_of(cost_path(timings_of(root), root, record.directory), record.run.planner)
-            return record if found is None else replace(record, cost=found)
-    return record

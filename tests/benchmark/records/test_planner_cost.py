@@ -21,8 +21,8 @@ from benchmark.records.planner_cost import (
     note_cost,
     read_cost,
     summary_of,
-    with_cost,
 )
+from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import facts_of
 from leaderboard.tables.contents import data_set_tables
