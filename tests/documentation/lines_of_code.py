@@ -43,7 +43,10 @@ NOT_HERE: Final = (
     (r"scene-0553|--from edited", "a recording that somebody edited; tests/generation/splits edits one"),
     (r"--freeze generation/splits", "a checkout to change"),
     (r"sheets .*--rounds", "a search that kept its rounds; tests/benchmark/sheets has one"),
-    (r"--data MINI|--data town|--root town|--checkpoint uniad-mini", "hours of training; tests/adapters/training has minutes of it"),
+    (
+        r"--data MINI|--data town|--root town|--checkpoint uniad-mini",
+        "hours of training; tests/adapters/training has minutes of it",
+    ),
     (r"--executor ray|^ray ", "a cluster; tests/benchmark/machine/test_ray_cluster.py has two nodes"),
     (r"^(pip|uv|echo|docker|make|for) ", "an index of packages, or a machine to change"),
     (r"^(cd|bash|\./tools|python tools)", "official code"),
