@@ -168,7 +168,7 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         about = Estimate(0, 0.0, len(chosen), each, workers, workers)
         return replace(report, estimate=about)
     # Everything is looked at before anything is written.
-    jobs, tables, masked = _jobs(source, plan, chosen, split.frozen.search.seed)
+    jobs, tables, masked = _jobs(source, plan, chosen, split)
     with only_writer(settings.out):
         write_json(plan.state / _MARK, {"name": split.name, "content": content})
         said = (canonical_json(report.kept(), indent=1) + "\n").encode()
@@ -263,21 +263,24 @@ def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSett
 
 
 def _jobs(
-    source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], seed: int
+    source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
     """How each scene is written, the hash of its tables, and the masked steps of all scenes."""
     made: dict[int, tuple[WritingJob, str]] = {}
     masked = []
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):
         frozen, variant = chosen[index]
-        scene: Scene = adversarial(frozen, source.scene(frozen.source))
+        try:
+            scene: Scene = adversarial(frozen, source.scene(frozen.source))
+        except InputError as error:
+            raise InputError(f"frozen split {split.path or split.name}: {error}") from error
         job = WritingJob(
             name=frozen.name,
             written_as=frozen.source if plan.layout == "per-variant" else frozen.name,
             source_scene=frozen.source,
             variant=variant,
             make=partial(adversarial, frozen),
-            report=scene_report(frozen, scene, seed),
+            report=scene_report(frozen, scene, split.frozen.search.seed),
             identity=frozen.identity,
             tracks=tracks_of(frozen),
         )

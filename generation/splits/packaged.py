@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -15,10 +15,17 @@ _NUMBERED: Final = re.compile(r"(?P<data>.+)-(?P<split>[a-z]+)-(?P<number>[1-9]\
 
 @dataclass(frozen=True, slots=True)
 class NamedSplit:
-    """A frozen split and what it is called: its file without ``.json``."""
+    """A frozen split and what it is called.
+
+    Attributes:
+        name: Its file without ``.json``.
+        frozen: What is in it.
+        path: The file, if somebody named one.
+    """
 
     name: str
     frozen: FrozenSplit
+    path: Path | None = field(default=None, compare=False)
 
     def chosen(self, scenes: Sequence[str] | None, limit: int | None) -> list[tuple[FrozenScene, int]]:
         """Some of its scenes.
@@ -107,4 +114,4 @@ def frozen_split(file: str | Path) -> NamedSplit:
             f"there is no file {path} and no frozen split of that name; those that come with the package are "
             f"{', '.join(packaged_splits()) or 'none'}"
         )
-    return NamedSplit(path.stem, read_frozen(path))
+    return NamedSplit(path.stem, read_frozen(path), path)

@@ -198,7 +198,10 @@ def test_other_recordings_are_refused_before_anything_is_written(split: NamedSpl
     settings = replace(BUILT, out=tmp_path / "out", renderer=None)
     moved = recordings(tmp_path / "moved", moved_m=0.02)
     assert "0.020 m from where" in refused(moved, split, settings)
-    assert "has 103 frames" in refused(recordings(tmp_path / "longer", seconds=9.0), split, settings)
+    named = replace(split, path=tmp_path / "named.json")
+    assert f"frozen split {named.path}: {split.frozen.scenes[0].source} has 103 frames" in refused(
+        recordings(tmp_path / "longer", seconds=9.0), named, settings
+    )
     assert not (tmp_path / "out").exists()
     hardly = recordings(tmp_path / "hardly", moved_m=0.005)
     report = build_frozen(hardly, split, settings)
