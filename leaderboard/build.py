@@ -20,6 +20,7 @@ from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
 from leaderboard.figures.heat_map import heat_map
+from leaderboard.figures.pressure import pressure_figures
 from leaderboard.figures.refinement import refinement_figures
 from leaderboard.paper.contents import paper_tables
 from leaderboard.paper.document import paper_document
@@ -362,6 +363,9 @@ def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
         lines += [f"## {page}", "", *(table.markdown() for table in tables if table not in scenes)]
         if scenes:
             lines += [f"Scenes on which the two loops disagree, by name: [{CLOSED_LOOP}]({quote(path)}).", ""]
+        for figure in pressure_figures(own):
+            made.draw(name, figure)
+            lines += [f"![{escape_markdown(figure.title)}]({quote(_picture(file_name(name), figure.name))})", ""]
     return lines
 
 
