@@ -4,9 +4,7 @@ Questions are pickles: the planner's process trusts who asks. Answers are plain 
 who asks trusts nothing in them. Every answer repeats the number of its question, so that none is taken for another's.
 """
 
-import contextlib
 import io
-import math
 import pickle
 import select
 import socket
@@ -19,8 +17,6 @@ from benchmark.foreign.limits import PLANNER_ANSWER
 
 _HEAD: Final = struct.Struct("<QQ")
 _PIECE: Final = 1 << 20
-_TIME: Final = struct.Struct("@ll")
-"""Seconds and microseconds, as the system has them."""
 _AT_ONCE: Final = 1 << 16
 """Bytes that are read of a message before its length is known; most messages are shorter."""
 
@@ -82,16 +78,15 @@ def _exactly(stream: socket.socket, count: int, begun: memoryview) -> bytearray:
 class Asker:
     """The asking side of a connection.
 
-    Waiting for an answer and reading it is one call of the system: most of what a question costs is that.
-
     Args:
         stream: The connection.
     """
 
     def __init__(self, stream: socket.socket) -> None:
         self._stream = stream
-        stream.setblocking(True)
-        self._patience = 0.0
+        stream.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(stream, 0)
         self._ahead = bytearray()
 
     def send(self, message: bytes, deadline: float) -> None:
@@ -108,29 +103,21 @@ class Asker:
         left = memoryview(message)
         while left:
             try:
-                left = left[self._stream.send(left, socket.MSG_DONTWAIT) :]
+                left = left[self._stream.send(left) :]
             except BlockingIOError:
-                if not select.select((), (self._stream,), (), max(deadline - time.monotonic(), 0.0))[1]:
-                    raise LateError from None
+                self.wait(select.POLLOUT, deadline - time.monotonic(), required=True)
             except OSError as error:
                 raise ClosedError from error
 
-    def wait(self, seconds: float) -> bool:
-        """Whether an answer begins to arrive within a time.
-
-        Args:
-            seconds: How long; without any it is still looked whether it is there.
-
-        Returns:
-            Whether there is something to `receive`.
-
-        Raises:
-            ClosedError: If none will come.
-        """
-        if not self._ahead:
-            with contextlib.suppress(BlockingIOError):
-                self._ahead += self._come(_AT_ONCE, seconds)
-        return bool(self._ahead)
+    def wait(self, what: int, seconds: float, *, required: bool = False) -> bool:
+        """Whether the connection is ready within a time; with ``required`` `LateError` is raised where it is not."""
+        if what == select.POLLIN and self._ahead:
+            return True
+        self._poll.modify(self._stream, what)
+        ready = bool(self._poll.poll(max(seconds, 0.0) * 1000.0))
+        if required and not ready:
+            raise LateError
+        return ready
 
     def receive(self, number: int, deadline: float) -> Any:
         """Read the answer that has begun to arrive.
@@ -183,27 +170,14 @@ class Asker:
 
     def _some(self, most: int, deadline: float) -> bytes:
         """What there is, once there is something."""
-        try:
-            return self._come(most, deadline - time.monotonic())
-        except BlockingIOError:
-            raise LateError from None
-
-    def _come(self, most: int, seconds: float) -> bytes:
-        """What comes within a time; raises `BlockingIOError` if nothing does, `ClosedError` if nothing ever will."""
-        if seconds <= 0.0:
-            flags = int(socket.MSG_DONTWAIT)
-        else:
-            flags = 0
-            if seconds != self._patience:
-                self._patience = seconds
-                whole, part = divmod(math.ceil(seconds * 1e6), 1_000_000)
-                self._stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIME.pack(whole, part))
-        try:
-            found = self._stream.recv(most, flags)
-        except BlockingIOError:
-            raise
-        except OSError as error:
-            raise ClosedError from error
-        if not found:
-            raise ClosedError
-        return found
+        while True:
+            try:
+                found = self._stream.recv(most)
+            except BlockingIOError:
+                self.wait(select.POLLIN, deadline - time.monotonic(), required=True)
+                continue
+            except OSError as error:
+                raise ClosedError from error
+            if not found:
+                raise ClosedError
+            return found

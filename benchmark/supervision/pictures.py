@@ -4,7 +4,6 @@ Each picture has a block of its own. A planner may keep it as long as it likes, 
 to become its own. Blocks that it has let go are used again.
 """
 
-import contextlib
 import math
 import mmap
 import os
@@ -12,13 +11,12 @@ import struct
 import tempfile
 import weakref
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.foreign.pictures import decoded_into
 from benchmark.supervision.limits import MOST_PICTURE_BYTES
 
 _BEAT: Final = struct.Struct("<Q")
@@ -71,39 +69,12 @@ class Shelf:
         Raises:
             TooManyPicturesError: If the planner has kept too many.
         """
-        place, block = self._block(picture.shape)
-        np.copyto(block, picture)
+        size = -(-max(picture.nbytes, 1) // _PAGE) * _PAGE
+        place = self._free[size].pop() if self._free[size] else self._new(size)
+        self._taken.add(place)
+        block = np.frombuffer(self._blocks[place], np.uint8, picture.size)
+        np.copyto(block.reshape(picture.shape), picture)
         return place
-
-    def read(self, read: Callable[[], NDArray[np.uint8]]) -> tuple[int, tuple[int, ...], bool]:
-        """Read a picture into a block; a file is decoded there, what comes from elsewhere is copied.
-
-        Args:
-            read: Reads it; what it raises is raised here.
-
-        Returns:
-            Where the block begins, the shape of the picture, and whether it may be written to.
-
-        Raises:
-            TooManyPicturesError: If the planner has kept too many.
-        """
-        made: list[tuple[int, NDArray[np.uint8]]] = []
-
-        def room(shape: tuple[int, int, int]) -> NDArray[np.uint8] | None:
-            with contextlib.suppress(TooManyPicturesError):
-                made.append(self._block(shape))
-                return made[-1][1]
-            return None
-
-        chosen: int | None = None
-        try:
-            with decoded_into(room):
-                seen = read()
-            chosen = next((place for place, block in made if block is seen), None)
-            found = self.put(seen) if chosen is None else chosen
-            return found, seen.shape, bool(seen.flags.writeable)
-        finally:
-            self.take_back(place for place, _ in made if place != chosen)
 
     def take_back(self, places: Iterable[int]) -> None:
         """Use blocks again that the planner has let go; raises `KeyError` for what it does not have."""
@@ -114,18 +85,8 @@ class Shelf:
     def close(self) -> None:
         """Give the memory back."""
         for each in (*self._blocks.values(), self._pulse):
-            # Who is told why a picture could not be read may hold the block that it was read into.
-            with contextlib.suppress(BufferError):
-                each.close()
+            each.close()
         os.close(self.file)
-
-    def _block(self, shape: tuple[int, ...]) -> tuple[int, NDArray[np.uint8]]:
-        """A block for a picture of a shape: where it begins, and the picture."""
-        count = math.prod(shape)
-        size = -(-max(count, 1) // _PAGE) * _PAGE
-        place = self._free[size].pop() if self._free[size] else self._new(size)
-        self._taken.add(place)
-        return place, np.frombuffer(self._blocks[place], np.uint8, count).reshape(shape)
 
     def _new(self, size: int) -> int:
         if self._end + size > MOST_PICTURE_BYTES:

@@ -7,6 +7,7 @@ was late, its answer is none, or its process died. After any but the first the p
 import contextlib
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -14,7 +15,6 @@ import sys
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -157,7 +157,7 @@ class PlannerProcess:
     def _listen(self, deadline: float) -> None:
         """Wait until an answer begins to arrive."""
         beats, heard = self._shelf.beats(), time.monotonic()
-        while not self._asker.wait(min(deadline - time.monotonic(), _LOOK_S)):
+        while not self._asker.wait(select.POLLIN, min(deadline - time.monotonic(), _LOOK_S)):
             now = time.monotonic()
             if now >= deadline:
                 raise LateError
@@ -186,14 +186,17 @@ class PlannerProcess:
         found = {}
         for name in names:
             with contextlib.suppress(InputError, KeyError, TooManyPicturesError):
-                found[name] = self._shelf.read(partial(picture, name))
+                found[name] = self._put(picture(name))
         return found
+
+    def _put(self, seen: NDArray[np.uint8]) -> tuple[int, tuple[int, ...], bool]:
+        return self._shelf.put(seen), seen.shape, bool(seen.flags.writeable)
 
     def _shown(self, told: list[Any], picture: Callable[[str], NDArray[np.uint8]], broken: list[InputError]) -> bytes:
         """The reply to a planner that looks."""
         try:
             _, name = told
-            return question(self._number, "shown", *self._shelf.read(partial(picture, name)))
+            return question(self._number, "shown", *self._put(picture(name)))
         except InputError as error:
             broken.append(error)
             return question(self._number, "broken", str(error))

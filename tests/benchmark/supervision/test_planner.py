@@ -3,6 +3,7 @@
 import importlib
 import os
 import pickle
+import select
 import signal
 import socket
 import subprocess
@@ -11,19 +12,16 @@ import textwrap
 import threading
 import time
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
 from adapters.registry import planner, planner_factory
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
-from benchmark.foreign.pictures import read_picture
 from benchmark.machine.metering import peak_memory_mb
 from benchmark.planning import (
     CameraView,
@@ -170,30 +168,6 @@ def test_pictures_share_memory_and_blocks_are_used_again() -> None:
     assert shelf.beats() == 0
     viewer.beat()
     assert shelf.beats() == 1
-
-
-def test_files_are_decoded_where_the_planner_sees_them(tmp_path: Path) -> None:
-    pictures = np.random.default_rng(0).integers(0, 256, (2, 30, 50, 3), dtype=np.uint8)
-    paths = [tmp_path / f"{number}.png" for number in range(2)]
-    for path, picture in zip(paths, pictures, strict=True):
-        Image.fromarray(picture).save(path)
-    shelf = Shelf()
-    viewer = Viewer(os.dup(shelf.file))
-    decoded = [shelf.read(partial(read_picture, path)) for path in paths]
-    for (place, shape, writable), picture, path in zip(decoded, pictures, paths, strict=True):
-        assert not writable and np.array_equal(viewer.look(place, shape, writable=writable), picture)
-        assert np.array_equal(read_picture(path), picture) and not read_picture(path).flags.writeable
-    # Of one that cannot be read, and of one that something else is made of, no block is kept.
-    data = paths[0].read_bytes()
-    paths[0].write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match="cannot be read"):
-        shelf.read(partial(read_picture, paths[0]))
-    copied, _, writable = shelf.read(lambda: read_picture(paths[1]).copy())
-    held = {copied, *(place for place, _, _ in decoded)}
-    assert writable and len(held) == 3
-    again = shelf.put(pictures[0])
-    assert again < copied and again not in held
-    shelf.close()
 
 
 def test_who_it_is_and_what_it_can_do_are_as_here() -> None:
@@ -445,12 +419,12 @@ def test_an_answer_may_come_in_pieces_and_with_the_next_one() -> None:
         thread = threading.Thread(target=dribbled)
         thread.start()
         for number, count in ((1, 3), (2, 60_000)):
-            assert asker.wait(until - time.monotonic())
+            assert asker.wait(select.POLLIN, until - time.monotonic())
             assert asker.receive(number, until)[1].tolist() == [*range(count)]
         thread.join()
         answering.sendall(answer(3, []) + answer(3, []))
-        assert asker.wait(1.0) and asker.receive(3, until) == []
+        assert asker.wait(select.POLLIN, 1.0) and asker.receive(3, until) == []
         # What was said too much is there at the next question, and is no answer to that.
-        assert asker.wait(0.0)
+        assert asker.wait(select.POLLIN, 0.0)
         with pytest.raises(MalformedError, match="not asked"):
             asker.receive(4, until)
