@@ -32,17 +32,8 @@ from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
-from benchmark.runs.drive_work import (
-    KEPT,
-    Job,
-    Planners,
-    Task,
-    Unit,
-    UnitResult,
-    kept_drive,
-    work_here,
-    work_in_worker,
-)
+from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
+from benchmark.runs.drive_work import Planners, UnitResult, kept_drive, work_here, work_in_worker
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.redriving import can_of

@@ -12,11 +12,11 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_name, read_json, write_json
 from benchmark.records.drive_schema import LadderRow
 from benchmark.runs.code_identity import code_sha256
+from benchmark.runs.drive_jobs import Job, Unit
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
-    from benchmark.runs.drive_work import Job, Unit
 
 FOLDER: Final = "ladder"
 """Beside the records of one world."""
@@ -24,7 +24,7 @@ DECIMALS: Final = 6
 _LOOP: Final = "benchmark.closed_loop.ladder:climbed"
 
 
-def ladder_rows(data: "DataSet", job: "Job", unit: "Unit") -> dict[str, LadderRow]:
+def ladder_rows(data: "DataSet", job: Job, unit: Unit) -> dict[str, LadderRow]:
     """What comes of reference drivers in an encounter.
 
     Args:

@@ -3,28 +3,42 @@
 They are expected to answer an ego that does what is expected of it, and an adversary that goes on as it was planned.
 """
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from benchmark.closed_loop.agents.adversary import Handover
 from benchmark.closed_loop.agents.contract import AgentPolicy, Moment
 from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.scene import Scene
 from generation.in_the_loop.allowed import AHEAD_FRAMES
 
-if TYPE_CHECKING:
-    from generation.in_the_loop.policy import Adversary, Memory
+
+@dataclass(frozen=True, slots=True)
+class Answering:
+    """Everybody else, who answers what the adversary and the ego do.
+
+    Attributes:
+        policy: How they drive.
+        memory: What it remembers.
+        handover: The vehicle that the adversary drives.
+        own: (F, 3) poses of it, driven and expected, from the hand-over on.
+    """
+
+    policy: AgentPolicy[Any]
+    memory: Any
+    handover: Handover
+    own: Floats
 
 
-def with_expected_others(scene: Scene, adversary: "Adversary", memory: "Memory", moment: Moment, frame: int) -> Scene:
+def with_expected_others(scene: Scene, others: Answering, moment: Moment, frame: int) -> Scene:
     """The scene with everybody where they will be, if they answer.
 
     Args:
         scene: With the ego as it is expected.
-        adversary: Who plans.
-        memory: Its memory.
+        others: Everybody else.
         moment: Now.
         frame: The planning frame.
 
@@ -34,8 +48,7 @@ def with_expected_others(scene: Scene, adversary: "Adversary", memory: "Memory",
     times = scene.timestamps_us
     last = min(frame + AHEAD_FRAMES, len(times) - 1)
     steps = -(-int(times[last] - moment.time_us) // SUBSTEP_US)
-    own = np.concatenate([memory.track, memory.ahead])
-    rows, boxes, present = _run_on(adversary.others, memory.others, moment, scene, own, adversary, steps)
+    rows, boxes, present = _run_on(others, moment, scene, steps)
     agents = scene.agents
     position, yaw, valid = agents.position.copy(), agents.yaw.copy(), agents.valid.copy()
     later = np.flatnonzero(times >= moment.time_us)
@@ -48,22 +61,21 @@ def with_expected_others(scene: Scene, adversary: "Adversary", memory: "Memory",
         yaw[agent, later] = first[:, 4] + share[:, 0] * wrap_angle(second[:, 4] - first[:, 4])
         # Who is there at one end of a step may be in the way in all of it.
         valid[agent, later] = present[place, agent] | present[place + 1, agent]
-    kept = adversary.agent
+    kept = others.handover.agent
     position[kept], yaw[kept], valid[kept] = agents.position[kept], agents.yaw[kept], agents.valid[kept]
     return replace(scene, agents=replace(agents, position=position, yaw=yaw, valid=valid))
 
 
-def _run_on(
-    policy: AgentPolicy[Any], memory: Any, moment: Moment, scene: Scene, own: Floats, adversary: "Adversary", steps: int
-) -> tuple[Floats, Floats, Floats]:
+def _run_on(others: Answering, moment: Moment, scene: Scene, steps: int) -> tuple[Floats, Floats, Floats]:
     """(R,) microseconds, (R, N, 5) boxes and (R, N) presence of everybody, beginning now."""
     times, boxes, present = [moment.time_us], [moment.boxes], [moment.present]
     ego = scene.ego.boxes
     frames = (scene.timestamps_us - moment.time_us) / 1e6
     yaw = np.unwrap(ego[:, 4])
+    memory = others.memory
     for step in range(max(steps, 1)):
-        memory, moved = policy.act(memory, moment, 0)
-        moved = adversary.handover.moved(moved, own, moment.time_us)
+        memory, moved = others.policy.act(memory, moment, 0)
+        moved = others.handover.moved(moved, others.own, moment.time_us)
         now_us = moment.time_us + SUBSTEP_US
         at = (step + 1) * SUBSTEP_US / 1e6
         box = np.array(

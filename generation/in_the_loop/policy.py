@@ -20,7 +20,7 @@ from benchmark.machine.storage import content_seed
 from benchmark.scene import Scene
 from generation.in_the_loop.against import PlanningAgainst, ego_speed
 from generation.in_the_loop.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
-from generation.in_the_loop.answering import with_expected_others
+from generation.in_the_loop.answering import Answering, with_expected_others
 from generation.in_the_loop.careful import CarefulAhead
 from generation.in_the_loop.expecting import Seen, expected_ego
 from generation.in_the_loop.settings import LONGEST_FRAMES, AdversarySettings, Knows
@@ -153,7 +153,9 @@ class Adversary:
         ego = expected_ego(self.scene, memory.seen, moment.plan, self.settings.knows)
         scene = replace(self.scene, ego=ego, sweep_poses=None)
         if self.settings.others != "replay":
-            scene = with_expected_others(scene, self, memory, moment, frame)
+            own = np.concatenate([memory.track, memory.ahead])
+            others = Answering(self.others, memory.others, self.handover, own)
+            scene = with_expected_others(scene, others, moment, frame)
         rng = np.random.default_rng()
         rng.bit_generator.state = memory.randomness
         planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))

@@ -22,7 +22,7 @@ from benchmark.metrics.rates import Rate
 from benchmark.records.judgement import FeatureRow
 from benchmark.records.run import RunRecord
 from benchmark.report.words import split_of
-from leaderboard.figures.charts import MARKERS, NamedFigure, planner_name
+from leaderboard.figures.charts import MARKERS, NamedFigure, plain_text, planner_name
 from leaderboard.tables.rows import in_table_order, split_place
 
 NAME: Final = "attack-realism"
@@ -161,8 +161,7 @@ def _name_planners(
         frameon=False,
         fontsize="small",
     )
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    plain_text(legend.get_texts())
 
 
 def _say(figure: Figure, heading: str, words: Sequence[str], theme: Theme) -> None:

@@ -154,7 +154,7 @@ def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], th
     shown = splits_of(runs)
     planners = list(dict.fromkeys(run.planner for run in runs))
     names_of = {run.planner: planner_name(run) for run in runs}
-    style = {name: _style(place, theme) for place, name in enumerate(planners)}
+    style = {name: planner_style(place, theme) for place, name in enumerate(planners)}
     lines_of_legend = -(-len(planners) // _LEGEND_COLUMNS)
     below = 0.15 + 0.2 * lines_of_legend
     figure = new_figure(max(_PAIRED_INCHES, 0.8 + 1.9 * len(shown)), 2.9 + below)
@@ -176,7 +176,7 @@ def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], th
     legend = figure.legend(
         lines, names, loc="lower center", ncols=_LEGEND_COLUMNS, frameon=False, fontsize="small", columnspacing=1.2
     )
-    _plain_text(legend.get_texts())
+    plain_text(legend.get_texts())
     _heading(figure, f"{drawable(data_name)}: collision rate over the horizon, {judges(protocol)}")
     return figure
 
@@ -229,7 +229,7 @@ def _disagreement(
     patches = [Patch(color=theme.planner(place)) for place in range(len(found))]
     names = [planner_name(run) for run, _ in found]
     legend = figure.legend(patches, names, loc="lower center", ncols=2, frameon=False, fontsize="small")
-    _plain_text(legend.get_texts())
+    plain_text(legend.get_texts())
     _heading(figure, f"{drawable(titled(data_name, split))}: protocols against exact (a tick: undefined)")
     return figure
 
@@ -274,7 +274,8 @@ def _manoeuvres(run: RunRecord) -> dict[str, str]:
     return {scene: name or UNLABELLED for scene, name in found.items()}
 
 
-def _style(place: int, theme: Theme) -> dict[str, Any]:
+def planner_style(place: int, theme: Theme) -> dict[str, Any]:
+    """How the line of the planner at a place is drawn."""
     marker = MARKERS[(place + place // len(theme.planners)) % len(MARKERS)]
     return {"color": theme.planner(place), "marker": marker, "markersize": 4.5, "linewidth": 1.4}
 
@@ -283,7 +284,7 @@ def _heading(figure: Figure, text: str) -> None:
     figure.text(0.5, 0.98, text, ha="center", va="top", fontsize=10.5, parse_math=False)
 
 
-def _plain_text(texts: Sequence[Any]) -> None:
+def plain_text(texts: Sequence[Any]) -> None:
     """Names of strangers are text, not formulas."""
     for text in texts:
         text.set_parse_math(False)

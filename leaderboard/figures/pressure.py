@@ -6,7 +6,7 @@ The same numbers as in the tables of pressure (`leaderboard.tables.pressure`), a
 import textwrap
 from collections.abc import Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -15,17 +15,17 @@ from matplotlib.figure import Figure
 from benchmark.drawing.lettering import drawable
 from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
 from benchmark.records.drives import DriveRecord
-from leaderboard.figures.charts import MARKERS, NamedFigure
-from leaderboard.tables.pressure import Pressure, pressures
+from benchmark.records.run_schema import RateRow
+from leaderboard.figures.charts import NamedFigure, plain_text, planner_style
+from leaderboard.tables.pressure import Pressure, pressure_name, pressures
 from leaderboard.tables.rows import marked
 
-NAME: Final = "drives-pressure"
 PANELS: Final = (
-    ("attributable", "attributable failures, % of drives", 100.0),
-    ("survives_cc", "careful human survives, %", 100.0),
-    ("impact_speed", "impact, m/s", 1.0),
+    ("attributable", "attributable failures, % of drives", True),
+    ("survives_cc", "careful human survives, %", True),
+    ("impact_speed", "impact, m/s", False),
 )
-"""Column of a record's summary, words at its axis, and what its numbers are multiplied by."""
+"""Column of a record's summary, words at its axis, and whether it is a share."""
 _PANEL, _HEIGHT, _LINE, _LEGEND_LINE, _LEGEND_COLUMNS = 2.7, 2.9, 0.16, 0.21, 3
 """Inches."""
 _LETTERS_PER_INCH: Final = 15.0
@@ -47,48 +47,59 @@ def pressure_figures(records: Sequence[DriveRecord]) -> tuple[NamedFigure, ...]:
     found = []
     for number, (title, rows) in enumerate(pressures(records)):
         draw = partial(_drawn, title, rows)
-        name = NAME if not number else f"{NAME}-{number + 1}"
-        found.append(NamedFigure(name, title, draw(".png", LIGHT), draw(".svg", LIGHT), draw(".svg", DARK)))
+        drawn = (draw(".png", LIGHT), draw(".svg", LIGHT), draw(".svg", DARK))
+        found.append(NamedFigure(pressure_name(number), title, *drawn))
     return tuple(found)
 
 
 def _drawn(title: str, rows: Sequence[Pressure], suffix: str, theme: Theme) -> bytes:
-    return picture(lambda: _figure(title, rows, theme), suffix, theme)
+    return picture(lambda: pressure_figure(title, rows, theme), suffix, theme)
 
 
-def _figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figure:
+def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figure:
+    """One figure, as matplotlib has it.
+
+    Args:
+        title: What was measured.
+        rows: Planners against budgets.
+        theme: Its colours.
+
+    Returns:
+        A panel for each of `PANELS`.
+    """
     strength = {each.budget: each.candidates for each in rows}
     budgets = sorted(strength, key=lambda budget: (strength[budget], budget))
-    planners = list(dict.fromkeys(each.name for each in rows))
+    planners = {each.name: each.record.facts.planner for each in rows}
+    style = {name: planner_style(place, theme) for place, name in enumerate(planners)}
     width = _PANEL * len(PANELS)
     words = textwrap.wrap(" ".join(map(drawable, title.split())), int(_LETTERS_PER_INCH * width))
     below = _LEGEND_LINE * -(-len(planners) // _LEGEND_COLUMNS) + 0.15
     above = _LINE * len(words) + 0.12
     figure = new_figure(width, _HEIGHT + below + above)
-    for axes, (column, said, scale) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
+    for axes, (column, said, share) in zip(figure.subplots(1, len(PANELS)), PANELS, strict=True):
         _frame(axes, said, budgets, theme)
-        if scale > 1.0:
-            axes.set_ylim(-4, 104)
-        for place, name in enumerate(planners):
+        for place, (name, look) in enumerate(style.items()):
             beside = _APART * (place - 0.5 * (len(planners) - 1))
-            own = [each for each in rows if each.name == name]
-            _line(axes, own, budgets, column, scale, beside=beside, colour=theme.planner(place), marker=_marker(place))
-        if scale == 1.0:
-            axes.set_ylim(bottom=0.0)
+            found = {each.budget: each.record.summary.columns.get(column) for each in rows if each.name == name}
+            _line(axes, [found.get(budget) for budget in budgets], beside, look, 100.0 if share else 1.0)
+        # The end of the other axis is known once all are drawn.
+        axes.set_ylim(*((-4.0, 104.0) if share else (0.0, None)))
     height = figure.get_figheight()
     figure.tight_layout(rect=(0, below / height, 1, 1 - above / height))
     figure.text(0.02, 1 - 0.06 / height, "\n".join(words), va="top", fontsize=9.0, parse_math=False)
     legend = figure.legend(
-        [mpl.lines.Line2D([], [], color=theme.planner(at), marker=_marker(at)) for at in range(len(planners))],
-        [drawable(_marked(rows, name)) for name in planners],
+        [mpl.lines.Line2D([], [], **look) for look in style.values()],
+        [
+            drawable(marked(name, privileged=facts.privileged, miniature=facts.miniature))
+            for name, facts in planners.items()
+        ],
         loc="lower center",
         bbox_to_anchor=(0.5, 0.02 / height),
         ncols=min(_LEGEND_COLUMNS, len(planners)),
         frameon=False,
         fontsize="small",
     )
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    plain_text(legend.get_texts())
     return figure
 
 
@@ -103,35 +114,12 @@ def _frame(axes: Axes, said: str, budgets: Sequence[Budget], theme: Theme) -> No
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _line(
-    axes: Axes,
-    rows: Sequence[Pressure],
-    budgets: Sequence[Budget],
-    column: str,
-    scale: float,
-    *,
-    beside: float,
-    colour: str,
-    marker: str,
-) -> None:
-    """A planner's numbers at the budgets that it met, with their intervals; what is undefined leaves a gap."""
-    values: list[float] = [float("nan")] * len(budgets)
-    for each in rows:
-        rate, place = each.record.summary.columns.get(column), budgets.index(each.budget)
-        if rate is None or rate.value is None:
-            continue
-        values[place] = scale * rate.value
-        if rate.low is not None and rate.high is not None:
+def _line(axes: Axes, rates: Sequence[RateRow | None], beside: float, look: dict[str, Any], scale: float) -> None:
+    """A planner's numbers at all budgets, with their intervals; what is undefined leaves a gap."""
+    places = [place + beside for place in range(len(rates))]
+    values = [float("nan") if rate is None or rate.value is None else scale * rate.value for rate in rates]
+    for place, rate in zip(places, rates, strict=True):
+        if rate is not None and rate.low is not None and rate.high is not None:
             ends = [scale * rate.low, scale * rate.high]
-            axes.plot([place + beside] * 2, ends, color=colour, linewidth=1.2, alpha=0.5, zorder=2)
-    at = [place + beside for place in range(len(budgets))]
-    axes.plot(at, values, color=colour, marker=marker, markersize=5, linewidth=1.2, zorder=3)
-
-
-def _marker(place: int) -> str:
-    return MARKERS[place % len(MARKERS)]
-
-
-def _marked(rows: Sequence[Pressure], name: str) -> str:
-    planner = next(each.record.facts.planner for each in rows if each.name == name)
-    return marked(name, privileged=planner.privileged, miniature=planner.miniature)
+            axes.plot([place, place], ends, color=look["color"], linewidth=1.2, alpha=0.5, zorder=2)
+    axes.plot(places, values, **look, zorder=3)

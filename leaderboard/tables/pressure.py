@@ -84,6 +84,11 @@ def pressures(records: Sequence[DriveRecord]) -> list[tuple[str, list[Pressure]]
     ]
 
 
+def pressure_name(number: int) -> str:
+    """What the table and the figure of one of `pressures` are called, by its place."""
+    return "drives-pressure" if not number else f"drives-pressure-{number + 1}"
+
+
 def pressure_tables(records: Sequence[DriveRecord]) -> list[Table]:
     """A table of every adversary that was given several budgets, and transfer between drives.
 
@@ -113,8 +118,7 @@ def _pressure_table(number: int, title: str, rows: Sequence[Pressure]) -> Table:
             cell = origin.percent(rate, "drives") if percent else origin.amount(rate, "m/s", "drives")
             line += [cell.shown(1 if percent else 2), cell.interval(1 if percent else 2)]
         cells.append([*line, origin.count(summary.drives, "drives").shown()])
-    name = "drives-pressure" if not number else f"drives-pressure-{number + 1}"
-    return table_of(name, title, columns, cells, notes=(_PRESSURE_NOTE,), text_columns=4)
+    return table_of(pressure_name(number), title, columns, cells, notes=(_PRESSURE_NOTE,), text_columns=4)
 
 
 def transfer_tables(records: Sequence[DriveRecord]) -> list[Table]:

@@ -7,7 +7,7 @@ import pytest
 
 from benchmark.drawing.plots import LIGHT
 from leaderboard.build import leaderboard_files
-from leaderboard.figures.pressure import PANELS, _figure, pressure_figures
+from leaderboard.figures.pressure import PANELS, pressure_figure, pressure_figures
 from leaderboard.tables.pressure import pressure_tables, pressures
 from tests.benchmark.records.test_drives import written
 from tests.leaderboard.tables.test_pressure import HURT, SURVIVED, drives, measured, records
@@ -17,7 +17,7 @@ def test_a_line_has_the_numbers_of_the_table_the_weakest_first(tmp_path: Path) -
     made = records(tmp_path)
     ((title, rows),) = pressures(made)
     (table,) = pressure_tables(made)
-    panels = _figure(title, rows, LIGHT).get_axes()
+    panels = pressure_figure(title, rows, LIGHT).get_axes()
     columns = ("attributable %", "careful survives %", "impact m/s")
     for (_, said, _), column, axes in zip(PANELS, columns, panels, strict=True):
         assert axes.get_ylabel() == said
@@ -33,7 +33,7 @@ def test_a_budget_that_a_planner_did_not_meet_is_a_gap(tmp_path: Path) -> None:
     more = written(tmp_path / "more", *drives(SURVIVED, HURT), measured=measured(rounds=1), planner=other)
     made = [*records(tmp_path), more]
     ((title, rows),) = pressures(made)
-    figure = _figure(title, rows, LIGHT)
+    figure = pressure_figure(title, rows, LIGHT)
     drawn = [np.asarray(line.get_ydata(), float) for line in figure.get_axes()[0].get_lines()]
     missing = [np.isnan(each).tolist() for each in drawn if len(each) == 3]
     assert sorted(missing) == [[False, True, False], [True, False, True]]

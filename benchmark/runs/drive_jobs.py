@@ -1,0 +1,80 @@
+"""What is driven: a job, its units, and where each is kept."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from benchmark.closed_loop.drives.driving import Stage
+from benchmark.closed_loop.drives.riding import RideMaker
+from benchmark.closed_loop.drives.sensors import Sensor
+from benchmark.machine.storage import content_key, file_name
+from benchmark.records.drive_schema import Measured
+from benchmark.records.run_schema import PlannerFacts
+from benchmark.runs.code_identity import code_sha256
+from benchmark.runs.plan_rows import PlannerFactory
+
+FORMAT: Final = 1
+"""Raised whenever the drives of an unchanged planner in an unchanged engine would change."""
+KEPT: Final = "drives"
+"""Folder of kept drives in a record's directory."""
+_LOOP: Final = "benchmark.closed_loop.drives.driving:drive"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One scene, one of its scenarios if it has any, and one run."""
+
+    scene: str
+    run: int
+    family: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What every unit of work needs to know; picklable.
+
+    Attributes:
+        directory: The record's directory.
+        fingerprint: Of the data set.
+        planner: Identity of the planner.
+        measured: What is measured.
+        maker: The engine.
+        sensor: What cameras see.
+        timeout_s: How long a plan may take.
+        fresh: Drive again even where drives are kept.
+        factory: Builds the planner; ``None`` where there is one object alone.
+        ladder: Reference drivers that drive the same encounters.
+    """
+
+    directory: Path
+    fingerprint: str
+    planner: PlannerFacts
+    measured: Measured
+    maker: RideMaker
+    sensor: Sensor
+    timeout_s: float
+    fresh: bool
+    factory: PlannerFactory | None = None
+    ladder: tuple[str, ...] = ()
+
+    def key(self, unit: Unit) -> str:
+        """Content key of a unit. No score is part of it: kept drives are scored again."""
+        who = self.planner.model_dump(mode="json", exclude={"native_protocol", "published_as", "miniature"})
+        code = [code_sha256(type(self.maker)), code_sha256(type(self.sensor)), code_sha256(Stage, made_by=_LOOP)]
+        # Nobody else than an adversary is made elsewhere.
+        adversary = getattr(self.maker, "adversary", None)
+        code += [] if adversary is None else [code_sha256(type(adversary))]
+        what = self.measured.model_dump(mode="json")
+        return content_key("drive", FORMAT, self.fingerprint, unit.scene, unit.family, unit.run, who, what, code)
+
+    def path(self, unit: Unit) -> Path:
+        """File of a unit; scene names may hold slashes."""
+        name = "-".join([file_name(unit.scene), *([unit.family] if unit.family else []), str(unit.run)])
+        return self.directory / KEPT / f"{name}.json"
+
+
+class Task(NamedTuple):
+    """A unit of a job."""
+
+    job: Job
+    unit: Unit
