@@ -46,7 +46,9 @@ def patience_s() -> float:
     return HANG_S * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
-def run_command(arguments: list[str], folder: Path, cache: Path, *, patience: float | None = None) -> Ended:
+def run_command(
+    arguments: list[str], folder: Path, cache: Path, *, patience: float | None = None, until: str = ""
+) -> Ended:
     """Run a command of the command line.
 
     Args:
@@ -54,13 +56,14 @@ def run_command(arguments: list[str], folder: Path, cache: Path, *, patience: fl
         folder: Current directory of the command; what it prints is kept beside it.
         cache: The user's cache of the command.
         patience: How long it may take on the wall, seconds; `patience_s` by default.
+        until: It is interrupted, as by Ctrl-C, once it has printed this; nothing by default.
 
     Returns:
         How it ended.
     """
     allowed = patience_s() if patience is None else patience
     child, printed = begin_command(arguments, folder, cache, bounded=patience is None)
-    return end_command(child, printed, allowed)
+    return end_command(child, printed, allowed, until=until)
 
 
 def begin_command(
@@ -86,19 +89,20 @@ def begin_command(
     return child, printed
 
 
-def end_command(child: int, printed: tuple[Path, Path], patience: float) -> Ended:
+def end_command(child: int, printed: tuple[Path, Path], patience: float, *, until: str = "") -> Ended:
     """Wait for a command, and end what is left of its process group.
 
     Args:
         child: From `begin_command`.
         printed: From there, too; the files are removed.
         patience: How long it may take from now, seconds.
+        until: As of `run_command`.
 
     Returns:
         How it ended.
     """
     began = time.monotonic()
-    code, usage = _await(child, began + patience * _OVER)
+    code, usage = _await(child, began + patience * _OVER, printed, until)
     wall = time.monotonic() - began
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)
@@ -111,9 +115,10 @@ def end_command(child: int, printed: tuple[Path, Path], patience: float) -> Ende
     return Ended(code, out, err, cpu, wall, patience, peak)
 
 
-def _await(child: int, deadline: float) -> tuple[int, resource.struct_rusage]:
-    """Wait for a child; it is killed where it takes too long or too much."""
+def _await(child: int, deadline: float, printed: tuple[Path, Path], until: str) -> tuple[int, resource.struct_rusage]:
+    """Wait for a child; it is killed where it takes too long or too much, and interrupted once it has said something."""
     statm = Path(f"/proc/{child}/statm")
+    waiting = bool(until)
     while True:
         found, status, usage = os.wait4(child, os.WNOHANG)
         if found:
@@ -122,6 +127,9 @@ def _await(child: int, deadline: float) -> tuple[int, resource.struct_rusage]:
             pages = int(statm.read_text().split()[1])
             if pages * resource.getpagesize() > MEMORY_BYTES * _OVER:
                 os.kill(child, signal.SIGKILL)
+        if waiting and any(path.exists() and until in path.read_text(errors="replace") for path in printed):
+            os.kill(child, signal.SIGINT)
+            waiting = False
         if time.monotonic() > deadline:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child, signal.SIGKILL)

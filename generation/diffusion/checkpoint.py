@@ -1,6 +1,5 @@
 """Weights on disk: safetensors of ours, or the published checkpoint, which is a bare state dict."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -64,7 +63,7 @@ def _config(path: Path, said: Any) -> DenoiserConfig:
         raise InputError(f"{wrong}; fetch or make the file again")
     for name, value in said.items():
         known = type(value) is kinds[name] or (kinds[name] is float and type(value) is int)
-        if not known or not math.isfinite(value) or not 0 <= abs(value) <= _LARGEST_SIZE:
+        if not known or not 0 <= abs(value) <= _LARGEST_SIZE:
             raise InputError(f"{wrong} ({name} {str(value)[:40]!r}); fetch or make the file again")
     if not 0 <= said.get("dropout", 0) < 1 or said.get("layers", 0) > _MOST_LAYERS:
         raise InputError(f"{wrong} (dropout or layers); fetch or make the file again")

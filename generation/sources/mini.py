@@ -74,12 +74,15 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
         ``root``.
 
     Raises:
-        InputError: If no scene is asked for or the disk refuses.
+        InputError: If no scene is asked for, or more than have names, or the disk refuses.
     """
     if settings.val_scenes < 1 or settings.train_scenes < 0:
         raise InputError("the town needs at least one evaluation scene (--town-scenes) and no negative numbers")
     if settings.off_path and not settings.train_scenes:
         raise InputError("only training scenes leave the path; give --train-scenes with --off-path")
+    # How many there can be is asked before a billion of them are listed.
+    town_scene_names("val", settings.val_scenes)
+    train = list(town_scene_names("train", settings.train_scenes))
     note, made_of = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
     if is_finished(root) and read_kept_json(note) == made_of:
         return root
@@ -90,7 +93,6 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
     work += [("train", index) for index in range(settings.train_scenes)]
     job = partial(_write_one, plan, settings.seed, settings.off_path)
-    train = list(town_scene_names("train", settings.train_scenes)) if settings.train_scenes else []
     with only_writer(root):
         count = Count(kept=was_there)
         written = list(map_ordered(job, work, workers=workers, label="building the town", count=count))

@@ -1,7 +1,7 @@
 """The prior that the search draws from: packaged weights, bank, mutation, diversification."""
 
 import pickle
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from bench.denoiser_card.evaluation import wasserstein
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
+from benchmark.weights.tensors import write_tensors
 from generation.diffusion.bank import bank_beside, read_bank, sample_actions, write_bank
 from generation.diffusion.checkpoint import PACKAGED_WEIGHTS, load_denoiser, save_denoiser
 from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
@@ -258,7 +259,11 @@ def test_bad_weights_are_refused_with_a_sentence(tmp_path: Path, capsys: pytest.
     denoiser = TrajectoryDenoiser(SMALL)
     torch.nn.init.constant_(denoiser.trajectory_encoder.weight, float("nan"))
     save_denoiser(not_finite, denoiser, {})
-    for path in (code, inside, empty, broken, other, not_finite, tmp_path / "absent.safetensors", tmp_path):
+    boundless = tmp_path / "boundless.safetensors"
+    facts = {"denoiser": {**asdict(SMALL), "layers": 10**400}}
+    write_tensors(boundless, TrajectoryDenoiser(SMALL).state_dict(), facts)
+    hostile = (code, inside, empty, broken, other, not_finite, boundless, tmp_path / "absent.safetensors", tmp_path)
+    for path in hostile:
         with pytest.raises(InputError):
             TrajectoryPrior.load(path)
     assert "ran" not in capsys.readouterr().out

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.datasets.roots import open_data
+from benchmark.errors import InputError
 from generation.sources.mini import TownSettings, build_town
 
 ONE = TownSettings(val_scenes=1, width=64, height=40, frames="keyframes")
@@ -41,3 +42,10 @@ def test_a_town_of_before_gets_the_shared_tables_of_now(tmp_path: Path, monkeypa
     build_town(tmp_path, ONE, workers=1)
     assert len(json.loads(categories.read_text())) == 32
     assert images == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.jpg")}
+
+
+@pytest.mark.parametrize("settings", [replace(ONE, val_scenes=10**9), replace(ONE, train_scenes=10**400)])
+def test_more_scenes_than_have_names_are_refused_before_they_are_listed(settings: TownSettings, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"between 0 and \d+ (val|train) scenes"):
+        build_town(tmp_path / "town", settings, workers=1)
+    assert not (tmp_path / "town").exists()
