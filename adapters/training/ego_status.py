@@ -81,11 +81,13 @@ def train_ego_status(
     settings = settings or TrainingSettings()
     if settings.steps < 1 or settings.batch < 1:
         raise InputError(f"steps and batch must be at least 1, got {settings.steps} and {settings.batch}")
+    # What it is measured on is read first: nothing is trained and written that then cannot be measured.
+    held_out = read_samples(tracks, settings.held_out)
     samples = joined(read_samples(tracks, settings.sources))
     network = _fit(samples, settings, seed)
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
     write_bytes(out, save(weights))
-    found = {source: measure(network, held) for source, held in read_samples(tracks, settings.held_out).items()}
+    found = {source: measure(network, held) for source, held in held_out.items()}
     facts = {
         "samples": len(samples),
         "sources": list(settings.sources),

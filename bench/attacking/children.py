@@ -116,7 +116,7 @@ def end_command(child: int, printed: tuple[Path, Path], patience: float, *, unti
 
 
 def _await(child: int, deadline: float, printed: tuple[Path, Path], until: str) -> tuple[int, resource.struct_rusage]:
-    """Wait for a child; it is killed where it takes too long or too much, and interrupted once it has said something."""
+    """Wait for a child; killed where it takes too long or too much, and interrupted once it has said something."""
     statm = Path(f"/proc/{child}/statm")
     waiting = bool(until)
     while True:

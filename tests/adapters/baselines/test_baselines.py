@@ -196,6 +196,14 @@ def test_training_twice_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.safetensors").read_bytes() != (tmp_path / "three.safetensors").read_bytes()
 
 
+def test_nothing_is_written_that_cannot_be_measured(tmp_path: Path) -> None:
+    write_tracks(tmp_path / "line.npz", lambda time: (7 * time, 0 * time, 0 * time))
+    few = TrainingSettings(sources=("line",), held_out=("gone",), steps=1, batch=8)
+    with pytest.raises(InputError, match="gone"):
+        train_ego_status(tmp_path, tmp_path / "one.safetensors", settings=few)
+    assert not (tmp_path / "one.safetensors").exists()
+
+
 @pytest.mark.parametrize(
     "damage",
     [
