@@ -109,11 +109,13 @@ def say_once(sentence: str) -> None:
 
 
 def worker_count(count: int) -> int:
-    """Number of processes: 0 is all processors; raises `InputError` if negative."""
-    from benchmark.machine.workers import default_workers
+    """Number of processes: 0 is all processors; raises `InputError` if negative, or more than any machine has."""
+    from benchmark.machine.workers import MOST_WORKERS, default_workers
 
     if count < 0:
         raise InputError(f"--workers must be 0 (all processors) or more, got {count}")
+    if count > MOST_WORKERS:
+        raise InputError(f"--workers must be at most {MOST_WORKERS:,}; 0 takes all processors")
     return count or default_workers()
 
 

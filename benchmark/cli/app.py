@@ -87,6 +87,11 @@ def main() -> None:
         if debug or error.errno not in _OF_A_PLACE or error.filename is None:
             raise
         code = _fail(f"cannot use {error.filename}: {error.strerror}; name another place")
+    except RuntimeError as error:
+        # What `Path.resolve` raises before Python 3.13, where a link leads to itself.
+        if debug or not str(error).startswith("Symlink loop"):
+            raise
+        code = _fail(f"cannot use {str(error).partition(' from ')[2]}: its links lead in a circle; name another place")
     except typer.TyperException as error:
         message = str(error.format_message() if hasattr(error, "format_message") else error)
         # The help that stands in for a missing command has many lines and is no error to explain.

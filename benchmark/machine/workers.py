@@ -31,6 +31,8 @@ UNFINISHED_PER_WORKER: Final = 3
 """Units handed out to each worker: one that it works on, the others so that it never waits."""
 WAITING_PER_WORKER: Final = 60
 """Finished and unfinished units for each worker; one slow unit holds up the results of no more than these."""
+MOST_WORKERS: Final = 10_000
+"""No machine has as many processors, and no time is reckoned with more."""
 _SLOW_TO_IMPORT: Final = ("cv2", "shapely", "benchmark.datasets.nuscenes")
 
 _number = 0

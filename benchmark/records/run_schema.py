@@ -16,13 +16,13 @@ AS_PUBLISHED: Final = "as_published"
 """Setting of a planner that does something as in its published runs: what, joined by ``+`` (docs/models.md)."""
 MOST_ADVERSARIES: Final = 1000
 """Of one scene; a larger number in a record is damage, as are larger ones of the next."""
-Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
-Version = Annotated[int, Field(ge=0, le=1000)]
+Seed = Annotated[int, Field(strict=True, ge=0, le=LARGEST_SEED)]
+Version = Annotated[int, Field(strict=True, ge=0, le=1000)]
 Told = str | int | float | bool | None
 """What is said of a machine: a record with anything else there is damaged."""
 Name = Annotated[str, Field(max_length=200)]
 """Of something that files are named after, and text wherever it is shown."""
-SceneCount = Annotated[int, Field(ge=0, le=10_000_000)]
+SceneCount = Annotated[int, Field(strict=True, ge=0, le=10_000_000)]
 LightName = Literal["day", "dusk", "night", "rain"]
 
 

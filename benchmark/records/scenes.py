@@ -6,6 +6,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -365,6 +366,10 @@ def read_sheet(directory: Path) -> StoredSheet:
         raise InputError(
             f"{directory / SHEET_FILE} has {count} frames and another number of ego poses, or none; run "
             "challenger-bench sheets again"
+        )
+    if any(second <= first for first, second in pairwise(sheet.timestamps_us)):
+        raise InputError(
+            f"{directory / SHEET_FILE} has frames that are not in order; run challenger-bench sheets again"
         )
     for name, expected in sheet.files.items():
         path = directory / name

@@ -7,6 +7,7 @@ from typing import Literal
 from benchmark.errors import InputError
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.machine.workspace import timings_beside
+from benchmark.records.run_schema import MOST_ADVERSARIES
 from generation.build.surrogate import PlannerUnderTest
 from generation.labels.manoeuvres import Manoeuvre
 from generation.render.contract import Renderer
@@ -79,6 +80,8 @@ class BuildSettings:
         for option, number in (("limit", self.limit), ("adversaries", self.adversaries), ("together", self.together)):
             if number is not None and number < 1:
                 raise InputError(f"--{option} must be at least 1, got {number}")
+        if self.adversaries > MOST_ADVERSARIES:
+            raise InputError(f"--adversaries must be at most {MOST_ADVERSARIES:,}; no scene has as many vehicles")
 
     @property
     def where_rendered(self) -> Executor:

@@ -255,7 +255,9 @@ def require_freezable(split: str, path: Path) -> None:
     """
     if not is_adversarial(split):
         raise InputError(f"only adv can be frozen, there is no search in {split}; leave --freeze out")
-    if path.exists():
+    if path.exists() and not path.is_file():
+        raise InputError(f"--freeze {path} is a folder, a pipe or a device; name a file")
+    if path.is_file():
         read_frozen(path)
     elif not path.parent.is_dir():
         raise InputError(f"there is no folder {path.parent} for the frozen split; make it or name another file")

@@ -85,6 +85,8 @@ def require_output_file(path: Path | None, option: str, endings: Sequence[str] =
         raise InputError(f"{option} {path} must end in {' or '.join(endings)}; name another file")
     if path.is_dir():
         raise InputError(f"{option} {path} is a folder; name a file in it")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{option} {path} is a pipe or a device; name a file")
     require_place(path.parent, option)
 
 

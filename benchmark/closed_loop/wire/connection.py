@@ -4,6 +4,9 @@ Nothing is ever sent twice. What goes wrong is one of a closed list: nobody answ
 (`PlannerAwayError`), it answers too late (`PlannerLateError`), or it is no such server (`PlannerGoneError`).
 """
 
+import contextlib
+import socket
+import threading
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -108,14 +111,17 @@ class Connection:
         where = f"{self.what} at {self.url}"
         # Neither proxies nor passwords of the environment have any business here.
         limits = httpx2.Timeout(seconds, connect=min(CONNECT_S, seconds))
+        # Limits are of each read alone, and headers that drip in byte by byte would never be late.
+        watch = _Watch(seconds)
         try:
             # Plain HTTP: loading certificates for every request would take longer than the request.
-            with httpx2.Client(trust_env=False, verify=False, follow_redirects=False, timeout=limits) as client:
+            with watch, httpx2.Client(trust_env=False, verify=False, follow_redirects=False, timeout=limits) as client:
                 client.headers["user-agent"] = _AGENT
                 # Nothing that would have to be unpacked: the bound is on what arrives.
                 del client.headers["accept-encoding"]
                 headers = {} if body is None else {"content-type": _JSON}
-                with client.stream(method, f"{self.url}{path}", content=body, headers=headers) as response:
+                asked = {"content": body, "headers": headers, "extensions": {"trace": watch.connected}}
+                with client.stream(method, f"{self.url}{path}", **asked) as response:
                     return Reply(response.status_code, self._body(response, until, path, seconds))
         except httpx2.TimeoutException as error:
             if isinstance(error, httpx2.ConnectTimeout):
@@ -125,14 +131,16 @@ class Connection:
             raise PlannerAwayError(
                 f"nobody answers at {self.url} ({one_line(error, 80)}); start {self.what}, then the same command again"
             ) from error
-        except httpx2.RemoteProtocolError as error:
+        except httpx2.TransportError as error:
+            if watch.cut:
+                raise self._late(path, seconds) from error
+            if not isinstance(error, httpx2.RemoteProtocolError):
+                raise self._left(path, error) from error
             if "disconnected" in str(error) or "closed" in str(error):
                 raise self._left(path, error) from error
             raise PlannerGoneError(
                 f"{where} does not answer {path} as a web server would ({one_line(error, 80)}); name another address"
             ) from error
-        except httpx2.TransportError as error:
-            raise self._left(path, error) from error
         except httpx2.HTTPError as error:
             raise PlannerGoneError(f"{where} cannot be asked for {path} ({one_line(error, 80)})") from error
 
@@ -163,3 +171,34 @@ class Connection:
             f"{self.what} at {self.url} went away before it had answered {path} ({one_line(error, 80)}); look at its "
             "own output, start it, then the same command again: what is finished is kept"
         )
+
+
+class _Watch:
+    """Cuts a connection whose time is over, whatever it is doing then.
+
+    Attributes:
+        cut: Whether it did.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.cut = False
+        self._socket: socket.socket | None = None
+        self._timer = threading.Timer(seconds, self._over)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+
+    def connected(self, event: str, info: dict[str, Any]) -> None:
+        """Called by the HTTP library with all that it does; what is looked for is the socket."""
+        if event == "connection.connect_tcp.complete":
+            self._socket = info["return_value"].get_extra_info("socket")
+
+    def _over(self) -> None:
+        self.cut = True
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)

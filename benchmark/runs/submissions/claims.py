@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.foreign.files import one_line
 from benchmark.records.run_schema import RecordFacts, RunFacts, SceneFacts
 from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
@@ -28,7 +29,10 @@ def claims_of(facts: RecordFacts, failed: int, units: int, unit: str, data_name:
         Findings.
     """
     if facts.data.name != data_name:
-        yield Level.ERROR, f"is of the data set {facts.data.name}, not {data_name}; open that one with --data"
+        yield (
+            Level.ERROR,
+            f"is of the data set {one_line(facts.data.name, 80)}, not {data_name}; open that one with --data",
+        )
     if failed:
         yield Level.ERROR, f"has no plan for {failed} of {counted(units, unit)}; the errors are in its rows"
     if (facts.status == "complete") != (failed == 0):
