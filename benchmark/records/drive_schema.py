@@ -72,7 +72,7 @@ class DriveFacts(RecordFacts):
     """
 
     measured: Measured
-    runs: Annotated[int, Field(ge=1, le=MOST_RUNS)]
+    runs: Annotated[int, Field(strict=True, ge=1, le=MOST_RUNS)]
     scoring: Version
     rescored: dict[str, Any] | None = None
 

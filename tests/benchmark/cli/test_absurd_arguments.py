@@ -1,5 +1,6 @@
 """Arguments that nobody means: one sentence in one line that can be read, exit code 2."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -47,3 +48,16 @@ def test_the_debug_option_shows_where_it_came_from(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(sys, "argv", ["challenger-bench", "--debug", "data", "check", str(tmp_path / ("x" * 300))])
     with pytest.raises(OSError, match="too long"):
         main()
+
+
+def test_links_that_lead_in_a_circle_pipes_and_numbers_beyond_machines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, pipe, huge = tmp_path / "loop", tmp_path / "pipe", "9" * 400
+    loop.symlink_to("loop")
+    os.mkfifo(pipe)
+    assert "circle; name another place" in said(capsys, monkeypatch, "doctor", "--out", str(loop))
+    generate = ("generate", "--out", str(tmp_path / "out"), "--dry-run")
+    assert "a pipe or a device; name a file" in said(capsys, monkeypatch, *generate, "--freeze", str(pipe))
+    assert "at most 10,000" in said(capsys, monkeypatch, *generate, "--workers", huge)
+    assert "at most 1,000" in said(capsys, monkeypatch, *generate, "--adversaries", huge)

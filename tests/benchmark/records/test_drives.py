@@ -92,6 +92,15 @@ def test_a_record_reads_back(tmp_path: Path) -> None:
     assert find_drives(tmp_path) == [made]
 
 
+@pytest.mark.parametrize("field", ["scoring", "scenes_in_split", "runs"])
+def test_a_number_as_text_is_no_number(field: str, tmp_path: Path) -> None:
+    written(tmp_path / "a")
+    path = tmp_path / "a" / "drive.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), field: "7"}))
+    with pytest.raises(InputError, match=f"is damaged .{field}"):
+        load_drives(tmp_path / "a")
+
+
 def test_the_same_record_is_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         written(tmp_path / name)

@@ -98,6 +98,10 @@ def test_a_sheet_with_a_frame_too_many_is_named(sheets: Sheets, tmp_path: Path) 
     (folder / "sheet.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"scene/sheet\.json has \d+ frames and another number of ego poses"):
         read_sheet(folder)
+    content["timestamps_us"] = content["timestamps_us"][-2::-1]
+    (folder / "sheet.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"scene/sheet\.json has frames that are not in order"):
+        read_sheet(folder)
 
 
 def test_a_split_says_what_the_search_tried(sheets: Sheets) -> None:
