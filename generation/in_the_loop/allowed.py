@@ -1,4 +1,4 @@
-"""What an adversary may drive: nobody but the ego is ever touched, and every plan ends well to the scene's last frame."""
+"""What an adversary may drive: nobody but the ego is ever touched, and every plan ends well, to the last frame."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

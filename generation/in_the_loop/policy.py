@@ -220,9 +220,7 @@ class Adversary:
             return None
         state = initial_state(scene, self.agent, frame + steps, self.model.limits)
         replanning = Replanning(frame, None, braked=False)
-        return _Chosen(
-            poses[1 : steps + 1], _ahead(poses, steps), ending[steps + 1 :], state, replanning, as_made=True
-        )
+        return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), ending[steps + 1 :], state, replanning, as_made=True)
 
     def _meets(self, scene: Scene, frame: int, poses: Floats) -> bool:
         """Whether an ego that does not react would run into a track, however late."""
