@@ -1,4 +1,4 @@
-"""What an adversary may drive: nobody but the ego is ever touched, and from where a plan ends there is a way on."""
+"""What an adversary may drive: nobody but the ego is ever touched, and every plan ends well, to the last frame."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,21 +15,28 @@ from benchmark.scene import Scene
 AIR_M: Final = 0.1
 """Between bodies, on every side: what is driven is looked at every 0.05 s alone."""
 AHEAD_FRAMES: Final = 60
-"""How far is looked: 5 s. Candidates are known for 3 s of them, as far as scores look; who brakes, to the end."""
-BRAKING_M_S2: Final = (2.5, DriverLimits().braking_m_s2, 8.0)
+"""How far others who answer are expected, and how much of a plan is kept for them: 5 s."""
+GENTLE_M_S2: Final = 2.5
+BRAKING_M_S2: Final = (GENTLE_M_S2, DriverLimits().braking_m_s2, 8.0)
 """How it brakes where no candidate is allowed: gently, as hard as a driver does, as hard as tyres do."""
+LATER_FRAMES: Final = 6
+"""A plan may end with brakes at once, or any number of half seconds later."""
+_CHUNK: Final = 10
+"""Instants that bodies are bounded over: 0.5 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surrounded:
-    """Everybody but an adversary and the ego, every 0.05 s from a planning frame on.
+    """Everybody but an adversary and the ego, every 0.05 s from a planning frame to the scene's last.
 
     Attributes:
         frame_seconds: (K + 1,) of the frames that can be planned, since the planning frame; the first is 0.
-        seconds: (R,) instants after it, to the last frame.
+        seconds: (R,) instants after it, to the last frame: those at which the drive places everybody, and frames.
         boxes: (R, N, 5) of everybody.
         present: (R, N) who is there.
         reach: (N,) half of the diagonals.
+        low: (C, N, 2) where nobody's centre is below within a run of instants; infinite for who is absent.
+        high: (C, N, 2) nor above.
         size: (2,) length and width of the adversary, with the air around it.
     """
 
@@ -38,75 +45,122 @@ class Surrounded:
     boxes: Floats
     present: Bools
     reach: Floats
+    low: Floats
+    high: Floats
     size: Floats
 
     @classmethod
-    def of(cls, scene: Scene, agent: int, frame: int) -> Self:
-        """Those of a scene, as far as scores look or the scene lasts."""
-        last = min(frame + AHEAD_FRAMES, len(scene.timestamps_us) - 1)
-        times = (scene.timestamps_us - scene.timestamps_us[frame]) / 1e6
-        frames = times[frame : last + 1]
-        count = int(np.floor(frames[-1] / (INSTANT_US / 1e6) + 1e-9))
-        seconds = np.unique(np.concatenate([INSTANT_US / 1e6 * np.arange(1, count + 1), frames[1:]]))
-        boxes, present = Tracks.of_scene(scene).agents_at(seconds + float(scene.seconds[frame]))
+    def of(cls, scene: Scene, agent: int, frame: int, clock_us: int) -> Self:
+        """Those of a scene.
+
+        Args:
+            scene: The scene, everybody where they will be.
+            agent: The adversary.
+            frame: The planning frame.
+            clock_us: Any time of the drive's clock.
+        """
+        now_us = int(scene.timestamps_us[frame])
+        frames = (scene.timestamps_us[frame:] - now_us) / 1e6
+        first_us = -((now_us - clock_us) % -INSTANT_US)
+        clock = np.arange(first_us, int(scene.timestamps_us[-1]) - now_us + 1, INSTANT_US) / 1e6
+        seconds = np.unique(np.concatenate([clock, frames]))[1:]
+        seconds = seconds[seconds > 1e-9]
+        boxes, present = Tracks.of_scene(scene).agents_at(
+            np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
+        )
         present[agent] = False
+        boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
+        begins = np.arange(0, len(seconds), _CHUNK)
+        there = present[..., None]
+        low = np.minimum.reduceat(np.where(there, boxes[..., :2], np.inf), begins, axis=0) if len(begins) else boxes
+        high = np.maximum.reduceat(np.where(there, boxes[..., :2], -np.inf), begins, axis=0) if len(begins) else boxes
         reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
-        return cls(
-            frames,
-            seconds,
-            np.ascontiguousarray(boxes.transpose(1, 0, 2)),
-            np.ascontiguousarray(present.T),
-            reach,
-            size,
-        )
+        return cls(frames, seconds, boxes, present, reach, low[..., :2], high[..., :2], size)
 
-    def clear_for(self, poses: Floats) -> float:
+    def clear_for(self, poses: Floats, first: int = 0) -> float:
         """How long a motion touches nobody.
 
         Args:
             poses: (F, 3) of the box centre at the planning frame and at those after it.
+            first: Frame of them from which on it is looked at.
 
         Returns:
             Seconds to the last instant before it touches somebody; infinite where it never does.
         """
         known = self.frame_seconds[: len(poses)]
-        rows = self.seconds <= known[-1] + 1e-9
-        own = np.empty((int(rows.sum()), 5))
+        count = int(np.searchsorted(self.seconds, known[-1] + 1e-9, side="right"))
+        begin = int(np.searchsorted(self.seconds, known[first] + 1e-9, side="right")) // _CHUNK * _CHUNK
+        if begin >= count:
+            return np.inf
+        seconds = self.seconds[begin:count]
+        own = np.empty((len(seconds), 5))
         own[:, 0], own[:, 1], own[:, 4] = (
-            np.interp(self.seconds[rows], known, column)
+            np.interp(seconds, known, column)
             for column in (poses[: len(known), 0], poses[: len(known), 1], np.unwrap(poses[: len(known), 2]))
         )
         own[:, 2:4] = self.size
-        offset = self.boxes[: len(own), :, :2] - own[:, None, :2]
-        reach = self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6
-        near = self.present[: len(own)] & (offset[..., 0] ** 2 + offset[..., 1] ** 2 <= reach**2)
-        row, other = np.nonzero(near)
-        hit = boxes_overlap(own[row], self.boxes[row, other])
+        row, other = self._near(own, begin)
+        hit = boxes_overlap(own[row - begin], self.boxes[row, other])
         if not hit.any():
             return np.inf
-        first = int(row[np.argmax(hit)])
-        return float(self.seconds[first - 1]) if first else 0.0
+        touched = int(row[hit].min())
+        return float(self.seconds[touched - 1]) if touched else 0.0
 
-    def way_on(self, poses: Floats, executed: int) -> float:
-        """How long nobody is touched if the first frames of a motion are driven and the best is made of what follows.
+    def _near(self, own: Floats, begin: int) -> tuple[Integers, Integers]:
+        """Instants and indices of who may be touched by (I, 5) boxes, at the instants from one on."""
+        begins = np.arange(0, len(own), _CHUNK)
+        reach = self.reach + 0.5 * float(np.hypot(*self.size)) + 1e-6
+        chunks = slice(begin // _CHUNK, begin // _CHUNK + len(begins))
+        lowest = np.minimum.reduceat(own[:, :2], begins, axis=0)[:, None] - reach[:, None]
+        highest = np.maximum.reduceat(own[:, :2], begins, axis=0)[:, None] + reach[:, None]
+        may = ((self.low[chunks] <= highest) & (self.high[chunks] >= lowest)).all(axis=-1)
+        chunk, other = np.nonzero(may)
+        row = (chunk[:, None] * _CHUNK + np.arange(_CHUNK)).ravel()
+        other = np.repeat(other, _CHUNK)
+        inside = row < len(own)
+        row, other = row[inside], other[inside]
+        away = self.boxes[row + begin, other, :2] - own[row, :2]
+        near = self.present[row + begin, other] & ((away**2).sum(axis=1) <= reach[other] ** 2)
+        return row[near] + begin, other[near]
+
+    def endings(self, poses: Floats, executed: int) -> Iterator[Floats]:
+        """Ways in which a motion may go on to the scene's last frame once its first frames are driven.
+
+        It goes on as it is known, and then at its speed; or it brakes on its own path, at once or any number of half
+        seconds later, and stands.
 
         Args:
             poses: (F, 3) of the box centre at the planning frame and at those after it.
-            executed: How many of them are driven.
+            executed: How many of them are driven in any case.
 
-        Returns:
-            Seconds; infinite where the motion may be driven: it touches nobody in these frames, and as far as is looked
-            it does not either if it goes on as it ends, or if it brakes after them.
+        Yields:
+            (K + 1, 3) poses, those that brake gently first.
         """
+        count = len(self.frame_seconds)
+        end = min(len(poses), count) - 1
+        first = min(executed, end)
+        yield braked(poses, end, self.frame_seconds, 0.0)
+        if first < count - 1:
+            for braking in BRAKING_M_S2:
+                for later in range(first, end + 1, LATER_FRAMES):
+                    yield braked(poses, later, self.frame_seconds, braking)
+
+    def ending(self, poses: Floats, executed: int) -> Floats | None:
+        """The first of them that touches nobody, ever; ``None`` if there is none."""
         last = min(executed, len(self.frame_seconds) - 1)
-        lasting = 0.0
-        end = min(len(poses), len(self.frame_seconds)) - 1
-        for first, braking in ((end, 0.0), *((last, braking) for braking in BRAKING_M_S2[:2])):
-            lasting = max(lasting, self.clear_for(braked(poses, first, self.frame_seconds, braking)))
-            if lasting == np.inf or lasting < self.frame_seconds[last]:
-                break
-        return lasting
+        if self.clear_for(poses[: last + 1]) < np.inf:
+            return None
+        for found in self.endings(poses, executed):
+            if self.clear_for(found, last) == np.inf:
+                return found
+        return None
+
+    def longest(self, poses: Floats, executed: int) -> tuple[Floats, float]:
+        """The ending that lasts longest before it touches somebody, and how long that is."""
+        found = [(self.clear_for(each), each) for each in self.endings(poses, executed)]
+        best = max(range(len(found)), key=lambda place: found[place][0])
+        return found[best][1], found[best][0]
 
 
 def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:

@@ -2,7 +2,8 @@
 
 Everybody else behaves by a policy of their own. At each planning frame the scene is what has happened so far, what is
 expected of the ego, and what the others will do; `generation.search.planning` plans in it, and what it finds best is
-driven to the next planning frame, if nobody but the ego is touched by it (`generation.in_the_loop.allowed`).
+driven to the next planning frame, if from there on it can end without touching anybody but the ego, to the scene's last
+frame (`generation.in_the_loop.allowed`). That ending is kept, and driven where nothing better is found.
 """
 
 from dataclasses import dataclass, field, replace
@@ -47,6 +48,8 @@ class Memory:
         state: Its motion at the end of what is planned.
         track: (F, 3) what is planned, from the hand-over on.
         ahead: (60, 3) how what was planned last would have gone on.
+        ending: (K, 3) how it goes on to the scene's last frame where nothing better is found: it touches nobody, if the
+            others do as they were expected to do when it was looked at.
         randomness: State of its generator of random numbers.
         replanned: Its planning frames.
         as_made: Whether it is still on the track that the scene was made with.
@@ -57,6 +60,7 @@ class Memory:
     state: VehicleState
     track: Floats
     ahead: Floats
+    ending: Floats
     randomness: Any
     replanned: tuple[Replanning, ...] = ()
     as_made: bool = True
@@ -64,10 +68,20 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class _Chosen:
-    """What is driven next: (F, 3) poses after the planning frame, those after them, the motion at their end."""
+    """What is driven next.
+
+    Attributes:
+        executed: (F, 3) poses after the planning frame.
+        ahead: (60, 3) those after them, as they are meant.
+        ending: (K, 3) those after them to the last frame that touch nobody, as far as is known.
+        state: The motion at the end of what is driven.
+        replanning: What is noted of it.
+        as_made: Whether the adversary stays on the track that the scene was made with.
+    """
 
     executed: Floats
     ahead: Floats
+    ending: Floats
     state: VehicleState
     replanning: Replanning
     as_made: bool = False
@@ -121,6 +135,7 @@ class Adversary:
             state=planning.first_state(),
             track=first[None],
             ahead=np.repeat(first[None], AHEAD_FRAMES, axis=0),
+            ending=self._recorded_ending(first, time_us),
             randomness=rng.bit_generator.state,
         )
         return own, moved
@@ -160,22 +175,35 @@ class Adversary:
         rng.bit_generator.state = memory.randomness
         planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
         steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
-        chosen = self._as_made(scene, frame, steps, memory)
+        around = Surrounded.of(scene, self.agent, frame, moment.time_us)
+        chosen = self._as_made(scene, around, frame, steps, memory)
         if chosen is None:
-            chosen = self._chosen(scene, frame, steps, self._searched(planning, frame, memory), memory)
+            chosen = self._chosen(scene, around, frame, steps, self._searched(planning, frame, memory), memory)
             if self.settings.knows is not Knows.RECORDING:
-                chosen = self._yielding(scene, frame, steps, chosen, memory)
+                chosen = self._yielding(scene, around, frame, steps, chosen, memory)
         return replace(
             memory,
             state=chosen.state,
             track=np.concatenate([memory.track, chosen.executed]),
             ahead=chosen.ahead,
+            ending=chosen.ending,
             randomness=rng.bit_generator.state,
             replanned=(*memory.replanned, chosen.replanning),
             as_made=chosen.as_made,
         )
 
-    def _as_made(self, scene: Scene, frame: int, steps: int, memory: Memory) -> _Chosen | None:
+    def _recorded_ending(self, first: Floats, time_us: int) -> Floats:
+        """(K, 3) the rest of its recording after the hand-over, or brakes where that ends or touches somebody."""
+        scene, agents = self.scene, self.scene.agents
+        around = Surrounded.of(scene, self.agent, self.start, time_us)
+        gone = np.flatnonzero(~agents.valid[self.agent, self.start :])
+        there = slice(self.start, self.start + int(gone[0]) if len(gone) else None)
+        poses = np.column_stack([agents.position[self.agent, there, :2], agents.yaw[self.agent, there]])
+        poses = np.concatenate([first[None], poses[1:]])
+        found = around.ending(poses, 0)
+        return (around.longest(poses, 0)[0] if found is None else found)[1:]
+
+    def _as_made(self, scene: Scene, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
         known = self.scene.agents.ids[self.agent] in self.scene.adversaries
         if not known or not memory.as_made or self.settings.knows is Knows.RECORDING:
@@ -185,13 +213,14 @@ class Adversary:
         if not agents.valid[self.agent, frame : last + 1].all():
             return None
         poses = np.column_stack([agents.position[self.agent, :, :2], agents.yaw[self.agent]])[frame : last + 1]
-        if Surrounded.of(scene, self.agent, frame).clear_for(poses) < np.inf:
+        ending = around.ending(poses, steps)
+        if ending is None:
             return None
         if not memory.seen.as_recorded(self.scene) and not self._meets(scene, frame, poses):
             return None
         state = initial_state(scene, self.agent, frame + steps, self.model.limits)
         replanning = Replanning(frame, None, braked=False)
-        return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), state, replanning, as_made=True)
+        return _Chosen(poses[1 : steps + 1], _ahead(poses, steps), ending[steps + 1 :], state, replanning, as_made=True)
 
     def _meets(self, scene: Scene, frame: int, poses: Floats) -> bool:
         """Whether an ego that does not react would run into a track, however late."""
@@ -199,7 +228,9 @@ class Adversary:
         careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame), len(poses))
         return bool(careful.met(careful.placed(driven_motion(poses, float(size[0])), size), in_front=False)[0])
 
-    def _yielding(self, scene: Scene, frame: int, steps: int, chosen: _Chosen, memory: Memory) -> _Chosen:
+    def _yielding(
+        self, scene: Scene, around: Surrounded, frame: int, steps: int, chosen: _Chosen, memory: Memory
+    ) -> _Chosen:
         """What was chosen, or the brakes where a careful human does not survive it but survives them."""
         size = self.scene.agents.size[self.agent, :2]
         careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame))
@@ -210,13 +241,7 @@ class Adversary:
 
         if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
             return chosen
-        around = Surrounded.of(scene, self.agent, frame)
-        path = np.concatenate([now, memory.ahead])
-        clear = [
-            slowed
-            for slowed in (self._slowed(path, around.frame_seconds, memory.state, each) for each in BRAKING_M_S2)
-            if around.clear_for(slowed) == np.inf
-        ]
+        clear = [slowed for slowed in self._slowed_all(around, memory)[1:] if around.clear_for(slowed) == np.inf]
         for slowed in clear:
             if not hits(slowed):
                 return self._as_braked(frame, steps, slowed)
@@ -237,10 +262,10 @@ class Adversary:
         lost = np.abs(to_local(pose[:2], scene.ego.pose[frame])).max() > half
         return pose.copy() if lost else None
 
-    def _chosen(self, scene: Scene, frame: int, steps: int, found: Refinement | None, memory: Memory) -> _Chosen:
+    def _chosen(
+        self, scene: Scene, around: Surrounded, frame: int, steps: int, found: Refinement | None, memory: Memory
+    ) -> _Chosen:
         """The best candidate that may be driven, or the brakes."""
-        around = Surrounded.of(scene, self.agent, frame)
-        longest, place = 0.0, None
         # Whoever is off the road already may come back to it, however.
         on_road = bool(scene.road_map.is_drivable(memory.track[-1, :2]))
         for number, index in () if found is None else self._candidates(found):
@@ -248,27 +273,30 @@ class Adversary:
             motion = found.batches[number].evaluated.motion
             if not motion.finite[index] or (on_road and _leaves_road(found, number, index, steps)):
                 continue
-            clear = around.way_on(motion.center[index], steps)
-            if clear == np.inf:
-                return self._as_searched(scene, frame, steps, found, memory, number, index)
-            if clear > longest:
-                longest, place = clear, (number, index)
-        brakes, safe = self._last_resort(around, frame, steps, memory)
-        if found is not None and place is not None and longest > safe:
-            # Where all ends badly, what lasts longest: there is another plan before it does.
-            return self._as_searched(scene, frame, steps, found, memory, *place)
-        return brakes
+            ending = around.ending(motion.center[index], steps)
+            if ending is not None:
+                return self._as_searched(scene, frame, steps, found, memory, number, index, ending)
+        return self._last_resort(around, frame, steps, memory)
 
     def _as_searched(
-        self, scene: Scene, frame: int, steps: int, found: Refinement, memory: Memory, number: int, index: int
+        self,
+        scene: Scene,
+        frame: int,
+        steps: int,
+        found: Refinement,
+        memory: Memory,
+        number: int,
+        index: int,
+        ending: Floats,
     ) -> _Chosen:
-        """A candidate of the search."""
+        """A candidate of the search, and how it may end."""
         motion = found.batches[number].evaluated.motion
         score = float(scores_together(found.batches, self.settings.hyper)[number, index])
         considered = self._considered(scene, frame, memory.state, found, number, index)
         return _Chosen(
             motion.center[index, 1 : steps + 1],
             _ahead(motion.center[index], steps),
+            ending[steps + 1 :],
             motion.state(index, steps),
             Replanning(frame, score, braked=False, considered=considered),
         )
@@ -287,25 +315,30 @@ class Adversary:
         rounds = rounds_of(scene, self.agent, frame, state, shown, self.settings.hyper, self.model)
         return rounds.model_dump(mode="json")
 
-    def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> tuple[_Chosen, float]:
-        """Brake on the path that was meant, as gently as touches nobody or else as lasts longest; and how long."""
+    def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
+        """Brake on the path that was meant, as gently as touches nobody; or what was kept; or what lasts longest."""
+        longest, found = -1.0, None
+        for poses in (*self._slowed_all(around, memory), np.concatenate([memory.track[-1:], memory.ending])):
+            lasting = around.clear_for(poses)
+            if lasting > longest:
+                longest, found = lasting, poses
+        assert found is not None
+        return self._as_braked(frame, steps, found)
+
+    def _slowed_all(self, around: Surrounded, memory: Memory) -> list[Floats]:
+        """Poses to the scene's last frame of who goes on as it was meant, or brakes on that path from now on."""
         path = np.concatenate([memory.track[-1:], memory.ahead])
-        found, clear = path, -1.0
-        for braking in (0.0, *BRAKING_M_S2):
-            slowed = self._slowed(path, around.frame_seconds, memory.state, braking)
-            lasting = around.clear_for(slowed)
-            if lasting > clear:
-                found, clear = slowed, lasting
-        return self._as_braked(frame, steps, found), clear
+        return [self._slowed(path, around.frame_seconds, memory.state, each) for each in (0.0, *BRAKING_M_S2)]
 
     def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
-        """Poses from the planning frame on that no search found."""
+        """Poses from the planning frame to the last one that no search found."""
         executed = poses[1 : steps + 1]
         way = executed[-1, :2] - poses[steps - 1, :2]
         state = VehicleState(
             rear_axle(executed[-1], float(self.scene.agents.size[self.agent, 0])), float(np.hypot(*way)) * FRAME_HZ
         )
-        return _Chosen(executed, _ahead(poses, steps), state, Replanning(frame, None, braked=True))
+        replanning = Replanning(frame, None, braked=True)
+        return _Chosen(executed, _ahead(poses, steps), poses[steps + 1 :], state, replanning)
 
     @staticmethod
     def _slowed(path: Floats, seconds: Floats, state: VehicleState, braking_m_s2: float) -> Floats:

@@ -11,7 +11,7 @@ from generation.search.adversary import ALGORITHM_VERSION
 from generation.search.hyperparameters import HyperParameters
 from generation.search.presets import threatening
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Raised whenever the same adversary would drive elsewhere in the same drive."""
 AHEAD_WEIGHT: Final = 4.0
 LONGEST_FRAMES: Final = 36
