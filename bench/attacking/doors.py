@@ -148,7 +148,7 @@ class Doors:
         # So long does a command wait for a server that went away; in a campaign nobody restarts any.
         benchmark.closed_loop.wire.model.RETURN_S = 1.0  # type: ignore[misc]
         # And so long for its first answer, which is more than the time that a variant has.
-        benchmark.closed_loop.wire.model.ALIVE_S = 5.0  # type: ignore[misc]
+        benchmark.closed_loop.wire.model.ALIVE_S = 5.0  # type: ignore[attr-defined]
         tries = [*option_tries(), *planner_tries(), *server_tries()]
         self.tries = Random(seed).sample(tries, len(tries))
 

@@ -120,8 +120,10 @@ class Connection:
                 # Nothing that would have to be unpacked: the bound is on what arrives.
                 del client.headers["accept-encoding"]
                 headers = {} if body is None else {"content-type": _JSON}
-                asked = {"content": body, "headers": headers, "extensions": {"trace": watch.connected}}
-                with client.stream(method, f"{self.url}{path}", **asked) as response:
+                seen = {"trace": watch.connected}
+                with client.stream(
+                    method, f"{self.url}{path}", content=body, headers=headers, extensions=seen
+                ) as response:
                     return Reply(response.status_code, self._body(response, until, path, seconds))
         except httpx2.TimeoutException as error:
             if isinstance(error, httpx2.ConnectTimeout):
