@@ -60,4 +60,3 @@ def test_links_that_lead_in_a_circle_pipes_and_numbers_beyond_machines(
     generate = ("generate", "--out", str(tmp_path / "out"), "--dry-run")
     assert "a pipe or a device; name a file" in said(capsys, monkeypatch, *generate, "--freeze", str(pipe))
     assert "at most 10,000" in said(capsys, monkeypatch, *generate, "--workers", huge)
-    assert "at most 1,000" in said(capsys, monkeypatch, *generate, "--adversaries", huge)
