@@ -1,6 +1,6 @@
 """What an adversary may drive: nobody but the ego is ever touched, and every plan ends well, to the last frame."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -61,22 +61,21 @@ class Surrounded:
         """
         now_us = int(scene.timestamps_us[frame])
         frames = (scene.timestamps_us[frame:] - now_us) / 1e6
-        first_us = -((now_us - clock_us) % -INSTANT_US)
-        clock = np.arange(first_us, int(scene.timestamps_us[-1]) - now_us + 1, INSTANT_US) / 1e6
-        seconds = np.unique(np.concatenate([clock, frames]))[1:]
-        seconds = seconds[seconds > 1e-9]
+        clock = np.arange((clock_us - now_us) % INSTANT_US, scene.timestamps_us[-1] - now_us + 1, INSTANT_US) / 1e6
+        seconds = np.unique(np.concatenate([clock, frames]))
+        seconds = seconds[seconds > 0.0]
         boxes, present = Tracks.of_scene(scene).agents_at(
             np.minimum(seconds + float(scene.seconds[frame]), float(scene.seconds[-1]))
         )
         present[agent] = False
         boxes, present = np.ascontiguousarray(boxes.transpose(1, 0, 2)), np.ascontiguousarray(present.T)
         begins = np.arange(0, len(seconds), _CHUNK)
-        there = present[..., None]
-        low = np.minimum.reduceat(np.where(there, boxes[..., :2], np.inf), begins, axis=0) if len(begins) else boxes
-        high = np.maximum.reduceat(np.where(there, boxes[..., :2], -np.inf), begins, axis=0) if len(begins) else boxes
+        there, centre = present[..., None], boxes[..., :2]
+        low = np.minimum.reduceat(np.where(there, centre, np.inf), begins, axis=0)
+        high = np.maximum.reduceat(np.where(there, centre, -np.inf), begins, axis=0)
         reach = 0.5 * np.hypot(*scene.agents.size[:, :2].T)
         size = scene.agents.size[agent, :2] + 2.0 * AIR_M
-        return cls(frames, seconds, boxes, present, reach, low[..., :2], high[..., :2], size)
+        return cls(frames, seconds, boxes, present, reach, low, high, size)
 
     def clear_for(self, poses: Floats, first: int = 0) -> float:
         """How long a motion touches nobody.
@@ -156,11 +155,9 @@ class Surrounded:
                 return found
         return None
 
-    def longest(self, poses: Floats, executed: int) -> tuple[Floats, float]:
-        """The ending that lasts longest before it touches somebody, and how long that is."""
-        found = [(self.clear_for(each), each) for each in self.endings(poses, executed)]
-        best = max(range(len(found)), key=lambda place: found[place][0])
-        return found[best][1], found[best][0]
+    def longest(self, motions: Iterable[Floats]) -> Floats:
+        """The first of some motions that last longest before they touch somebody."""
+        return max(motions, key=self.clear_for)
 
 
 def braked(poses: Floats, first: int, seconds: Floats, braking_m_s2: float) -> Floats:

@@ -6,6 +6,7 @@ driven to the next planning frame, if from there on it can end without touching 
 frame (`generation.in_the_loop.allowed`). That ending is kept, and driven where nothing better is found.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -201,7 +202,7 @@ class Adversary:
         poses = np.column_stack([agents.position[self.agent, there, :2], agents.yaw[self.agent, there]])
         poses = np.concatenate([first[None], poses[1:]])
         found = around.ending(poses, 0)
-        return (around.longest(poses, 0)[0] if found is None else found)[1:]
+        return (around.longest(around.endings(poses, 0)) if found is None else found)[1:]
 
     def _as_made(self, scene: Scene, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen | None:
         """The rest of the track that the scene was made with, if the adversary is still on it and may drive it."""
@@ -241,10 +242,11 @@ class Adversary:
 
         if not hits(np.concatenate([now, chosen.executed, chosen.ahead])):
             return chosen
-        clear = [slowed for slowed in self._slowed_all(around, memory)[1:] if around.clear_for(slowed) == np.inf]
-        for slowed in clear:
-            if not hits(slowed):
-                return self._as_braked(frame, steps, slowed)
+        slowed = self._slowed_by(BRAKING_M_S2, around, memory)
+        clear = [each for each in slowed if around.clear_for(each) == np.inf]
+        for poses in clear:
+            if not hits(poses):
+                return self._as_braked(frame, steps, poses)
         # Whoever is behind the ego and can do nothing that is safe does what is nearest to it.
         return self._as_braked(frame, steps, clear[-1]) if clear and careful.follows(now, size) else chosen
 
@@ -317,18 +319,14 @@ class Adversary:
 
     def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
         """Brake on the path that was meant, as gently as touches nobody; or what was kept; or what lasts longest."""
-        longest, found = -1.0, None
-        for poses in (*self._slowed_all(around, memory), np.concatenate([memory.track[-1:], memory.ending])):
-            lasting = around.clear_for(poses)
-            if lasting > longest:
-                longest, found = lasting, poses
-        assert found is not None
-        return self._as_braked(frame, steps, found)
+        kept = np.concatenate([memory.track[-1:], memory.ending])
+        slowed = self._slowed_by((0.0, *BRAKING_M_S2), around, memory)
+        return self._as_braked(frame, steps, around.longest((*slowed, kept)))
 
-    def _slowed_all(self, around: Surrounded, memory: Memory) -> list[Floats]:
-        """Poses to the scene's last frame of who goes on as it was meant, or brakes on that path from now on."""
+    def _slowed_by(self, brakings: Sequence[float], around: Surrounded, memory: Memory) -> list[Floats]:
+        """Poses to the scene's last frame of who brakes from now on, so hard, on the path that was meant."""
         path = np.concatenate([memory.track[-1:], memory.ahead])
-        return [self._slowed(path, around.frame_seconds, memory.state, each) for each in (0.0, *BRAKING_M_S2)]
+        return [self._slowed(path, around.frame_seconds, memory.state, each) for each in brakings]
 
     def _as_braked(self, frame: int, steps: int, poses: Floats) -> _Chosen:
         """Poses from the planning frame to the last one that no search found."""

@@ -107,11 +107,10 @@ class Connection:
         import httpx2
 
         seconds = self.deadline_s if deadline_s is None else deadline_s
-        until = time.monotonic() + seconds
         where = f"{self.what} at {self.url}"
         # Neither proxies nor passwords of the environment have any business here.
         limits = httpx2.Timeout(seconds, connect=min(CONNECT_S, seconds))
-        # Limits are of each read alone, and headers that drip in byte by byte would never be late.
+        # Limits are of each read alone, and what drips in byte by byte would never be late.
         watch = _Watch(seconds)
         try:
             # Plain HTTP: loading certificates for every request would take longer than the request.
@@ -124,7 +123,11 @@ class Connection:
                 with client.stream(
                     method, f"{self.url}{path}", content=body, headers=headers, extensions=seen
                 ) as response:
-                    return Reply(response.status_code, self._body(response, until, path, seconds))
+                    reply = Reply(response.status_code, self._body(response, path))
+            # A body without a length ends where its connection is cut, and looks whole.
+            if watch.cut:
+                raise self._late(path, seconds)
+            return reply
         except httpx2.TimeoutException as error:
             if isinstance(error, httpx2.ConnectTimeout):
                 raise PlannerAwayError(f"{where} cannot be reached; start it, and name where it listens") from error
@@ -136,9 +139,8 @@ class Connection:
         except httpx2.TransportError as error:
             if watch.cut:
                 raise self._late(path, seconds) from error
-            if not isinstance(error, httpx2.RemoteProtocolError):
-                raise self._left(path, error) from error
-            if "disconnected" in str(error) or "closed" in str(error):
+            left = "disconnected" in str(error) or "closed" in str(error)
+            if left or not isinstance(error, httpx2.RemoteProtocolError):
                 raise self._left(path, error) from error
             raise PlannerGoneError(
                 f"{where} does not answer {path} as a web server would ({one_line(error, 80)}); name another address"
@@ -146,8 +148,8 @@ class Connection:
         except httpx2.HTTPError as error:
             raise PlannerGoneError(f"{where} cannot be asked for {path} ({one_line(error, 80)})") from error
 
-    def _body(self, response: "httpx2.Response", until: float, path: str, seconds: float) -> bytes:
-        """All of an answer; one that drips in byte by byte is late as well."""
+    def _body(self, response: "httpx2.Response", path: str) -> bytes:
+        """All of an answer, within the bound."""
         parts: list[bytes] = []
         size = 0
         for part in response.iter_raw():
@@ -157,8 +159,6 @@ class Connection:
                     f"{self.what} at {self.url} answers {path} with more than {in_words(WIRE_ANSWER.file_bytes)}; that "
                     "is no answer of this protocol, name another address"
                 )
-            if time.monotonic() > until:
-                raise self._late(path, seconds)
             parts.append(part)
         return b"".join(parts)
 

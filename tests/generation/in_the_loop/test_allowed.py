@@ -81,5 +81,6 @@ def test_what_touches_somebody_in_what_is_driven_has_no_ending() -> None:
     seconds = around.frame_seconds[:37]
     into = np.column_stack([100.0 + 9.0 * seconds, np.full(37, 194.75), np.zeros(37)])
     assert around.clear_for(into[:13]) < np.inf and around.ending(into, 12) is None
-    poses, lasting = around.longest(into, 12)
-    assert lasting == around.clear_for(poses) < np.inf
+    endings = list(around.endings(into, 12))
+    lasting = around.clear_for(around.longest(endings))
+    assert lasting == max(map(around.clear_for, endings)) < np.inf

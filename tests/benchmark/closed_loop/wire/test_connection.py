@@ -11,15 +11,15 @@ from benchmark.closed_loop.wire.connection import Connection
 from benchmark.planning import PlannerLateError
 
 
-@pytest.fixture
-def dripping() -> Iterator[str]:
-    """The address of a server whose headers never end: a byte each 0.05 s."""
+@pytest.fixture(params=[b"x: ", b"\r\n", b"content-length: 1000\r\n\r\n"], ids=["headers", "a body", "a known length"])
+def dripping(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The address of a server whose answer never ends: a byte each 0.05 s."""
     listening = socket.create_server(("127.0.0.1", 0))
 
     def drip() -> None:
         stream, _ = listening.accept()
         with stream:
-            stream.sendall(b"HTTP/1.1 200 OK\r\nx: ")
+            stream.sendall(b"HTTP/1.1 200 OK\r\n" + request.param)
             try:
                 for _ in range(200):
                     stream.sendall(b"a")
@@ -34,7 +34,7 @@ def dripping() -> Iterator[str]:
     thread.join(5.0)
 
 
-def test_headers_that_drip_in_byte_by_byte_are_late(dripping: str) -> None:
+def test_what_drips_in_byte_by_byte_is_late(dripping: str) -> None:
     began = time.monotonic()
     with pytest.raises(PlannerLateError, match=r"did not answer /alive within 0\.5 s"):
         Connection(dripping, "the model server", 60.0).get("/alive", 0.5)
