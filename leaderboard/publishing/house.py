@@ -20,7 +20,21 @@ _TOP_FOLDERS: Final = (
 )
 """First parts of absolute paths on many machines, beside those of this one."""
 _ANYBODY: Final = frozenset(
-    ("root", "user", "admin", "ubuntu", "debian", "runner", "nobody", "docker", "jovyan", "vscode", "localhost", "host")
+    (
+        "root",
+        "home",
+        "user",
+        "admin",
+        "ubuntu",
+        "debian",
+        "runner",
+        "nobody",
+        "docker",
+        "jovyan",
+        "vscode",
+        "localhost",
+        "host",
+    )
 )
 """Names that tell nothing."""
 _SHORTEST_NAME: Final = 3

@@ -230,3 +230,9 @@ def test_the_command_ends_with_1_where_something_is_found(made: Path, tmp_path: 
     assert clean.code == 0 and "nothing that tells of this machine" in clean.out
     assert run_here("leaderboard", "--may-show", "x").code == 2
     assert run_here("leaderboard", "--check", "--publish-check", folder).code == 2
+
+
+def test_a_home_that_is_called_home_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder, told in (("/home", False), ("/home/annabelle", True)):
+        monkeypatch.setenv("HOME", folder)
+        assert (Path(folder).name in House.this_one().users) is told
