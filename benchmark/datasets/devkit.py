@@ -14,7 +14,8 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.devkit_import import devkit_module
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
-from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, camera_mounts, read_rows, read_scene_tables
+from benchmark.datasets.kept_tables import read_or_kept
+from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, camera_mounts, read_rows
 from benchmark.datasets.schema import FaultList, Refusal, check_table
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
@@ -66,7 +67,7 @@ class SceneByScene(OpenTables):
 
     def keyframe_images(self) -> Iterable[str]:
         """File names of the camera keyframes of all scenes."""
-        return self._tables.keyframe_images
+        return self._tables.keyframe_images()
 
     def of_scene(self, scene: Row, adversaries: Collection[str] = ()) -> Any:
         """``NuScenes`` of the devkit with the rows of this scene alone."""
@@ -129,7 +130,7 @@ def open_tables(root: Path, version: str, rates: FaultList | None = None) -> Ope
     folder = root / version
     rates = Refusal(folder=folder) if rates is None else rates
     if not any((folder / f"{table}.json").exists() for table in _FURTHER_TABLES):
-        tables = read_scene_tables(folder, rates)
+        tables = read_or_kept(folder, rates)
         if tables is not None:
             _require_masks(root, tables.shared["map"])
             return SceneByScene(root, version, tables)

@@ -1,12 +1,11 @@
 """A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called."""
 
-import hashlib
+import stat
 from collections.abc import Iterable
 from pathlib import Path
 
 from benchmark.constants import NUSCENES_TABLES
-from benchmark.foreign.files import open_file
-from benchmark.foreign.limits import TABLE
+from benchmark.datasets.kept_digests import KeptDigests
 from benchmark.machine.storage import content_key
 
 
@@ -34,17 +33,18 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     hashed["splits.json"] = root / "splits.json"
     for path in sorted((root / "maps" / "expansion").glob("*.json")):
         hashed[f"maps/expansion/{path.name}"] = path
-    contents = {name: _sha256(path) for name, path in hashed.items() if path.is_file()}
+    kept = KeptDigests.of(tables)
+    contents = {name: kept.sha256(path) for name, path in hashed.items() if path.is_file()}
+    kept.keep()
     can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
     sizes = {name: _size(root / name) for name in sorted(set(images))}
     return content_key("data set", 1, contents, can_bus, sizes)
 
 
-def _sha256(path: Path) -> str:
-    with open_file(path, TABLE) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def _size(path: Path) -> int:
     """Size of a file in bytes, -1 where it is missing."""
-    return path.stat().st_size if path.is_file() else -1
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return -1
+    return status.st_size if stat.S_ISREG(status.st_mode) else -1

@@ -5,7 +5,7 @@ notes where the rows of each scene are; what the rows of a scene say together is
 """
 
 import gc
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from operator import itemgetter
@@ -35,14 +35,16 @@ class SceneTables:
     """Checked tables, most of whose rows are read when their scene is.
 
     Attributes:
-        keyframe_images: File names of all camera keyframes.
+        keyframe_images: Gives the file names of all camera keyframes.
+        stored: Where the rows of each growing table are.
+        rows_of_scenes: Numbers of the rows of each scene, in the order of the table ``scene``, by growing table.
     """
 
-    keyframe_images: tuple[str, ...]
+    keyframe_images: Callable[[], Sequence[str]]
+    stored: Mapping[str, StoredRows]
+    rows_of_scenes: Mapping[str, Sequence[Numbers]]
     _shared: CheckedTables
     _faults: Refusal
-    _stored: dict[str, StoredRows]
-    _of_scene: dict[str, list[Numbers]]
     _sound: set[str] = field(default_factory=set)
 
     @property
@@ -64,7 +66,7 @@ class SceneTables:
             InputError: If a file has changed or cannot be read, or what the rows say together cannot be.
         """
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
-        rows = {table: self._stored[table].read(self._of_scene[table][number]) for table in GROWING_TABLES}
+        rows = {table: self.stored[table].read(self.rows_of_scenes[table][number]) for table in GROWING_TABLES}
         if token not in self._sound:
             check_scene(self._shared, rows, self.shared["scene"][number], adversaries, self._faults)
             self._sound.add(token)
@@ -73,7 +75,7 @@ class SceneTables:
     def numbers_of_scene(self, table: str, token: str) -> tuple[int, ...]:
         """Numbers, in the whole table, of the rows of a growing table that `of_scene` gives, in the same order."""
         number = next(index for index, row in enumerate(self.shared["scene"]) if row["token"] == token)
-        return tuple(self._of_scene[table][number].tolist())
+        return tuple(self.rows_of_scenes[table][number].tolist())
 
 
 def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
@@ -128,10 +130,8 @@ class _Reading:
         self._rates = rates
         self._stored: dict[str, StoredRows] = {}
         self._images: list[str] = []
-        names = [table for table in NUSCENES_TABLES if table not in GROWING_TABLES]
-        rows = {table: check_table(table, read_rows(folder, table), self._faults)[0] for table in names}
-        self._shared = CheckedTables.of_sound_rows(rows)
-        self._cameras = camera_mounts(rows)
+        self._shared = read_shared(folder, self._faults)
+        self._cameras = camera_mounts(self._shared.rows)
 
     def result(self) -> SceneTables:
         """Raises InputError for the first fault."""
@@ -163,7 +163,8 @@ class _Reading:
             "sample_annotation": annotation_rows,
             "instance": [_small(np.unique(instance_of_annotation[rows])) for rows in annotation_rows],
         }
-        return SceneTables(tuple(self._images), self._shared, self._faults, self._stored, of_scene)
+        images = tuple(self._images)
+        return SceneTables(lambda: images, self._stored, of_scene, self._shared, self._faults)
 
     def _pass(
         self, table: str, wanted: tuple[str, ...], look: Callable[[list[Row]], None] | None = None
@@ -248,6 +249,25 @@ class _RowsByToken:
         if or_none:
             found[hashes == hash("")] = _NO_ROW
         return found
+
+
+def read_shared(folder: Path, faults: FaultList) -> CheckedTables:
+    """The tables that do not grow with the scenes.
+
+    Args:
+        folder: Version folder.
+        faults: Gets what the schema says against their rows.
+
+    Returns:
+        Their rows.
+
+    Raises:
+        InputError: If a file cannot be read.
+    """
+    names = [table for table in NUSCENES_TABLES if table not in GROWING_TABLES]
+    return CheckedTables.of_sound_rows(
+        {table: check_table(table, read_rows(folder, table), faults)[0] for table in names}
+    )
 
 
 def read_rows(folder: Path, table: str) -> list[Row]:

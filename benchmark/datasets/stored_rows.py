@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
+from benchmark.machine.user_cache import Stamp, stamp_of
 
 _CHUNK_BYTES: Final = 1 << 20
 _LONGEST_ROW_CHARACTERS: Final = 1 << 24
@@ -127,10 +128,17 @@ class PassOverRows:
         return StoredRows(self._path, self._stamp, starts, lengths)
 
 
-def _stamp(stream: IO[bytes]) -> tuple[int, ...]:
+def stamp_while_open(stamp: Stamp) -> Stamp:
+    """What of a stamp tells whether a table is still the one that was opened: all but the time of its inode.
+
+    That changes with rights and links too, which are nobody's business while a command runs.
+    """
+    return stamp[:-1]
+
+
+def _stamp(stream: IO[bytes]) -> Stamp:
     """What tells whether a file is still the one that it was."""
-    status = os.fstat(stream.fileno())
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+    return stamp_while_open(stamp_of(os.fstat(stream.fileno())))
 
 
 class _Text:

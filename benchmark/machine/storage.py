@@ -10,7 +10,7 @@ import fcntl
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 from urllib.parse import quote
@@ -137,14 +137,19 @@ def write_bytes(path: Path, data: bytes, *, durable: bool = True) -> None:
     Raises:
         InputError: If it cannot be written.
     """
+    write_parts(path, (data,), durable=durable)
+
+
+def write_parts(path: Path, parts: Sequence[bytes | memoryview], *, durable: bool = True) -> None:
+    """`write_bytes` of a file in parts, which are not put together in memory; arguments and errors as there."""
     with writing_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = _nameless(path.parent)
         if descriptor is None:
-            _write_named(path, data, durable=durable)
+            _write_named(path, parts, durable=durable)
             return
         with os.fdopen(descriptor, "wb") as stream:
-            _fill(stream, data, durable=durable)
+            _fill(stream, parts, durable=durable)
             _name(stream.fileno(), path)
 
 
@@ -156,8 +161,9 @@ def _nameless(folder: Path) -> int | None:
         return None
 
 
-def _fill(stream: BinaryIO, data: bytes, *, durable: bool) -> None:
-    stream.write(data)
+def _fill(stream: BinaryIO, parts: Sequence[bytes | memoryview], *, durable: bool) -> None:
+    for part in parts:
+        stream.write(part)
     stream.flush()
     if durable:
         os.fsync(stream.fileno())
@@ -195,12 +201,12 @@ def _put_in_place(temporary: Path, path: Path) -> None:
         raise
 
 
-def _write_named(path: Path, data: bytes, *, durable: bool) -> None:
+def _write_named(path: Path, parts: Sequence[bytes | memoryview], *, durable: bool) -> None:
     """Write a temporary file beside the target, then rename it."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with temporary.open("wb") as stream:
-            _fill(stream, data, durable=durable)
+            _fill(stream, parts, durable=durable)
         temporary.replace(path)
     except OSError:
         temporary.unlink(missing_ok=True)

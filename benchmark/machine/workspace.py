@@ -1,6 +1,5 @@
 """Where a command finds its data set and puts what it makes (docs/decisions/0002)."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.datasets.split_names import NoSuchSplit
 from benchmark.errors import InputError
+from benchmark.machine.user_cache import cache_root as cache_root
 from benchmark.records.seed_splits import seed_of
 
 GENERATED_SPLITS = ("val-r", "adv")
@@ -31,15 +31,6 @@ def how_generated(split: str) -> str:
     """Options of ``generate`` that make a split; of a split of one seed, with another seed beside it."""
     seed = seed_of(split)
     return f"--split {split}" if seed is None else f"--seeds {seed},{seed + 1}"
-
-
-def cache_root() -> Path:
-    """Folder for what is built once per user: the embedded data set."""
-    explicit = os.environ.get("CHALLENGER_BENCH_CACHE")
-    if explicit:
-        return Path(explicit).expanduser()
-    general = os.environ.get("XDG_CACHE_HOME")
-    return (Path(general) if general else Path.home() / ".cache") / "challenger-bench"
 
 
 def weights_root() -> Path:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.infos.frames import SensorFrame
-from benchmark.datasets.scene_tables import SceneTables, read_scene_tables
+from benchmark.datasets.kept_tables import read_or_kept
+from benchmark.datasets.scene_tables import SceneTables
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
@@ -108,7 +109,7 @@ class InfoTables:
     """
 
     def __init__(self, root: Path, version: str, rates: FaultList) -> None:
-        tables = read_scene_tables(root / version, rates)
+        tables = read_or_kept(root / version, rates)
         if tables is None:
             # Texts hash differently in each process.
             raise InputError(f"two tokens of {root / version} were taken for one by chance; run the same command again")

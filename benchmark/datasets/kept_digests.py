@@ -1,0 +1,83 @@
+"""Hashes of large files, kept in the user's cache under what tells that a file is still the one that was hashed."""
+
+import hashlib
+import os
+import re
+import time
+from pathlib import Path
+from typing import Any, Final, Self
+
+from benchmark.datasets.kept_tables import kept_at
+from benchmark.errors import InputError
+from benchmark.foreign.files import open_file
+from benchmark.foreign.limits import TABLE
+from benchmark.machine.storage import only_writer, read_kept_json, write_json
+from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
+
+WORTH_BYTES: Final = 1 << 22
+"""Smaller files are hashed each time."""
+_SHA256: Final = re.compile("[0-9a-f]{64}")
+
+
+class KeptDigests:
+    """Hashes of the files of one root.
+
+    Args:
+        place: Where they are kept.
+        known: Stamp and hash by path.
+    """
+
+    def __init__(self, place: Path, known: dict[str, tuple[Stamp, str]]) -> None:
+        self._place, self._known = place, known
+        self._new: dict[str, tuple[Stamp, str]] = {}
+
+    @classmethod
+    def of(cls, folder: Path) -> Self:
+        """What is kept.
+
+        Args:
+            folder: Version folder of the root.
+        """
+        place = kept_at(folder).with_suffix(".digests.json")
+        return cls(place, _sound(read_kept_json(place) if place.is_file() else None))
+
+    def sha256(self, path: Path) -> str:
+        """Hash of a file's content, 64 hexadecimal digits.
+
+        Args:
+            path: The file.
+
+        Raises:
+            InputError: If it cannot be read or is longer than any table.
+        """
+        name, looked_ns = str(path.resolve()), time.time_ns()
+        with open_file(path, TABLE) as stream:
+            stamp = stamp_of(os.fstat(stream.fileno()))
+            if name in self._known and self._known[name][0] == stamp:
+                return self._known[name][1]
+            found = hashlib.file_digest(stream, "sha256").hexdigest()
+            unchanged = stamp_of(os.fstat(stream.fileno())) == stamp
+        if unchanged and stamp[2] >= WORTH_BYTES and is_settled(stamp, looked_ns):
+            self._new[name] = stamp, found
+        return found
+
+    def keep(self) -> None:
+        """Keep what was hashed, where there is room and a right to; without, it is hashed again."""
+        if not self._new:
+            return
+        every = {name: [list(stamp), found] for name, (stamp, found) in (self._known | self._new).items()}
+        try:
+            with only_writer(self._place.parent):
+                write_json(self._place, every)
+        except InputError:
+            return
+
+
+def _sound(value: Any) -> dict[str, tuple[Stamp, str]]:
+    """What of a kept file is as it must be."""
+    found: dict[str, tuple[Stamp, str]] = {}
+    for name, entry in value.items() if isinstance(value, dict) else ():
+        match entry:
+            case [[*stamp], str(digest)] if _SHA256.fullmatch(digest) and all(type(each) is int for each in stamp):
+                found[name] = tuple(stamp), digest
+    return found
