@@ -1,5 +1,6 @@
 """A content hash of a data set: equal for equal data, wherever it lies and whatever its folder is called."""
 
+import os
 import stat
 from collections.abc import Iterable
 from pathlib import Path
@@ -37,14 +38,14 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     contents = {name: kept.sha256(path) for name, path in hashed.items() if path.is_file()}
     kept.keep()
     can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
-    sizes = {name: _size(root / name) for name in sorted(set(images))}
+    sizes = {name: _size(os.path.join(root, name)) for name in sorted(set(images))}
     return content_key("data set", 1, contents, can_bus, sizes)
 
 
-def _size(path: Path) -> int:
-    """Size of a file in bytes, -1 where it is missing."""
+def _size(path: str) -> int:
+    """Size of a file in bytes, -1 where it is missing. A path is a text: there are hundreds of thousands."""
     try:
-        status = path.stat()
+        status = os.stat(path)
     except (OSError, ValueError):
         return -1
     return status.st_size if stat.S_ISREG(status.st_mode) else -1

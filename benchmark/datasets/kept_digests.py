@@ -23,11 +23,11 @@ class KeptDigests:
     """Hashes of the files of one root.
 
     Args:
-        place: Where they are kept.
+        place: Where they are kept, if anywhere.
         known: Stamp and hash by path.
     """
 
-    def __init__(self, place: Path, known: dict[str, tuple[Stamp, str]]) -> None:
+    def __init__(self, place: Path | None, known: dict[str, tuple[Stamp, str]]) -> None:
         self._place, self._known = place, known
         self._new: dict[str, tuple[Stamp, str]] = {}
 
@@ -38,8 +38,9 @@ class KeptDigests:
         Args:
             folder: Version folder of the root.
         """
-        place = kept_at(folder).with_suffix(".digests.json")
-        return cls(place, _sound(read_kept_json(place) if place.is_file() else None))
+        beside = kept_at(folder)
+        place = None if beside is None else beside.with_suffix(".digests.json")
+        return cls(place, _sound(None if place is None or not place.is_file() else read_kept_json(place)))
 
     def sha256(self, path: Path) -> str:
         """Hash of a file's content, 64 hexadecimal digits.
@@ -63,7 +64,7 @@ class KeptDigests:
 
     def keep(self) -> None:
         """Keep what was hashed, where there is room and a right to; without, it is hashed again."""
-        if not self._new:
+        if not self._new or self._place is None:
             return
         every = {name: [list(stamp), found] for name, (stamp, found) in (self._known | self._new).items()}
         try:

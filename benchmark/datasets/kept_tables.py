@@ -46,9 +46,10 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
         InputError: As there.
     """
     looked_ns, stamps = time.time_ns(), _stamps(folder)
-    if sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
+    place = kept_at(folder)
+    if place is None or sum(stamps[table][2] for table in GROWING_TABLES if table in stamps) < WORTH_BYTES:
         return read_scene_tables(folder, rates)
-    place, made_of = kept_at(folder), content_key(_checks(), sorted(stamps.items()))
+    made_of = content_key(_checks(), sorted(stamps.items()))
     kept = read_arrays(place, made_of, _TYPES)
     found = None if kept is None else _of_kept(folder, stamps, kept)
     if found is not None and _stamps(folder) == stamps:
@@ -63,9 +64,13 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
     return tables
 
 
-def kept_at(folder: Path) -> Path:
-    """Where what is known of a version folder is kept."""
-    return cache_root() / _FOLDER / f"{content_key(str(folder.resolve()))[:32]}.arrays"
+def kept_at(folder: Path) -> Path | None:
+    """Where what is known of a version folder is kept; nowhere where the user has no home."""
+    try:
+        root = cache_root()
+    except RuntimeError:
+        return None
+    return root / _FOLDER / f"{content_key(str(folder.resolve()))[:32]}.arrays"
 
 
 def _stamps(folder: Path) -> dict[str, Stamp]:

@@ -5,20 +5,24 @@ scenes were made from one recording, their caller may name that instead: what is
 """
 
 import functools
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.constants import HORIZON_STEPS
-from benchmark.geometry import Floats
+from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import content_seed
 from benchmark.protocols import CollisionProtocol, Outcomes
 
 RESAMPLES = 2000
 INTERVAL = (2.5, 97.5)
 """Percentiles of the interval."""
+_MOST_KEPT = 20_000
+"""Intervals that are remembered of scenes that are drawn together."""
 HORIZONS = (*HORIZON_STEPS, "avg")
 """Columns of every table; ``avg`` is the mean of the three."""
 
@@ -80,6 +84,8 @@ class SceneSums:
         Returns:
             Sums over them.
         """
+        if self.names == tuple(names):
+            return self
         row_of = {name: row for row, name in enumerate(self.names)}
         found = [(row, row_of[name]) for row, name in enumerate(names) if name in row_of]
         to, of = [row for row, _ in found], [row for _, row in found]
@@ -168,10 +174,18 @@ def sums_by_scene(values: Floats, weights: Floats, scenes: Sequence[str]) -> Sce
     rows = np.array([row_of[name] for name in scenes], dtype=np.int64)
     # Sums of floats depend on their order; within a scene the order is that of the values themselves.
     order = np.lexsort((*values.T[::-1], rows)) if len(rows) else rows
-    numerators, denominators = np.zeros((len(names), values.shape[1])), np.zeros((len(names), values.shape[1]))
-    np.add.at(numerators, rows[order], values[order])
-    np.add.at(denominators, rows[order], weights[order])
-    return SceneSums(tuple(names), numerators, denominators)
+    counts = np.bincount(rows, minlength=len(names))
+    return SceneSums(tuple(names), _added(values[order], counts), _added(weights[order], counts))
+
+
+def _added(values: Floats, counts: NDArray[np.int64]) -> Floats:
+    """(N, C) sums of runs of the (S, C) rows, ``counts`` rows each, every run from its first row to its last."""
+    found = np.zeros((len(counts), values.shape[1]))
+    starts = np.cumsum(counts) - counts
+    for place in range(int(counts.max(initial=0))):
+        longer = np.flatnonzero(counts > place)
+        found[longer] += values[starts[longer] + place]
+    return found
 
 
 def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
@@ -185,8 +199,32 @@ def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
     Returns:
         (2000, C) totals.
     """
-    # einsum without optimisation adds in a fixed order; a BLAS product would depend on its threads.
-    return np.asarray(np.einsum("rs,sc->rc", _times_drawn(names, seed), sums))
+    drawn = _times_drawn(names, seed)
+    exact = _adds_exactly(sums, len(names))
+    if exact.all():
+        return np.asarray(drawn @ sums)
+    if sums.shape[1] == 1 or not exact.any():
+        return _in_order(drawn, sums)
+    found = np.empty((len(drawn), sums.shape[1]))
+    found[:, exact], found[:, ~exact] = drawn @ sums[:, exact], _in_order(drawn, sums[:, ~exact], alone=False)
+    return found
+
+
+def _adds_exactly(sums: Floats, scenes: int) -> Bools:
+    """(C,) whether a column has whole numbers alone, so few that their totals are exact in any order."""
+    with np.errstate(invalid="ignore"):
+        return (np.rint(sums) == sums).all(axis=0) & (np.abs(sums).max(axis=0, initial=0.0) * scenes < 2**53)
+
+
+def _in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:
+    """The product, added in a fixed order: a BLAS product would depend on its threads.
+
+    einsum without optimisation adds one scene after the other, but for a column that is ``alone``.
+    """
+    if sums.shape[1] == 1 and not alone:
+        return np.asarray(np.einsum("rs,sc->rc", drawn, np.repeat(sums, 2, axis=1)))[:, :1]
+    # The order is that of the memory, too.
+    return np.asarray(np.einsum("rs,sc->rc", drawn, np.ascontiguousarray(sums)))
 
 
 def ends(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
@@ -200,9 +238,28 @@ def ends(draws: Floats, bounds: tuple[float, float]) -> tuple[float, float]:
     Returns:
         Lower and upper end, both of them numbers that were drawn, or bounds.
     """
-    low, high = (np.sort(np.where(np.isnan(draws), bound, draws)) for bound in bounds)
-    last = (len(draws) - 1) / 100
-    return float(low[math.floor(INTERVAL[0] * last)]), float(high[math.ceil(INTERVAL[1] * last)])
+    low, high = all_ends(draws[None], bounds)
+    return float(low[0]), float(high[0])
+
+
+def all_ends(draws: Floats, bounds: tuple[float, float]) -> tuple[Floats, Floats]:
+    """`ends` of several numbers.
+
+    Args:
+        draws: (C, R) each number in each resample.
+        bounds: As there.
+
+    Returns:
+        (C,) lower and (C,) upper ends.
+    """
+    last = (draws.shape[1] - 1) / 100
+    ranks = math.floor(INTERVAL[0] * last), math.ceil(INTERVAL[1] * last)
+    unknown = np.isnan(draws)
+    if not unknown.any():
+        found = np.partition(draws, ranks, axis=1)
+        return found[:, ranks[0]], found[:, ranks[1]]
+    low, high = (np.where(unknown, bound, draws) for bound in bounds)
+    return np.partition(low, ranks[0], axis=1)[:, ranks[0]], np.partition(high, ranks[1], axis=1)[:, ranks[1]]
 
 
 @functools.lru_cache(maxsize=32)
@@ -215,18 +272,50 @@ def _times_drawn(names: tuple[str, ...], seed: int) -> Floats:
 
 
 def _interval(sums: SceneSums, seed: int) -> tuple[Floats, Floats]:
-    """Percentiles over resampled scenes for each column; NaN where fewer than two scenes have a denominator."""
+    """Percentiles over resampled scenes for each column; NaN where fewer than two scenes have a denominator.
+
+    Columns that are alike, as displacements under several protocols are, are resampled once.
+    """
     columns = sums.numerators.shape[1]
-    low, high = np.full(columns, np.nan), np.full(columns, np.nan)
     if len(sums.names) < 2:
-        return low, high
-    above = resampled(sums.numerators, sums.names, seed=seed)
-    below = resampled(sums.denominators, sums.names, seed=seed)
-    known = np.count_nonzero(sums.denominators, axis=0) >= 2
-    always = known & (below > 0).all(axis=0)
+        return np.full(columns, np.nan), np.full(columns, np.nan)
+    both = np.ascontiguousarray(np.stack([sums.numerators, sums.denominators]).transpose(2, 0, 1))
+    where = _known_intervals(sums.names, seed, columns == 1)
+    keys = [hashlib.sha256(column).digest() for column in both]
+    wanted = {key: column for column, key in enumerate(keys) if key not in where}
+    if wanted:
+        chosen = list(wanted.values())
+        # The first column stands beside a single one: what is alone is added in another order.
+        beside = chosen if len(chosen) > 1 or columns == 1 else [*chosen, *chosen]
+        found = _percentiles(sums.numerators[:, beside], sums.denominators[:, beside], sums.names, seed)
+        where |= dict(zip(wanted, zip(*(part.tolist() for part in found))))
+    low, high = zip(*(where[key] for key in keys))
+    if len(where) > _MOST_KEPT:
+        where.clear()
+    return np.array(low), np.array(high)
+
+
+@functools.lru_cache(maxsize=64)
+def _known_intervals(names: tuple[str, ...], seed: int, alone: bool) -> dict[bytes, tuple[float, float]]:
+    """Intervals of columns that were asked for, by the hash of what scenes add to them."""
+    return {}
+
+
+def _percentiles(numerators: Floats, denominators: Floats, names: tuple[str, ...], seed: int) -> tuple[Floats, Floats]:
+    """`_interval` of columns none of which was asked for before."""
+    columns = numerators.shape[1]
+    low, high = np.full(columns, np.nan), np.full(columns, np.nan)
+    different, which = np.unique(denominators, axis=1, return_inverse=True)
+    if different.shape[1] == 1 and columns > 1:
+        different = np.repeat(different, 2, axis=1)
+    # A resample in a row: percentiles of what lies together take half the time.
+    above = np.ascontiguousarray(resampled(numerators, names, seed=seed).T)
+    below = np.ascontiguousarray(resampled(different, names, seed=seed).T)[which.ravel()]
+    known = np.count_nonzero(denominators, axis=0) >= 2
+    always = known & (below > 0).all(axis=1)
     if always.any():
-        low[always], high[always] = np.percentile(above[:, always] / below[:, always], INTERVAL, axis=0)
+        low[always], high[always] = np.percentile(above[always] / below[always], INTERVAL, axis=1)
     for column in np.flatnonzero(known & ~always).tolist():
-        drawn = below[:, column] > 0
-        low[column], high[column] = np.percentile(above[drawn, column] / below[drawn, column], INTERVAL)
+        drawn = below[column] > 0
+        low[column], high[column] = np.percentile(above[column, drawn] / below[column, drawn], INTERVAL)
     return low, high

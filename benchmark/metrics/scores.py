@@ -39,7 +39,7 @@ class Scored:
         default_factory=dict, repr=False, compare=False
     )
 
-    def sums(self, unit_of: dict[str, str], only: Sequence[int] | None = None) -> SceneSums:
+    def sums(self, unit_of: dict[str, str], only: Sequence[int] | NDArray[np.int64] | None = None) -> SceneSums:
         """Add the samples up.
 
         Args:
@@ -49,7 +49,7 @@ class Scored:
         Returns:
             Sums by unit.
         """
-        rows = np.arange(len(self.tokens)) if only is None else np.array(only, dtype=np.int64)
+        rows = np.arange(len(self.tokens)) if only is None else np.asarray(only, dtype=np.int64)
         # A planner is compared with all others, mostly on the same samples.
         key = rows.tobytes(), frozenset(unit_of.items())
         if key not in self.kept:

@@ -9,15 +9,19 @@ over all scenes of both, which is what the paper's "× increase" does, and over 
 have.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.metrics.rates import HORIZONS, Estimate, SceneSums, ends, resampled
+from benchmark.metrics.rates import HORIZONS, Estimate, SceneSums, all_ends, resampled
 from benchmark.metrics.scores import Scored, named, source_of_scenes
+
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,18 +164,12 @@ def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> Planner
             f"{named(first.record)} and {named(second.record)} are not of the same data, split and protocol; "
             "planners are compared on the same samples only"
         )
-    if first.tokens == second.tokens:
-        both = [(row, row) for row in np.flatnonzero(first.counted & second.counted).tolist()]
-    else:
-        row_of = {name: row for row, name in enumerate(second.tokens)}
-        both = [(row, row_of[name]) for row, name in enumerate(first.tokens) if name in row_of]
-        both = [(mine, theirs) for mine, theirs in both if first.counted[mine] and second.counted[theirs]]
+    mine, theirs = _both_planned(first, second)
     unit_of = source_of_scenes(first.record)
     sums = (
-        first.sums(unit_of, [mine for mine, _ in both]),
-        second.sums({**source_of_scenes(second.record), **unit_of}, [theirs for _, theirs in both]),
+        first.sums(unit_of, mine),
+        second.sums({**source_of_scenes(second.record), **unit_of}, theirs),
     )
-    ran = [{*scored.tokens, *scored.failed} for scored in (first, second)]
     return PlannerComparison(
         planners=(first.record.planner, second.record.planner),
         privileged=(runs[0].planner.privileged, runs[1].planner.privileged),
@@ -179,10 +177,31 @@ def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> Planner
         protocol=first.protocol,
         split=runs[0].split,
         by_horizon=_compared(*sums, list(sums[0].names), seed),
-        samples=len(both),
-        failed=len((first.failed | second.failed) & ran[0] & ran[1]),
+        samples=len(mine),
+        failed=_failed_of_both(first, second),
         unshared=tuple(sorted(set(runs[0].scenes) ^ set(runs[1].scenes))),
     )
+
+
+def _both_planned(first: Scored, second: Scored) -> tuple[Rows, Rows]:
+    """Rows of the samples that count for both, of the first and of the second."""
+    if first.tokens == second.tokens:
+        rows = np.flatnonzero(first.counted & second.counted)
+        return rows, rows
+    row_of = {name: row for row, name in enumerate(second.tokens)}
+    both = [(row, row_of[name]) for row, name in enumerate(first.tokens) if name in row_of]
+    both = [(mine, theirs) for mine, theirs in both if first.counted[mine] and second.counted[theirs]]
+    rows = np.array(both, dtype=np.int64).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1]
+
+
+def _failed_of_both(first: Scored, second: Scored) -> int:
+    """How many samples that both ran on one of them failed on."""
+    failed = first.failed | second.failed
+    if not failed:
+        return 0
+    ran = [{*scored.tokens, *scored.failed} for scored in (first, second)]
+    return len(failed & ran[0] & ran[1])
 
 
 def _require_one_planner(baseline: Scored, other: Scored) -> None:
@@ -212,32 +231,52 @@ def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: i
     # One recording with counted samples has nothing to be drawn against.
     enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
     rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0)) for side in sides]
-    drawn = [_draws(side, seed) if enough else np.zeros((0, len(HORIZONS))) for side in sides]
     difference, increase = rates[1] - rates[0], _ratio(rates[1] - rates[0], rates[0])
-    differences, increases = drawn[1] - drawn[0], _ratio(drawn[1] - drawn[0], drawn[0])
+    differences = increases = [(None, None)] * len(HORIZONS)
+    if enough:
+        drawn = [_draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides]
+        apart = drawn[1] - drawn[0]
+        differences = _intervals(apart, (-1.0, 1.0))
+        increases = _intervals(_ratio(apart, drawn[0]), (-1.0, np.inf))
     return {
         horizon: RateComparison(
             first=_number(rates[0][column]),
             second=_number(rates[1][column]),
-            difference=_estimate(difference[column], differences[:, column], (-1.0, 1.0)),
-            increase=_estimate(increase[column], increases[:, column], (-1.0, np.inf)),
+            difference=_estimate(difference[column], differences[column]),
+            increase=_estimate(increase[column], increases[column]),
         )
         for column, horizon in enumerate(HORIZONS)
     }
 
 
-def _draws(side: SceneSums, seed: int) -> Floats:
-    """(2000, 4) rates over resampled recordings; every horizon has the same denominator."""
-    below = resampled(side.denominators[:, :1], side.names, seed=seed)
-    return _ratio(resampled(side.numerators, side.names, seed=seed), below)
+def _frozen(values: Floats) -> tuple[bytes, int]:
+    """An array of two dimensions that something may be remembered by."""
+    return values.tobytes(), values.shape[1]
 
 
-def _estimate(value: Floats, draws: Floats, bounds: tuple[float, float]) -> Estimate:
-    """An estimate; without an interval where there are no draws, empty where the value does not exist."""
+@functools.lru_cache(maxsize=256)
+def _draws(names: tuple[str, ...], seed: int, numerators: tuple[bytes, int], denominators: tuple[bytes, int]) -> Floats:
+    """(4, 2000) rates over resampled recordings; every horizon has the same denominator.
+
+    A planner is compared with all others, mostly on the same samples: it is resampled once.
+    """
+    above, below = (np.frombuffer(data).reshape(-1, width) for data, width in (numerators, denominators))
+    drawn = _ratio(resampled(above, names, seed=seed), resampled(below[:, :1], names, seed=seed)).T
+    drawn = np.ascontiguousarray(drawn)
+    drawn.setflags(write=False)
+    return drawn
+
+
+def _intervals(draws: Floats, bounds: tuple[float, float]) -> list[tuple[float | None, float | None]]:
+    """An interval for each of (4, 2000) draws."""
+    low, high = all_ends(draws, bounds)
+    return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def _estimate(value: Floats, interval: tuple[float | None, float | None]) -> Estimate:
+    """An estimate; empty where the value does not exist."""
     number = _number(value)
-    if number is None or not len(draws):
-        return Estimate(number, None, None)
-    return Estimate(number, *ends(draws, bounds))
+    return Estimate(None, None, None) if number is None else Estimate(number, *interval)
 
 
 def _number(value: Floats) -> float | None:

@@ -6,16 +6,15 @@ the victim's failure rate over all scenes (``base_rates``) belongs beside it: tr
 planners that fail many scenes share many of them by chance; the phi coefficient says how much more than that.
 """
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmark.errors import InputError
-from benchmark.geometry import Floats
-from benchmark.metrics.rates import Estimate, Rate, SceneSums, ends, resampled, sums_by_scene
+from benchmark.geometry import Bools, Floats
+from benchmark.metrics.rates import Estimate, Rate, all_ends, resampled
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.file_plans import file_notes
@@ -105,6 +104,7 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
     verdicts = [scene_failures(record.rows, judge) for record, judge in zip(records, judges)]
     every_scene = sorted({scene for verdict in verdicts for scene in verdict})
     sources = {scene: source for record in records for scene, source in source_of_scenes(record).items()}
+    failures = Failures.of(verdicts, sources)
     return TransferMatrix(
         protocol=protocol,
         split=records[0].run.split,
@@ -113,41 +113,129 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
         privileged=tuple(record.run.planner.privileged for record in records),
         miniatures=tuple(record.run.planner.miniature for record in records),
         judges=judges,
-        cells=tuple(tuple(_cell(surrogate, victim, sources, seed) for victim in verdicts) for surrogate in verdicts),
-        base_rates=tuple(_cell(dict.fromkeys(verdict, True), verdict, sources, seed) for verdict in verdicts),
+        cells=tuple(failures.transferred(surrogate, seed) for surrogate in range(len(records))),
+        base_rates=tuple(failures.base_rates(seed)),
         undecided=tuple(tuple(scene for scene in every_scene if verdict.get(scene) is None) for verdict in verdicts),
         agreements=tuple(
-            _agreement(
-                (records[first].planner, records[second].planner), verdicts[first], verdicts[second], sources, seed
-            )
-            for first, second in itertools.combinations(range(len(records)), 2)
+            agreement
+            for first in range(len(records))
+            for agreement in failures.agreements(first, [record.planner for record in records], seed)
         ),
         records=tuple(record.content_id for record in records),
         file_notes=tuple(file_notes(records)),
     )
 
 
-def _cell(surrogate: Verdicts, victim: Verdicts, sources: Mapping[str, str], seed: int) -> Rate:
-    sums = _fourfold(surrogate, victim, sources)
-    both, only_surrogate = sums.numerators[:, 0], sums.numerators[:, 1]
-    shared, failed = float(both.sum()), float(both.sum() + only_surrogate.sum())
-    interval: tuple[float | None, float | None] = (None, None)
-    if np.count_nonzero(both + only_surrogate) > 1:
-        drawn = resampled(np.stack([both, both + only_surrogate], axis=1), sums.names, seed=seed)
-        interval = ends(_quotient(drawn[:, 0], drawn[:, 1]), (0.0, 1.0))
-    return Rate(shared / failed if failed else None, shared, round(failed), *interval)
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """Which of S scenes P planners fail.
+
+    Attributes:
+        fails: (P, S) 1 where a planner fails a scene.
+        known: (P, S) 1 where that can be said.
+        units: U names of what is drawn together, sorted.
+        unit_of: (S, U) 1 where a scene is of a unit.
+    """
+
+    fails: Floats
+    known: Floats
+    units: tuple[str, ...]
+    unit_of: Floats
+
+    @classmethod
+    def of(cls, verdicts: Sequence[Verdicts], sources: Mapping[str, str]) -> "Failures":
+        """Verdicts of P planners as arrays; scenes without a source stand for themselves."""
+        scenes = sorted({scene for verdict in verdicts for scene in verdict})
+        units = sorted({sources.get(scene, scene) for scene in scenes})
+        fails = np.array([[verdict.get(scene) is True for scene in scenes] for verdict in verdicts], np.float64)
+        known = np.array([[verdict.get(scene) is not None for scene in scenes] for verdict in verdicts], np.float64)
+        unit_of = np.array([[sources.get(scene, scene) == unit for unit in units] for scene in scenes], np.float64)
+        return cls(fails, known, tuple(units), unit_of.reshape(len(scenes), len(units)))
+
+    def transferred(self, surrogate: int, seed: int) -> tuple[Rate, ...]:
+        """How many of a surrogate's failed scenes each of P victims fails too."""
+        failed = self._by_unit(self.fails[surrogate] * self.known)
+        both = self._by_unit(self.fails[surrogate] * self.fails)
+        return tuple(self._rates(both, failed, self._shared(surrogate), seed))
+
+    def base_rates(self, seed: int) -> list[Rate]:
+        """How many of all scenes that a planner was judged on each of P planners fails."""
+        known = self._by_unit(self.known)
+        return self._rates(self._by_unit(self.fails), known, known > 0, seed)
+
+    def agreements(self, first: int, names: Sequence[str], seed: int) -> list[Agreement]:
+        """Agreement of a planner with each that follows it."""
+        others = slice(first + 1, None)
+        fails, known, shared = self.fails[others], self.known[others], self._shared(first)[others]
+        both = self._by_unit(self.fails[first] * fails)
+        only_first = self._by_unit(self.fails[first] * known) - both
+        only_second = self._by_unit(self.known[first] * fails) - both
+        neither = self._by_unit(self.known[first] * known) - both - only_first - only_second
+        tables = np.stack([both, only_first, only_second, neither])
+        totals = tables.sum(axis=2)
+        values = _phi(totals.T)
+        asked = ~np.isnan(values) & (np.count_nonzero(shared, axis=1) > 1)
+        intervals = self._ends(tables, shared, asked, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
+        return [
+            _agreement((names[first], names[first + 1 + place]), total, phi, interval)
+            for place, (total, phi, interval) in enumerate(
+                zip(totals.T.tolist(), values.tolist(), intervals, strict=True)
+            )
+        ]
+
+    def _by_unit(self, scenes: Floats) -> Floats:
+        """(P, U) sums over the scenes of each unit."""
+        return np.asarray(scenes @ self.unit_of)
+
+    def _shared(self, planner: int) -> Bools:
+        """(P, U) whether a planner and each other one were judged on a scene of a unit."""
+        return self._by_unit(self.known[planner] * self.known) > 0
+
+    def _rates(self, both: Floats, failed: Floats, shared: Bools, seed: int) -> list[Rate]:
+        """Rates of (P, U) counts, and intervals where more than one unit has something below the line."""
+        asked = np.count_nonzero(failed, axis=1) > 1
+        intervals = self._ends(
+            np.stack([both, failed]), shared, asked, (0.0, 1.0), lambda drawn: _quotient(drawn[0], drawn[1]), seed
+        )
+        return [
+            Rate(above / below if below else None, above, round(below), *interval)
+            for above, below, interval in zip(
+                both.sum(axis=1).tolist(), failed.sum(axis=1).tolist(), intervals, strict=True
+            )
+        ]
+
+    def _ends(
+        self,
+        counts: Floats,
+        shared: Bools,
+        asked: Bools,
+        bounds: tuple[float, float],
+        number: Callable[[Floats], Floats],
+        seed: int,
+    ) -> list[tuple[float | None, float | None]]:
+        """Intervals of numbers made of (K, P, U) counts, for the planners that are asked for.
+
+        Units are drawn that a pair shares: pairs that share the same ones are drawn together.
+        """
+        found: list[tuple[float | None, float | None]] = [(None, None)] * len(asked)
+        for units in np.unique(shared[asked], axis=0):
+            those = np.flatnonzero(asked & (shared == units).all(axis=1))
+            names = tuple(name for name, there in zip(self.units, units.tolist()) if there)
+            # Whole numbers: their totals are the same in any order.
+            chosen = counts[:, those][:, :, units].reshape(-1, len(names))
+            drawn = resampled(np.ascontiguousarray(chosen.T), names, seed=seed).T.reshape(len(counts), len(those), -1)
+            for place, low, high in zip(those.tolist(), *(part.tolist() for part in all_ends(number(drawn), bounds))):
+                found[place] = low, high
+        return found
 
 
 def _agreement(
-    planners: tuple[str, str], first: Verdicts, second: Verdicts, sources: Mapping[str, str], seed: int
+    planners: tuple[str, str],
+    totals: Sequence[float],
+    phi: float,
+    interval: tuple[float | None, float | None],
 ) -> Agreement:
-    sums = _fourfold(first, second, sources)
-    both, only_first, only_second, neither = (round(count) for count in sums.numerators.sum(axis=0).tolist())
-    phi = float(_phi(sums.numerators.sum(axis=0)[None])[0])
-    defined = not math.isnan(phi)
-    interval: tuple[float | None, float | None] = (None, None)
-    if defined and len(sums.names) > 1:
-        interval = ends(_phi(resampled(sums.numerators, sums.names, seed=seed)), (-1.0, 1.0))
+    both, only_first, only_second, neither = (round(count) for count in totals)
     product = (both + only_first) * (both + only_second)
     return Agreement(
         planners=planners,
@@ -155,23 +243,17 @@ def _agreement(
         only_first=only_first,
         only_second=only_second,
         neither=neither,
-        phi=Estimate(phi if defined else None, *interval),
+        phi=Estimate(None if math.isnan(phi) else phi, *interval),
         lift=both * (both + only_first + only_second + neither) / product if product else None,
     )
 
 
-def _fourfold(first: Verdicts, second: Verdicts, sources: Mapping[str, str]) -> SceneSums:
-    """Scenes by recording that both, only the first, only the second, and neither fail; both must have a verdict."""
-    scenes = [scene for scene, failed in first.items() if failed is not None and second.get(scene) is not None]
-    pairs = [(first[scene], second[scene]) for scene in scenes]
-    kinds = ((True, True), (True, False), (False, True), (False, False))
-    counts = np.array([[float(pair == kind) for kind in kinds] for pair in pairs]).reshape(-1, len(kinds))
-    return sums_by_scene(counts, np.ones_like(counts), [sources.get(scene, scene) for scene in scenes])
-
-
 def _phi(counts: Floats) -> Floats:
     """Phi coefficients of (R, 4) fourfold tables; NaN where a margin is empty."""
-    both, first, second, neither = counts.T
+    return _phi_of(*counts.T)
+
+
+def _phi_of(both: Floats, first: Floats, second: Floats, neither: Floats) -> Floats:
     margins = (both + first) * (both + second) * (first + neither) * (second + neither)
     return _quotient(both * neither - first * second, np.sqrt(margins))
 
