@@ -10,7 +10,7 @@ INSTALLED := build/installed
 # PyTorch's own index has builds without CUDA, which save 6 GB where there is no NVIDIA GPU.
 TORCH_CPU ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: setup browser demo paper test check wheel wheel-check docs bench attack clean
+.PHONY: setup browser demo paper test check wheel wheel-check docs bench gpu attack clean
 
 setup: $(VENV)/.complete
 
@@ -82,8 +82,13 @@ docs: $(VENV)/.docs
 	@$(BIN)/python tests/documentation/built_site.py build/docs
 	CHALLENGER_BENCH_LONG_LINES=1 $(BIN)/pytest tests/documentation/test_lines.py
 
+# What waits for a GPU has a target of its own.
 bench: setup
-	for script in bench/[a-z]*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	for script in $(filter-out bench/gpu.py bench/__init__.py,$(wildcard bench/[a-z]*.py)); do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+# Everything that waits for a GPU, in pieces of under ten minutes; the same command goes on (docs/performance.md).
+gpu: setup
+	$(BIN)/python bench/gpu.py $(GPU_OPTIONS)
 
 # Hostile variants of everything that commands read, and absurd command lines, side by side: an hour on two processors.
 # The same command goes on (docs/hostile-input.md).

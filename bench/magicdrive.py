@@ -37,6 +37,8 @@ STEPS = 30
 PUBLISHED_SECONDS = 395.0
 """The paper's rendering time of a scene, decoder included, on four L20."""
 REDUCED = replace(MagicDriveConfig.full(), hidden=576, heads=8, depth=2, control_depth=1)
+TINY = replace(REDUCED, hidden=144, heads=2)
+"""For a trial of `bench/gpu.py`: the same classes in a second."""
 MODES = ("plain", "compiled", "kept", "together", "compiled-kept", "decoder")
 SMALL_DECODER = (32, 32, 32, 32)
 """Channels on a processor; the published ones are the default of the class."""
@@ -55,6 +57,7 @@ class Job:
     boxes: int
     words: int
     evaluations: int
+    tiny: bool = False
 
     @property
     def on_gpu(self) -> bool:
@@ -64,6 +67,8 @@ class Job:
     @property
     def config(self) -> MagicDriveConfig:
         """Sizes of the network."""
+        if self.tiny:
+            return TINY
         return MagicDriveConfig.full() if self.on_gpu else REDUCED
 
     @property
@@ -117,7 +122,8 @@ def clock(job: Job) -> float:
 def measured_decoder(job: Job) -> Line:
     """Seconds of decoding one view, in this process."""
     made = DIFFUSERS.imported().AutoencoderKLCogVideoX
-    network = made() if job.on_gpu else made(block_out_channels=SMALL_DECODER)
+    small = job.tiny or not job.on_gpu
+    network = made(block_out_channels=SMALL_DECODER) if small else made()
     decoder = VideoDecoder(network.to(torch.bfloat16 if job.on_gpu else torch.float32), torch.device(job.device))
     size = LatentSize.of(job.frames, job.height, job.width)
     latent = torch.randn(16, size.frames, size.rows, size.columns)

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import torch
 from torch import nn
 
-from adapters.models import published_model, published_models, resolve
+from adapters.models import Model, miniatures, published_model, published_models, resolve
 from benchmark.machine.devices import single_precision
 
 PUBLISHED_FPS = {"vad-tiny": 16.8, "vad-base": 4.5, "sparsedrive": 9.0, "diffusiondrive": 8.2, "uniad": 1.8}
@@ -113,17 +113,26 @@ def timed_parts(network: nn.Module, names: tuple[str, ...], device: torch.device
             handle.remove()
 
 
-def measured(name: str, device_name: str, mode: str, frames: int, parts: bool) -> Speed:
+def model_measured(name: str, *, tiny: bool) -> Model:
+    """What is measured of a name: the published network, or the small one of the same classes that stands for it."""
+    if not tiny:
+        return published_model(name)
+    return next(small for small in miniatures().values() if name in small.small.stands_for)
+
+
+def measured(name: str, device_name: str, mode: str, frames: int, parts: bool, *, tiny: bool = False) -> Speed:
     """Time and memory of one network in this process."""
     device = torch.device(device_name)
     on_gpu = device.type == "cuda"
     torch.manual_seed(0)
-    model = published_model(name)
+    model = model_measured(name, tiny=tiny)
     network: Any = model.build().eval().to(device)
     inputs = on_device(resolve(model.net.example)(model.configuration()), device)
     if name == "uniad":
         few_tracks(network, inputs)
-    step = torch.compile(network) if mode.endswith("compiled") else network
+    # A trial traces the network and spares itself the minutes of a compiler.
+    backend = "eager" if tiny else "inductor"
+    step = torch.compile(network, backend=backend) if mode.endswith("compiled") else network
     half = torch.autocast(device.type, torch.bfloat16, enabled=mode.startswith("bfloat16"))
     spent: dict[str, float] = {}
     seconds = processor = 0.0

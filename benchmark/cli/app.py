@@ -19,6 +19,7 @@ from benchmark.cli import (
     reproduce,
     review,
     serve,
+    shards,
     show,
     train,
     verify,
@@ -54,7 +55,7 @@ app.command("eval")(evaluate.eval_command)
 app.command("drive")(drive.drive_command)
 app.command("serve")(serve.serve_command)
 app.command("models")(models.models_command)
-app.command("merge")(evaluate.merge_command)
+app.command("merge")(shards.merge_command)
 app.command("rescore")(evaluate.rescore_command)
 app.command("transfer")(evaluate.transfer_command)
 app.command("quality")(evaluate.quality_command)

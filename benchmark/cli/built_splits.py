@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
+from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import say_next
 from benchmark.errors import InputError
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from benchmark.datasets.roots import DataSet
+    from benchmark.machine.workers import Executor
+    from benchmark.runs.shards import Shard
     from generation.build.settings import BuildSettings
     from generation.splits.packaged import NamedSplit
 
@@ -154,6 +157,66 @@ def build_one(
     timed = {} if runtime is None else {"runtime": runtime.model_dump()}
     table = "" if runtime is None else "\n" + runtime.table().plain(indent="  ", least=(10, 9, 9, 9)).rstrip("\n")
     return Built("\n".join([report.summary(), *unlike]) + table, report.as_json() | told | timed)
+
+
+def build_shards(
+    source: "DataSet",
+    wanted: "Sequence[SplitToBuild]",
+    settings: "Sequence[BuildSettings]",
+    shard: "Shard",
+    again: str,
+    *,
+    json_output: bool,
+) -> None:
+    """Do one shard of each split and say what comes next.
+
+    Args:
+        source: The recordings.
+        wanted: The splits.
+        settings: With which each is built.
+        shard: Which shard.
+        again: Options that lead another command to the same place.
+        json_output: Whether a program reads.
+    """
+    from generation.build.sharded import build_shard, draw_frozen_shard
+
+    found = []
+    for one, own in zip(wanted, settings, strict=True):
+        if one.frozen is not None:
+            found.append(draw_frozen_shard(source, one.frozen, own, shard, as_split=one.split))
+        else:
+            found.append(build_shard(source, one.split, own, shard))
+    for did, why in (
+        ("searched", "with the same options, when all shards are: with --shard to draw in shards, or without"),
+        ("drawn", "with the same options and no --shard, when all shards are"),
+    ):
+        if did in {each.did for each in found}:
+            mine = [each.finished for each in found if each.did == did]
+            say_shard(shard, mine, did, (f"generate --split {wanted[0].split}{again}", why), json_output=json_output)
+
+
+def require_shardable(shard: "Shard | None", surrogate: str | None, executor: "Executor") -> None:
+    """Refuse what a shard cannot do.
+
+    Args:
+        shard: Which shard, if any.
+        surrogate: Planner under test, if any.
+        executor: Where the work would be done.
+
+    Raises:
+        InputError: If all scenes have to be together, or a cluster shares work out itself.
+    """
+    if shard is None:
+        return
+    if surrogate is not None:
+        raise InputError(
+            "--surrogate judges all scenes together; search in shards without it, and name it in the command that "
+            "comes last, without --shard"
+        )
+    from benchmark.machine.workers import LocalProcesses
+
+    if not isinstance(executor, LocalProcesses):
+        raise InputError("a Ray cluster shares the work out itself; leave --shard or --executor ray out")
 
 
 def say_built(

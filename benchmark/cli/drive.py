@@ -33,9 +33,9 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
+from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
-from benchmark.report.words import counted
 
 if TYPE_CHECKING:
     from adapters.registry import NamedPlanner
@@ -304,17 +304,8 @@ def _drive_shard(
     found = []
     for group in filter(None, groups):
         found += drive_shard(data, split, group, root, _settings_of(group[0], how), shard)
-    if json_output:
-        print_json([{"directory": str(each.directory), "driven": each.driven, "scenes": each.scenes} for each in found])
-    for each in found:
-        typer.echo(
-            f"{each.directory}: shard {shard}, {each.driven} of {counted(each.scenes, 'scene')}", err=json_output
-        )
-    say_next(
-        f"shard {shard} is driven",
-        (f"drive{again}", "with the same options and no --shard, when all shards are"),
-        json_output=json_output,
-    )
+    step = (f"drive{again}", "with the same options and no --shard, when all shards are")
+    say_shard(shard, found, "driven", step, json_output=json_output)
 
 
 def _driven(

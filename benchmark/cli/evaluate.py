@@ -37,6 +37,7 @@ from benchmark.cli.options import (
     say_plan,
 )
 from benchmark.cli.result_files import opened_results, results_planner, write_dumps
+from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
 from benchmark.report.words import counted
@@ -215,39 +216,6 @@ def eval_command(
         raise typer.Exit(1)
 
 
-def merge_command(
-    data: DataOption = "mini",
-    out: OutOption = api.OUT,
-    tables: TablesOption = None,
-    workers: WorkersOption = 0,
-    wide: WideOption = False,
-    json_output: JsonOption = False,
-) -> None:
-    """Judge runs that were planned in shards (`eval --shard`) and write their records, as if they were never cut."""
-    from benchmark.cli.beforehand.data_sets import require_root
-    from benchmark.sharded import merge_shards
-    from leaderboard.tables.collision import run_tables
-
-    root = api.workspace(out).run_root()
-    count = api.worker_count(workers)
-    require_root(data, tables, out)
-    if not root.is_dir():
-        raise InputError(f"there are no runs at {root}; plan shards first with: challenger-bench eval --shard 1/2")
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
-    opener = partial(api.open_split, source, out=out, workers=workers)
-    records = list(merge_shards(root, opener, source.name, workers=count))
-    if json_output:
-        print_json(
-            [
-                {"directory": str(each.directory), "status": each.run.status, "samples": len(each.rows)}
-                for each in records
-            ]
-        )
-        return
-    for table in run_tables(source.name, records, None, allow_partial=True):
-        typer.echo(table.plain(wide=wide))
-
-
 def _plan_shard(
     dataset: "DataSet",
     split: str,
@@ -371,10 +339,14 @@ def quality_command(
     frames: FramesOption = Frames.KEYFRAMES,
     lossless: Annotated[bool, typer.Option("--lossless", help="Score the PNG frames beside the split's own.")] = False,
     weights_folder: WeightsFolderOption = None,
-    device: Annotated[str, typer.Option(help="Where networks run: cpu, cuda, cuda:1; the first GPU if any.")] = "auto",
+    device: Annotated[
+        str,
+        typer.Option(help="Where networks run: cpu, cuda, cuda:1, or several for a process on each; GPUs if any."),
+    ] = "auto",
     batch: Annotated[int, typer.Option(min=1, help="Pictures that go through a network together.")] = 16,
     scenes: ScenesOption = None,
     limit: LimitOption = None,
+    shard: ShardOption = None,
     workers: WorkersOption = 0,
     wide: WideOption = False,
     json_output: JsonOption = False,
@@ -382,14 +354,17 @@ def quality_command(
 ) -> None:
     """Measure subject consistency and imaging quality of a split's videos; the same command goes on."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_device, require_quality_weights
+    from benchmark.cli.beforehand.names import require_devices, require_quality_weights
     from benchmark.cli.beforehand.places import require_folder, require_place
+    from benchmark.machine.several_devices import workers_for
     from benchmark.quality.definition import Definition, mask_source
+    from benchmark.runs.shards import Shard
 
     files: Literal["own", "lossless"] = "lossless" if lossless else "own"
     definition = Definition(mask_source(masks), frames.value, files, batch=batch)
-    api.worker_count(workers)
-    require_device(device)
+    require_devices(device)
+    api.worker_count(workers_for(workers, device))
+    mine = None if shard is None else Shard.named(shard)
     require_folder(weights_folder, "--weights-folder")
     ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
@@ -399,7 +374,7 @@ def quality_command(
         return
     if not dry_run:
         require_quality_weights(definition, weights_folder)
-    from benchmark.quality.measure import QualitySettings, measure_quality, plan_of
+    from benchmark.quality.measure import QualitySettings, measure_quality, measure_shard, plan_of
     from leaderboard.tables.quality import quality_tables
 
     settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
@@ -408,7 +383,18 @@ def quality_command(
     if dry_run:
         say_plan([plan_of(dataset, split, settings)], json_output=json_output)
         return
-    record = measure_quality(dataset, split, api.workspace(out).quality_root(), settings)
+    root = api.workspace(out).quality_root()
+    if mine is not None:
+        done = measure_shard(dataset, split, root, settings, mine)
+        say_shard(
+            mine,
+            [done],
+            "scored",
+            (f"quality{same_place(data, out, tables)}", "with the same options and no --shard, when all shards are"),
+            json_output=json_output,
+        )
+        return
+    record = measure_quality(dataset, split, root, settings)
     if json_output:
         facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
         print_json({"directory": str(record.directory), **facts})

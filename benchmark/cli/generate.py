@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmark import api
-from benchmark.cli.built_splits import build_one, frozen_scenes, is_edited, say_built, splits_to_build
+from benchmark.cli.built_splits import (
+    build_one,
+    build_shards,
+    frozen_scenes,
+    is_edited,
+    require_shardable,
+    say_built,
+    splits_to_build,
+)
 from benchmark.cli.options import (
     AddressOption,
     AskedLook,
@@ -15,7 +23,7 @@ from benchmark.cli.options import (
     CallsOption,
     DataOption,
     DenoiserOption,
-    DeviceOption,
+    DevicesOption,
     DrawnSize,
     DrawnSizeOption,
     DropoutOption,
@@ -39,6 +47,7 @@ from benchmark.cli.options import (
     ScenesOption,
     SeedOption,
     SetOption,
+    ShardOption,
     SizeOption,
     SpeedOption,
     SplitOption,
@@ -116,7 +125,7 @@ def generate_command(
     calls: CallsOption = None,
     dropout: DropoutOption = False,
     samples: SamplesOption = None,
-    device: DeviceOption = "cpu",
+    device: DevicesOption = "cpu",
     together: TogetherOption = 1,
     layout: Annotated[Layout, typer.Option(help="One root with suffixed names, or one root per variant.")] = (
         Layout.SUFFIXED
@@ -135,6 +144,7 @@ def generate_command(
     seeds: Annotated[
         str | None, typer.Option(help="Build one split for each seed, adv-seed-0, adv-seed-1, ...: 0,1,2.")
     ] = None,
+    shard: ShardOption = None,
     workers: WorkersOption = 0,
     executor: ExecutorOption = ExecutorName.LOCAL,
     address: AddressOption = None,
@@ -149,6 +159,8 @@ def generate_command(
     from benchmark.cli.beforehand.data_sets import require_room_to_draw, require_root, require_source
     from benchmark.cli.beforehand.names import supervision_of
     from benchmark.cli.beforehand.places import require_place
+    from benchmark.machine.several_devices import require_one_device, workers_for
+    from benchmark.runs.shards import Shard
     from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
 
@@ -178,7 +190,11 @@ def generate_command(
     if renderer is RendererName.MAGICDRIVE:
         _require_magicdrive(render_device, weights_folder, dry_run=dry_run)
     pixels, named = image_size(size), name_list(scenes)
-    place = executor_of(executor, address, workers)
+    if executor is not ExecutorName.LOCAL:
+        require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
+    place = executor_of(executor, address, workers_for(workers, device))
+    mine = None if shard is None else Shard.named(shard)
+    require_shardable(mine, surrogate, place)
     if frozen is None:
         ahead = require_source(data, tables, source_split, out, scenes=named, limit=limit)
     else:
@@ -265,6 +281,9 @@ def generate_command(
     for one in wanted:
         root = space.split_root(source.name, one.split)
         own.append(replace(settings, out=root, timings=space.timings_of(root), seed=one.seed, freeze=one.freeze))
+    if mine is not None and not dry_run:
+        build_shards(source, wanted, own, mine, same_place(data, out, tables), json_output=json_output)
+        return
     built = []
     for one, of_split in zip(wanted, own, strict=True):
         built.append(build_one(source, one, of_split, unlike, profile=profile))
@@ -301,12 +320,12 @@ def _require_generated(split: str) -> None:
 
 def _require_tools(planner: str | None, checkpoint: Path | None, data: str, device: str, denoiser: Path | None) -> None:
     """Refuse a planner under test or a trajectory model that could not run."""
-    from benchmark.cli.beforehand.names import require_device, require_models
+    from benchmark.cli.beforehand.names import require_devices, require_models
     from benchmark.cli.beforehand.places import require_file
 
     if planner is not None:
         require_models([planner], checkpoint, data=data)
-    require_device(device)
+    require_devices(device)
     require_file(denoiser, "--denoiser")
 
 
@@ -350,7 +369,7 @@ def ablate_command(
     preset: PresetOption = Preset.DEFAULT,
     changes: SetOption = None,
     denoiser: DenoiserOption = None,
-    device: DeviceOption = "cpu",
+    device: DevicesOption = "cpu",
     together: TogetherOption = 1,
     size: SizeOption = "448x256",
     seed: SeedOption = 0,
@@ -365,6 +384,7 @@ def ablate_command(
     from benchmark.cli.beforehand.data_sets import require_source
     from benchmark.cli.beforehand.names import supervision_of
     from benchmark.cli.beforehand.places import require_place
+    from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.machine.storage import file_name
     from generation.search.departures import told
     from generation.search.presets import hyper_parameters, trajectory_model
@@ -372,7 +392,12 @@ def ablate_command(
     hyper = hyper_parameters(preset.value, {"candidate_limit": vehicles, "candidates": candidates}, changes or ())
     _require_tools(model, checkpoint, data, device, denoiser)
     supervision = supervision_of([model], sample_limit, memory_limit)
-    drawing, place = api.schematic_renderer(image_size(size)), executor_of(executor, address, workers)
+    if executor is not ExecutorName.LOCAL:
+        require_one_device(device, "a Ray cluster gives its tasks GPUs itself")
+    drawing, place = (
+        api.schematic_renderer(image_size(size)),
+        executor_of(executor, address, workers_for(workers, device)),
+    )
     ahead = require_source(data, tables, source_split, out, scenes=name_list(scenes), limit=limit)
     require_place(out, "--out")
     if dry_run and ahead.builds:

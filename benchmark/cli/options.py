@@ -230,6 +230,10 @@ DenoiserOption = Annotated[
     Path | None, typer.Option("--denoiser", help="Weights of another trajectory model, such as ig360_adv.ckpt.")
 ]
 DeviceOption = Annotated[str, typer.Option("--device", help="Where the trajectory model runs: cpu, cuda, cuda:1.")]
+DevicesOption = Annotated[
+    str,
+    typer.Option("--device", help="Where the trajectory model runs: cpu, cuda, cuda:1, or several for a process each."),
+]
 TogetherOption = Annotated[
     int, typer.Option("--together", min=1, help="Attempts planned side by side in a process; pays on a GPU.")
 ]

@@ -37,8 +37,11 @@ def device_here(text: str | None) -> str | None:
     Raises:
         InputError: As `device_names` does.
     """
-    if text is None:
-        return None
+    return None if text is None else device_in_turn(text)
+
+
+def device_in_turn(text: str) -> str:
+    """`device_here` where a device is always named."""
     names = device_names(text)
     return names[worker_number() % len(names)]
 

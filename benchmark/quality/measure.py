@@ -1,7 +1,7 @@
 """The main path: which scenes, which weights, score each scene, write the record; the same command goes on."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from benchmark.evaluation import EvalSettings
 from benchmark.machine.devices import device_of, device_of_worker
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.progress import Count
+from benchmark.machine.several_devices import device_in_turn, device_names, workers_for
 from benchmark.machine.storage import content_key, file_name, only_writer, read_kept_json, write_json, writing_to
 from benchmark.machine.workers import default_workers, map_ordered, worker_number
 from benchmark.quality.definition import Definition, needed_for
@@ -22,7 +23,15 @@ from benchmark.quality.scoring import Networks, image_file, load_networks, score
 from benchmark.records.quality import QualityRecord, write_quality
 from benchmark.records.quality_schema import QUALITY_SCHEMA, SceneRows, WeightsFacts
 from benchmark.report.words import counted
+from benchmark.runs.kept_shards import (
+    SCORES,
+    FinishedShard,
+    note_done,
+    require_shards,
+    require_undivided,
+)
 from benchmark.runs.scene_work import reopen_root
+from benchmark.runs.shards import Shard, forget_shards, shard_folder
 from benchmark.weights.folders import content_hash, folder_of
 
 if TYPE_CHECKING:
@@ -37,11 +46,12 @@ class QualitySettings:
         definition: What is measured.
         weights: Folder of weights that the user has, or ``None`` for the cache.
         device: Where networks run (`benchmark.machine.devices.device_of_worker`): ``cuda`` stands for all GPUs, one
-            after the other; ``auto`` for GPUs where there are any.
+            after the other; ``auto`` for GPUs where there are any; several names, between commas, for a process on
+            each.
         scenes: Only these scenes of the split.
         limit: Only the first so many scenes.
-        workers: Number of processes; 0 is one for each GPU where networks run on GPUs, else one for each processor. The
-            result does not depend on it.
+        workers: Number of processes; 0 is one for each GPU where networks run on GPUs or for each device that is named,
+            else one for each processor. The result does not depend on it.
     """
 
     definition: Definition
@@ -55,6 +65,16 @@ class QualitySettings:
         if self.workers < 0:
             raise InputError(f"--workers must be 0 or more, got {self.workers}")
 
+    def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
+        """The scenes that are scored; raises `InputError` as for an evaluation."""
+        return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
+
+    @property
+    def processes(self) -> int:
+        """Number of processes, where 0 has been decided; raises `InputError` if a device would be without work."""
+        asked = workers_for(self.workers, None if self.device == "auto" else self.device)
+        return asked or _processes(device_of(device_names(self.device)[0]))
+
 
 @dataclass(frozen=True, slots=True)
 class _Job:
@@ -64,8 +84,9 @@ class _Job:
         directory: Of the record.
         definition: What is measured.
         folders: Of weights by name.
-        device: Where networks run.
+        device: Where networks run, perhaps several names.
         keys: Content key of each scene's rows.
+        work: Content key of all that decides the rows of every scene.
     """
 
     directory: Path
@@ -73,6 +94,7 @@ class _Job:
     folders: Mapping[str, Path]
     device: str
     keys: Mapping[str, str]
+    work: str
 
 
 def measure_quality(
@@ -99,11 +121,77 @@ def measure_quality(
         InputError: If the split or a scene is unknown, weights or transformers are missing, images are missing or
             broken, or another command is writing the same record.
     """
-    definition = settings.definition
-    chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
-    every = data.scene_names(split)
-    device = device_of(settings.device)
-    needed = needed_for(definition.masks)
+    chosen, every = settings.chosen(data, split), data.scene_names(split)
+    job, used, libraries = _job_of(data, split, out, settings, chosen)
+    described = {
+        "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
+        "split": split,
+        "scenes": list(chosen),
+        "scenes_in_split": len(every),
+        "scene_facts": data.scene_facts(chosen),
+        "definition": settings.definition.as_json(),
+        "weights": used,
+        "device": _first(job).type,
+        "review": data.review(split).facts,
+        "environment": environment_facts() | {"transformers": libraries["transformers"]},
+    }
+    with only_writer(job.directory):
+        require_shards(job.directory, SCORES, job.work)
+        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        rows = list(_scored(job, data, opener, settings.processes))
+        record = write_quality(job.directory, described, rows)
+        _tidy(job)
+        forget_shards(job.directory)
+    return record
+
+
+def measure_shard(
+    data: "DataSet",
+    split: str,
+    out: Path,
+    settings: QualitySettings,
+    shard: Shard,
+    *,
+    reopen: Callable[[], "DataSet"] | None = None,
+) -> FinishedShard:
+    """Score the scenes of one shard and keep their rows; no record is written.
+
+    `measure_quality` with the same settings makes the record once all shards are there, and names one that is not.
+
+    Args:
+        data: The data set.
+        split: Which of its splits.
+        out: Folder of quality records.
+        settings: As of `measure_quality`.
+        shard: Which scenes.
+        reopen: As of `measure_quality`.
+
+    Returns:
+        What was done.
+
+    Raises:
+        InputError: As of `measure_quality`, and if another command scores the same shard, or other shards are of
+            another division.
+    """
+    chosen = settings.chosen(data, split)
+    job, _, _ = _job_of(data, split, out, settings, chosen)
+    mine = shard.part(chosen)
+    require_undivided(job.directory, SCORES, shard)
+    with only_writer(shard_folder(job.directory, shard)):
+        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
+        own = replace(job, keys={name: job.keys[name] for name in mine})
+        for _ in _scored(own, data, opener, settings.processes):
+            pass
+        note_done(job.directory, SCORES, shard, mine, job.work)
+    return FinishedShard(job.directory, len(mine), len(chosen))
+
+
+def _job_of(
+    data: "DataSet", split: str, out: Path, settings: QualitySettings, chosen: tuple[str, ...]
+) -> tuple[_Job, dict[str, WeightsFacts], dict[str, str]]:
+    """What every unit of work needs to know, which weights are used, and by which libraries."""
+    definition, needed = settings.definition, needed_for(settings.definition.masks)
+    device = device_of(device_names(settings.device)[0])
     folders = {weights.name: folder_of(weights, settings.weights) for weights in needed}
     used = {
         weights.name: WeightsFacts(
@@ -113,33 +201,15 @@ def measure_quality(
         )
         for weights in needed
     }
-    fingerprint = data.fingerprint()
     contents = {name: of.content for name, of in used.items()}
     # Rows that another version of these libraries made may differ in the last digits.
     libraries = {"torch": torch.__version__, "transformers": transformers_version()}
-    identity = content_key(QUALITY_SCHEMA, fingerprint, definition.as_json(), contents, device.type, libraries)
-    part = () if len(chosen) == len(every) else chosen
+    identity = content_key(QUALITY_SCHEMA, data.fingerprint(), definition.as_json(), contents, device.type, libraries)
+    part = () if len(chosen) == len(data.scene_names(split)) else chosen
     directory = _quality_directory(out, data.name, split, definition, part)
     keys = {name: content_key(identity, name, _image_sizes(data, name, definition)) for name in chosen}
-    job = _Job(directory, definition, folders, settings.device, keys)
-    described = {
-        "data": {"name": data.name, "version": data.version, "fingerprint": fingerprint},
-        "split": split,
-        "scenes": list(chosen),
-        "scenes_in_split": len(every),
-        "scene_facts": data.scene_facts(chosen),
-        "definition": definition.as_json(),
-        "weights": used,
-        "device": device.type,
-        "review": data.review(split).facts,
-        "environment": environment_facts() | {"transformers": libraries["transformers"]},
-    }
-    with only_writer(directory):
-        opener = reopen or partial(reopen_root, data.root, data.version, data.name)
-        rows = list(_scored(job, data, opener, settings.workers or _processes(device)))
-        record = write_quality(directory, described, rows)
-        _tidy(job)
-    return record
+    job = _Job(directory, definition, folders, settings.device, keys, content_key(identity, list(chosen)))
+    return job, used, libraries
 
 
 def _quality_directory(out: Path, data_name: str, split: str, definition: Definition, part: tuple[str, ...]) -> Path:
@@ -164,7 +234,7 @@ def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
         InputError: If the split or a scene is unknown.
     """
     definition = settings.definition
-    chosen = EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
+    chosen = settings.chosen(data, split)
     sweeps = definition.frames == "all"
     frames = sum(len(video) for name in chosen for video in data.videos(name, sweeps=sweeps).values())
     lines = [
@@ -184,7 +254,7 @@ def _scored(job: _Job, data: "DataSet", reopen: Callable[[], "DataSet"], workers
     open_scenes = [name for name in job.keys if _kept(job, name) is None]
     work = partial(_in_worker, job, reopen)
     if open_scenes and workers == 1:
-        work = partial(_here, job, data, load_networks(job.definition, job.folders, device_of(job.device)))
+        work = partial(_here, job, data, load_networks(job.definition, job.folders, _first(job)))
     count = Count(before=len(job.keys) - len(open_scenes))
     scored = map_ordered(work, open_scenes, workers=workers, label="video quality", count=count)
     made = {rows.scene: rows for rows in scored}
@@ -208,7 +278,8 @@ _in_this_process: dict[str, tuple["DataSet", Networks]] = {}
 def _in_worker(job: _Job, reopen: Callable[[], "DataSet"], scene: str) -> SceneRows:
     key = content_key(sorted(job.keys.values()), job.device)
     if key not in _in_this_process:
-        networks = load_networks(job.definition, job.folders, device_of_worker(job.device, worker_number()))
+        place = device_of_worker(device_in_turn(job.device), worker_number())
+        networks = load_networks(job.definition, job.folders, place)
         _in_this_process[key] = (reopen(), networks)
     return _here(job, *_in_this_process[key], scene)
 
@@ -218,6 +289,10 @@ def _image_sizes(data: "DataSet", scene: str, definition: Definition) -> list[tu
     videos = data.videos(scene, sweeps=definition.frames == "all")
     paths = [image_file(view, definition) for views in videos.values() for view in views]
     return [(path.name, path.stat().st_size if path.is_file() else None) for path in paths]
+
+
+def _first(job: _Job) -> torch.device:
+    return device_of(device_names(job.device)[0])
 
 
 def _processes(device: torch.device) -> int:

@@ -34,19 +34,13 @@ from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
 from benchmark.runs.drive_work import Planners, UnitResult, kept_drive, work_here, work_in_worker
+from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopen_root
-from benchmark.runs.shards import (
-    DrivenShard,
-    Shard,
-    forget_shards,
-    require_driven_shards,
-    shard_folder,
-    write_driven_shard,
-)
+from benchmark.runs.shards import Shard, forget_shards, shard_folder
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -240,7 +234,7 @@ def drive_shard(
     shard: Shard,
     *,
     reopen: Callable[[], "DataSet"] | None = None,
-) -> list[DrivenShard]:
+) -> list[FinishedShard]:
     """Drive the scenes of one shard and keep the drives; no record is written.
 
     `drive_planners` with the same settings makes the records once all shards are there, and names one that is not.
@@ -274,8 +268,8 @@ def drive_shard(
         for _ in _results(settings.groups(tasks), here, elsewhere, settings, label) if tasks else ():
             pass
         for job in jobs:
-            write_driven_shard(job.directory, shard, mine)
-    return [DrivenShard(job.directory, len(mine), len(scenes)) for job in jobs]
+            note_done(job.directory, DRIVES, shard, mine)
+    return [FinishedShard(job.directory, len(mine), len(scenes)) for job in jobs]
 
 
 def _ready(
@@ -316,7 +310,7 @@ def _records(
     with ExitStack() as writing:
         for job in jobs:
             writing.enter_context(only_writer(job.directory))
-            require_driven_shards(job.directory)
+            require_shards(job.directory, DRIVES)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
         for place, job in enumerate(jobs):

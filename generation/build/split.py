@@ -4,7 +4,8 @@ Every step is resumable and gives the same bytes for any executor, on processors
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from benchmark.datasets.roots import DataSet
@@ -15,12 +16,14 @@ from benchmark.records.attempts import ATTEMPTS_FILE
 from benchmark.records.review import Judged
 from benchmark.records.seed_splits import seed_of
 from benchmark.report.words import counted
+from benchmark.runs.kept_shards import SEARCH, require_shards
 from benchmark.scene import Scene
 from generation.build.estimate import KEPT_SHARE, Estimate, planning_estimate, rendering_estimate, workers_of
 from generation.build.profile import runtime_table
 from generation.build.report import BuildReport
-from generation.build.selection import select
+from generation.build.selection import Selection, select
 from generation.build.settings import BuildSettings
+from generation.build.shard_notes import forget_notes, require_drawn, search_folder, search_work, work_of_jobs
 from generation.build.writing import (
     WritingJob,
     publish_judgements,
@@ -71,14 +74,52 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         InputError: If the split is another, a scene is unknown, nothing survives, another command is writing there, the
             output is built from a frozen split, or it cannot be written.
     """
+    names = ready_to_build(source, split, settings)
+    if split == "val-r":
+        return _build_originals(source, names, settings)
+    search = search_of(source, names, settings)
+    if settings.dry_run:
+        return replace(_counted(source, search, names, settings), split=split)
+    with only_writer(settings.out):
+        return _build_adversarial(source, split, search, names, settings)
+
+
+def ready_to_build(source: DataSet, split: str, settings: BuildSettings) -> tuple[str, ...]:
+    """Refuse what cannot be built.
+
+    Args:
+        source: Recorded scenes.
+        split: As of `build_split`.
+        settings: What and where.
+
+    Returns:
+        The recorded scenes that are used.
+
+    Raises:
+        InputError: As of `build_split`.
+    """
     require_generated(split)
     require_seed(split, settings.seed, f"--seed {settings.seed}")
     require_not_frozen(settings.out)
     if settings.freeze is not None:
         require_freezable(split, settings.freeze)
-    names = source_scenes(source, settings)
-    if split == "val-r":
-        return _build_originals(source, names, settings)
+    return source_scenes(source, settings)
+
+
+def search_of(source: DataSet, names: Sequence[str], settings: BuildSettings) -> Search:
+    """What decides the attempts of a build.
+
+    Args:
+        source: Recorded scenes.
+        names: Which of them.
+        settings: What and where.
+
+    Returns:
+        It.
+
+    Raises:
+        InputError: If a scene has no map.
+    """
     without_map = [name for name in names if not source.has_map(name)]
     if without_map:
         raise InputError(
@@ -86,7 +127,7 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
             f"{counted(len(names), 'scene')}), and "
             "an adversary must know the road; put the map expansion's JSON files into maps/expansion"
         )
-    search = Search(
+    return Search(
         fingerprint=source.fingerprint(),
         hyper=settings.hyper,
         seed=settings.seed,
@@ -96,10 +137,6 @@ def build_split(source: DataSet, split: str, settings: BuildSettings) -> BuildRe
         timings=settings.timing,
         asked=settings.asked,
     )
-    if settings.dry_run:
-        return replace(_counted(source, search, names, settings), split=split)
-    with only_writer(settings.out):
-        return _build_adversarial(source, split, search, names, settings)
 
 
 def require_generated(split: str) -> None:
@@ -172,9 +209,50 @@ def _rendering_seconds(source: DataSet, names: Sequence[str], settings: BuildSet
     return rendering_estimate(settings.renderer, source.scene(names[0]), settings.frames, timing)
 
 
-def _build_adversarial(
-    source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
-) -> BuildReport:
+@dataclass(frozen=True, slots=True)
+class Selected:
+    """What a search found and what of it is written.
+
+    Attributes:
+        found: What was found.
+        chosen: What is written of it.
+        plan: The data set to write.
+        report: What is said of both.
+        files: The same as files, by name.
+    """
+
+    found: SearchResult
+    chosen: Selection
+    plan: DataSetPlan
+    report: BuildReport
+    files: dict[str, bytes]
+
+
+def selected(
+    source: DataSet,
+    split: str,
+    search: Search,
+    names: Sequence[str],
+    settings: BuildSettings,
+    *,
+    keep: bool = True,
+) -> Selected:
+    """Search, or find what was searched, and choose.
+
+    Args:
+        source: Recorded scenes.
+        split: Name of the split.
+        search: What decides the attempts.
+        names: Recorded scenes.
+        settings: What and where.
+        keep: Whether choices of vehicles are written.
+
+    Returns:
+        What was found and chosen; nothing is published.
+
+    Raises:
+        InputError: As of `search_chains` and `select`.
+    """
     found = search_chains(
         search,
         source,
@@ -183,17 +261,31 @@ def _build_adversarial(
         adversaries=settings.adversaries,
         together=settings.together,
         keep_rounds=settings.keep_rounds,
+        keep=keep,
     )
     plan = _plan(source, split, settings)
     chosen = select(source, plan, found, settings)
-    plan = replace(plan, left_out=chosen.left_out)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
-    written = tuple(job.name for job in chosen.jobs)
     report = replace(BuildReport.of(len(names), found, chosen.chains, said, settings.adversaries), split=split)
     files = _report_files(report, found, chosen.chains)
     files["search.json"] = (canonical_json(search.as_json(), indent=1) + "\n").encode()
-    publish_reports(settings.out, files)
-    if not written:
+    plan = replace(plan, left_out=chosen.left_out)
+    if seed_of(split) is not None:
+        how = _choice(report, settings, plan.left_out)
+        plan = replace(plan, search=search_hash(search_facts(search), how, settings.adversaries))
+    return Selected(found, chosen, plan, report, files)
+
+
+def _build_adversarial(
+    source: DataSet, split: str, search: Search, names: Sequence[str], settings: BuildSettings
+) -> BuildReport:
+    require_shards(search_folder(settings.out), SEARCH, search_work(search, names, settings))
+    made = selected(source, split, search, names, settings)
+    found, chosen, plan, report = made.found, made.chosen, made.plan, made.report
+    require_drawn(settings.out, partial(work_of_jobs, source, plan, chosen.jobs))
+    forget_notes(settings.out)
+    publish_reports(settings.out, made.files)
+    if not chosen.jobs:
         withdraw(settings.out)
         raise NothingSurvivedError(
             f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
@@ -201,11 +293,9 @@ def _build_adversarial(
             report,
         )
     chosen.take_over(plan)
-    how = _choice(report, settings, plan.left_out)
-    if seed_of(split) is not None:
-        plan = replace(plan, search=search_hash(search_facts(search), how, settings.adversaries))
     notes = _write(source, plan, chosen.jobs, settings)
     if settings.freeze is not None:
+        how = _choice(report, settings, plan.left_out)
         write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
 
@@ -229,17 +319,37 @@ def _frozen_rejections(rejected: Sequence[tuple[int, Judged]]) -> tuple[FrozenRe
     return tuple(said) or None
 
 
-def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
+def originals(
+    source: DataSet, names: Sequence[str], settings: BuildSettings
+) -> tuple[DataSetPlan, list[WritingJob], dict[str, bytes]]:
+    """How recordings are rendered again.
+
+    Args:
+        source: Recorded scenes.
+        names: Which of them.
+        settings: What and where.
+
+    Returns:
+        The data set to write, its scenes, and what is said of it by file name.
+    """
     jobs = [WritingJob(name.replace("/", "-"), name.replace("/", "-"), name, 0, _unchanged, {}) for name in names]
+    report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
+    return _plan(source, "val-r", settings), jobs, _report_files(report, SearchResult(), [])
+
+
+def _build_originals(source: DataSet, names: Sequence[str], settings: BuildSettings) -> BuildReport:
     if settings.dry_run:
         each = _rendering_seconds(source, names, settings)
         workers = workers_of(settings.where_rendered)
         about = Estimate(0, 0.0, len(names), each, workers, workers)
         return BuildReport("val-r", len(names), estimate=about, dry_run=True)
+    plan, jobs, files = originals(source, names, settings)
     report = BuildReport("val-r", len(names), written=tuple(job.name for job in jobs))
     with only_writer(settings.out):
-        publish_reports(settings.out, _report_files(report, SearchResult(), []))
-        notes = _write(source, _plan(source, "val-r", settings), jobs, settings)
+        require_drawn(settings.out, partial(work_of_jobs, source, plan, jobs))
+        forget_notes(settings.out)
+        publish_reports(settings.out, files)
+        notes = _write(source, plan, jobs, settings)
     return replace(report, runtime=runtime_table([], notes))
 
 

@@ -140,11 +140,28 @@ def publish_reports(root: Path, files: dict[str, bytes]) -> None:
     Raises:
         InputError: If they cannot be written.
     """
+    if unfinish_others(root, files):
+        for name, data in files.items():
+            write_bytes(root / name, data)
+
+
+def unfinish_others(root: Path, files: dict[str, bytes]) -> bool:
+    """Take the mark of a finished data set away where other things are said of it than these.
+
+    Args:
+        root: Root of the build.
+        files: What a build says of itself, by file name.
+
+    Returns:
+        Whether other things were said, or nothing.
+
+    Raises:
+        InputError: If the mark cannot be removed.
+    """
     if all((root / name).is_file() and (root / name).read_bytes() == data for name, data in files.items()):
-        return
+        return False
     unfinish(root)
-    for name, data in files.items():
-        write_bytes(root / name, data)
+    return True
 
 
 def publish_rounds(plan: DataSetPlan, jobs: Sequence[WritingJob], keys: Sequence[str]) -> None:
@@ -301,7 +318,8 @@ def unfinish(root: Path) -> None:
     """
     for path in (*_marks(root), *(root / KEPT_ROUNDS_FOLDER).glob("*")):
         with writing_to(path):
-            path.unlink()
+            # Another shard may take it away at the same moment.
+            path.unlink(missing_ok=True)
 
 
 def withdraw(root: Path) -> None:

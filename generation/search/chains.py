@@ -223,6 +223,7 @@ def search_chains(
     adversaries: int = 1,
     together: int = 1,
     keep_rounds: bool = False,
+    keep: bool = True,
 ) -> SearchResult:
     """Search for scenes with a number of adversaries in each.
 
@@ -237,6 +238,7 @@ def search_chains(
         adversaries: Wanted in each scene.
         together: Attempts that a worker plans side by side; no result depends on it.
         keep_rounds: Whether rounds are kept of the last adversary of each chain: the others are as they are shown.
+        keep: Whether choices of vehicles are written.
 
     Returns:
         What came of it; the same whatever the executor.
@@ -247,7 +249,7 @@ def search_chains(
     found, scenes = SearchResult(), _Scenes(source)
     chains = [Chain(name) for name in names]
     for stage in range(adversaries):
-        looking = (_chosen(search, chain, scenes, keep=True) for chain in chains)
+        looking = (_chosen(search, chain, scenes, keep=keep) for chain in chains)
         chosen = list(progress(looking, total=len(chains), label="choosing vehicles"))
         found.eligibility += [(chain.agent_ids, seen) for chain, (seen, _) in zip(chains, chosen, strict=True)]
         owner = {unit: chain for chain, (_, units) in zip(chains, chosen, strict=True) for unit in units}

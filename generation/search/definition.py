@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
+from benchmark.machine.several_devices import device_in_turn
 from benchmark.machine.storage import content_key
 from benchmark.records.judgement import DEFINITION
 from generation.diffusion.prior import SamplerSettings, TrajectoryPrior
@@ -28,7 +29,7 @@ class PackagedPrior:
 
     Attributes:
         weights: Its weights, ``None`` for those in the package.
-        device: Where the network runs.
+        device: Where the network runs; of several names, between commas, each worker takes one in turns.
         sampler: How the network is asked.
     """
 
@@ -38,7 +39,7 @@ class PackagedPrior:
 
     def __call__(self) -> Prior:
         """The model."""
-        return _loaded(self.weights, self.device, self.sampler)
+        return _loaded(self.weights, device_in_turn(self.device), self.sampler)
 
 
 @functools.lru_cache(maxsize=2)

@@ -16,6 +16,7 @@ from benchmark.report.words import counted
 from benchmark.scene import Scene
 from generation.build.estimate import Estimate, rendering_estimate, workers_of
 from generation.build.settings import BuildSettings
+from generation.build.shard_notes import drawing_work, forget_notes, require_drawn
 from generation.build.writing import WritingJob, publish_judgements, publish_realism, publish_reports, write_scenes
 from generation.nuscenes_writer import DataSetPlan, SourceInfo, finish_data_set
 from generation.nuscenes_writer.plan import STATE_FOLDER
@@ -152,27 +153,21 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         InputError: If these are other recordings, a scene is unknown, the output holds a split that was searched or is
             of another frozen one, another command is writing there, or it cannot be written.
     """
-    require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
-    chosen = split.chosen(settings.scenes, settings.limit)
-    content = split.frozen.content_id
+    plan, chosen, report = ready_to_rebuild(source, split, settings, as_split)
     recorded = sorted({frozen.source for frozen, _ in chosen})
-    report = FrozenReport(
-        split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen), split=as_split
-    )
-    _require_recorded(source, recorded)
-    _require_room(settings.out, split.name, content)
-    plan = _plan(source, split, as_split, settings)
     if settings.dry_run:
         each = rendering_estimate(plan.renderer, source.scene(recorded[0]), plan.frames, settings.timing / "rendering")
         workers = workers_of(settings.where_rendered)
         about = Estimate(0, 0.0, len(chosen), each, workers, workers)
         return replace(report, estimate=about)
     # Everything is looked at before anything is written.
-    jobs, tables, masked = _jobs(source, plan, chosen, split)
+    jobs, tables, masked = frozen_jobs(source, plan, chosen, split)
     with only_writer(settings.out):
-        write_json(plan.state / _MARK, {"name": split.name, "content": content})
-        said = (canonical_json(report.kept(), indent=1) + "\n").encode()
-        publish_reports(settings.out, {"report.json": said})
+        scenes = [[frozen.name, variant] for frozen, variant in chosen]
+        require_drawn(settings.out, partial(drawing_work, source, plan, scenes, chosen[0][0].source))
+        forget_notes(settings.out)
+        write_json(plan.state / _MARK, {"name": split.name, "content": report.content})
+        publish_reports(settings.out, said_of_frozen(report))
         keys = write_scenes(
             plan, jobs, source.scene, settings.where_rendered, timing=settings.timing / "rendering", label="rendering"
         )
@@ -191,6 +186,40 @@ def build_frozen(source: DataSet, split: NamedSplit, settings: BuildSettings, *,
         unsolvable=tuple(job.name for job, said in zip(jobs, judged, strict=True) if unsolvable(said)),
         faults=_faults(jobs, judged) if split.frozen.search.algorithm == EDITED else {},
     )
+
+
+def ready_to_rebuild(
+    source: DataSet, split: NamedSplit, settings: BuildSettings, as_split: str
+) -> tuple[DataSetPlan, list[tuple[FrozenScene, int]], FrozenReport]:
+    """Refuse what cannot be built from a frozen split.
+
+    Args:
+        source: The recordings.
+        split: The frozen split.
+        settings: What and where.
+        as_split: Name of the split that is written.
+
+    Returns:
+        The data set to write, its scenes with the numbers of their variants, and what is said of both.
+
+    Raises:
+        InputError: As of `build_frozen`.
+    """
+    require_seed(as_split, split.frozen.search.seed, f"frozen split {split.name}")
+    chosen = split.chosen(settings.scenes, settings.limit)
+    content = split.frozen.content_id
+    recorded = sorted({frozen.source for frozen, _ in chosen})
+    _require_recorded(source, recorded)
+    _require_room(settings.out, split.name, content)
+    report = FrozenReport(
+        split.name, content, len(recorded), tuple(frozen.name for frozen, _ in chosen), split=as_split
+    )
+    return _plan(source, split, as_split, settings), chosen, report
+
+
+def said_of_frozen(report: FrozenReport) -> dict[str, bytes]:
+    """What a build from a frozen split says of itself, by file name."""
+    return {"report.json": (canonical_json(report.kept(), indent=1) + "\n").encode()}
 
 
 def _faults(jobs: Sequence[WritingJob], judged: Sequence[Sequence[SceneJudgement]]) -> dict[str, tuple[str, ...]]:
@@ -262,10 +291,23 @@ def _plan(source: DataSet, split: NamedSplit, as_split: str, settings: BuildSett
     )
 
 
-def _jobs(
+def frozen_jobs(
     source: DataSet, plan: DataSetPlan, chosen: Sequence[tuple[FrozenScene, int]], split: NamedSplit
 ) -> tuple[list[WritingJob], list[str], dict[str, dict[str, int]]]:
-    """How each scene is written, the hash of its tables, and the masked steps of all scenes."""
+    """How scenes of a frozen split are written.
+
+    Args:
+        source: The recordings.
+        plan: The data set.
+        chosen: The scenes, each with the number of its variant.
+        split: The frozen split.
+
+    Returns:
+        How each scene is written, the hash of its tables, and the masked steps of all scenes.
+
+    Raises:
+        InputError: If a scene does not fit its recording.
+    """
     made: dict[int, tuple[WritingJob, str]] = {}
     masked = []
     for index in sorted(range(len(chosen)), key=lambda index: (chosen[index][0].source, index)):

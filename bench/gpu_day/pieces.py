@@ -1,0 +1,215 @@
+"""One piece of a day with a GPU: what it measures, how it is run in a process of its own, and what it leaves."""
+
+import json
+import multiprocessing
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from benchmark.errors import InputError
+from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.storage import read_kept_json, write_json
+
+PIECE_LIMIT_S: Final = 540.0
+"""A piece is ended after this: whoever lends a GPU for ten minutes at a time gets whole pieces."""
+SCHEMA: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Where and how large everything is.
+
+    Attributes:
+        folder: What pieces leave lies below it.
+        device: Where networks run.
+        tiny: Whether networks have the sizes of the miniatures: the same classes, for a trial without a GPU.
+        golden: Folder of golden numbers of official code, a folder for each model (docs/verify.md), if they are given.
+        tracks: Recordings that the trajectory prior learns from; the embedded town if none.
+    """
+
+    folder: Path
+    device: str
+    tiny: bool = False
+    golden: Path | None = None
+    tracks: Path | None = None
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether networks run on a GPU."""
+        return self.device.startswith("cuda")
+
+    @property
+    def kept(self) -> Path:
+        """Folder of the figures: those of a trial are never taken for those of a GPU."""
+        return self.folder / f"{'cuda' if self.on_gpu else self.device}{'-tiny' if self.tiny else ''}"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One piece.
+
+    Attributes:
+        name: Its name.
+        what: What it measures, for people.
+        work: Measures, in a process of its own; figures as JSON values.
+        said: Puts the figures into a few words.
+        so_far: Of a piece that goes on where it was ended: how far it is.
+    """
+
+    name: str
+    what: str
+    work: Callable[[Setting], dict[str, Any]]
+    said: Callable[[dict[str, Any]], str]
+    so_far: Callable[[Setting], dict[str, Any]] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a piece.
+
+    Attributes:
+        figures: What it measured; of an unfinished one, how far it is.
+        failure: Why there is nothing, if there is nothing.
+        unfinished: Whether the next call goes on with it.
+        seconds: How long this call took for it.
+    """
+
+    figures: dict[str, Any] | None = None
+    failure: str | None = None
+    unfinished: bool = False
+    seconds: float = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.figures is not None and not self.unfinished
+
+
+def machine_facts(setting: Setting) -> dict[str, Any]:
+    """What figures depend on beside the code: processor, card, driver, torch, commit."""
+    known = environment_facts()
+    card = torch.cuda.get_device_name(setting.device) if setting.on_gpu else None
+    return {
+        "processor": known["hardware"]["cpu"],
+        "processors": os.cpu_count(),
+        "card": card,
+        "driver": _driver() if setting.on_gpu else None,
+        "torch": torch.__version__,
+        "cuda": torch.version.cuda,
+        **known["source"],
+        "device": setting.device,
+        "tiny": setting.tiny,
+    }
+
+
+def _driver() -> str | None:
+    if shutil.which("nvidia-smi") is None:
+        return None
+    asked = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    said = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.split()
+    return said[0] if said else None
+
+
+def kept_path(setting: Setting, piece: Piece) -> Path:
+    """File of what came of a piece."""
+    return setting.kept / f"{piece.name}.json"
+
+
+def kept_outcome(setting: Setting, piece: Piece) -> tuple[Outcome, dict[str, Any]] | None:
+    """What came of a piece and on which machine; ``None`` where nothing is kept, or it is damaged."""
+    value = read_kept_json(kept_path(setting, piece))
+    if not isinstance(value, dict) or value.get("schema") != SCHEMA or value.get("piece") != piece.name:
+        return None
+    try:
+        return Outcome(**value["outcome"]), dict(value["machine"])
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def run_piece(setting: Setting, piece: Piece, limit_s: float = PIECE_LIMIT_S) -> Outcome:
+    """Run a piece in a process of its own, and keep what came of it; not that it had less time than pieces have.
+
+    Args:
+        setting: Where and how large.
+        piece: The piece.
+        limit_s: After this it is ended.
+
+    Returns:
+        What came of it.
+    """
+    begun = time.monotonic()
+    context = multiprocessing.get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(piece.work, setting, sending))
+    process.start()
+    sending.close()
+    answered = receiving.poll(limit_s)
+    figures, failure = _answer(receiving) if answered else (None, f"ended after {limit_s:.0f} s")
+    if not answered:
+        process.terminate()
+    process.join()
+    unfinished = not answered and piece.so_far is not None
+    if unfinished and piece.so_far is not None:
+        figures, failure = piece.so_far(setting), None
+    outcome = Outcome(figures, failure, unfinished, round(time.monotonic() - begun, 1))
+    if answered or unfinished or limit_s >= PIECE_LIMIT_S:
+        value = {"schema": SCHEMA, "piece": piece.name, "outcome": asdict(outcome), "machine": machine_facts(setting)}
+        write_json(kept_path(setting, piece), value)
+    return outcome
+
+
+def _answer(receiving: Connection) -> tuple[dict[str, Any] | None, str | None]:
+    try:
+        figures, failure = receiving.recv()
+    except EOFError:
+        return None, "its process ended abruptly, as happens where memory runs out"
+    return figures, failure
+
+
+def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: Connection) -> None:
+    try:
+        # Figures that are no JSON are a fault of the piece, and shall not end the day.
+        sending.send((json.loads(json.dumps(work(setting), allow_nan=False)), None))
+    except Exception as error:
+        first = (str(error).splitlines() or [""])[0][:200]
+        sending.send((None, f"{type(error).__name__}: {first}"))
+
+
+def piece_named(pieces: tuple[Piece, ...], name: str) -> Piece:
+    """A piece by name; raises `InputError` if there is none."""
+    found = next((piece for piece in pieces if piece.name == name), None)
+    if found is None:
+        raise InputError(f"there is no piece {name!r}; they are {', '.join(piece.name for piece in pieces)}")
+    return found
+
+
+def markdown(setting: Setting, pieces: tuple[Piece, ...]) -> str:
+    """The figures as a Markdown table for ``docs/performance.md``; what was not run is there too."""
+    lines = ["| piece | figures | card | torch | commit |", "|---|---|---|---|---|"]
+    for piece in pieces:
+        kept = kept_outcome(setting, piece)
+        if kept is None:
+            lines.append(f"| {piece.name} | not run | | | |")
+            continue
+        outcome, machine = kept
+        card = machine.get("card") or f"none ({machine.get('processor')})"
+        commit = str(machine.get("commit") or "")[:7]
+        lines.append(f"| {piece.name} | {said(piece, outcome)} | {card} | {machine.get('torch')} | {commit} |")
+    return "\n".join(lines)
+
+
+def said(piece: Piece, outcome: Outcome) -> str:
+    """What came of a piece, in a few words."""
+    if outcome.figures is None:
+        return f"failed: {outcome.failure}"
+    if outcome.unfinished:
+        return "unfinished: " + ", ".join(f"{name} {value}" for name, value in outcome.figures.items())
+    return piece.said(outcome.figures)

@@ -1,0 +1,149 @@
+"""Pieces about training: the trajectory prior at its published size, timed and to the end, and one miniature, timed."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from adapters.models import miniature, resolve
+from adapters.training.mixture import gathered
+from adapters.training.trainer import fit
+from bench.gpu_day.pieces import Piece, Setting
+from benchmark.machine.workspace import cache_root
+from generation.diffusion.denoiser import DenoiserConfig, TrajectoryDenoiser
+from generation.diffusion.training.loop import TrainingConfig, train_denoiser
+from generation.sources.mini import TownSettings, build_town
+
+FEW, MANY = 50, 350
+"""Steps of two runs; what lies between them has no share of reading and writing."""
+FEW_TINY, MANY_TINY = 1, 3
+KEPT_EVERY: Final = 250
+MINIATURE: Final = "vad-mini"
+SPLIT: Final = "val"
+
+
+def town(setting: Setting) -> Path:
+    """Root of the embedded town; of a smaller one in a trial."""
+    if setting.tiny:
+        return build_town(setting.kept / "town", TownSettings(1, 0, 0, 64, 36, "keyframes"), workers=1)
+    full = TownSettings()
+    return build_town(cache_root() / full.folder_name("mini"), full, workers=1)
+
+
+def prior_training(setting: Setting, out: Path) -> TrainingConfig:
+    """Training of the published network."""
+    config = TrainingConfig(setting.tracks or town(setting), out, device=setting.device).of_architecture("published")
+    if not setting.tiny:
+        return replace(config, checkpoint_every=KEPT_EVERY)
+    small = DenoiserConfig(feature_dim=16, heads=2, layers=1, feedforward_dim=16)
+    return replace(config, steps=4, batch=8, warmup=2, checkpoint_every=2, stride_s=0.5, denoiser=small)
+
+
+def prior_speed(setting: Setting) -> dict[str, Any]:
+    """Seconds of a step of the trajectory prior, and what the whole training would take."""
+
+    def train(steps: int) -> None:
+        out = setting.kept / "timed-prior.safetensors"
+        train_denoiser(replace(prior_training(setting, out), steps=steps, checkpoint_every=steps))
+        out.unlink()
+        out.with_suffix(".log.jsonl").unlink()
+
+    config = prior_training(setting, setting.kept)
+    few, many = (FEW_TINY, MANY_TINY) if setting.tiny else (FEW, MANY)
+    step_s = _seconds_a_step(setting, train, few, many)
+    parameters = sum(each.numel() for each in TrajectoryDenoiser(config.denoiser).parameters())
+    return {
+        "step_ms": 1e3 * step_s,
+        "whole_s": step_s * config.steps,
+        "steps": config.steps,
+        "batch": config.batch,
+        "parameters": parameters,
+        "timed_steps": many - few,
+        "tracks": "given" if setting.tracks else "embedded town",
+    }
+
+
+def prior_to_the_end(setting: Setting) -> dict[str, Any]:
+    """Train the trajectory prior; a call that is ended is gone on with by the next one."""
+    train_denoiser(prior_training(setting, _prior(setting)))
+    return prior_so_far(setting)
+
+
+def prior_so_far(setting: Setting) -> dict[str, Any]:
+    """The last row of the training's log."""
+    log = _prior(setting).with_suffix(".log.jsonl")
+    rows = log.read_text().splitlines() if log.is_file() else []
+    config_steps = prior_training(setting, setting.kept).steps
+    last = json.loads(rows[-1]) if rows else {"step": 0}
+    return {"step": last["step"], "of": config_steps, "loss": last.get("loss"), "held_out": last.get("held_out_loss")}
+
+
+def miniature_speed(setting: Setting) -> dict[str, Any]:
+    """Seconds of a step of a miniature's first part, and what its whole recipe would take at that rate."""
+    root, small = town(setting), miniature(MINIATURE)
+    store = gathered(root, SPLIT, workers=1)
+    learned = [number for name in store.scenes for number in store.frames_of(name)]
+    frames = [replace(store.frame(number), images=torch.empty(0, dtype=torch.uint8)) for number in learned]
+    phases = resolve(small.small.phases)()
+
+    def train(steps: int) -> None:
+        network = resolve(small.small.untrained)(small.configuration(), frames, 0)
+        out = setting.kept / f"timed-{MINIATURE}.safetensors"
+        recipe = replace(phases[0].recipe, steps=steps)
+        fit(phases[0].objective(network), store, learned, recipe, out, device=setting.device)
+        for left in (out.with_suffix(".progress.safetensors"), out.with_suffix(".log.jsonl")):
+            left.unlink(missing_ok=True)
+
+    few, many = (FEW_TINY, MANY_TINY) if setting.tiny else (FEW // 5, MANY // 5)
+    step_s, steps = _seconds_a_step(setting, train, few, many), sum(phase.recipe.steps for phase in phases)
+    return {"step_ms": 1e3 * step_s, "whole_s": step_s * steps, "steps": steps, "timed_steps": many - few}
+
+
+def _seconds_a_step(setting: Setting, train: Callable[[int], None], few: int, many: int) -> float:
+    spent = []
+    # The first run warms up; the second and third are compared.
+    for steps in (few, few, many):
+        begun = _clock(setting)
+        train(steps)
+        spent.append(_clock(setting) - begun)
+    return max(spent[2] - spent[1], 1e-9) / (many - few)
+
+
+def _clock(setting: Setting) -> float:
+    if setting.on_gpu:
+        torch.cuda.synchronize()
+        return time.perf_counter()
+    return time.process_time()
+
+
+def _prior(setting: Setting) -> Path:
+    return setting.kept / "prior.safetensors"
+
+
+def training_said(figures: dict[str, Any]) -> str:
+    """For people."""
+    whose = f", {figures['parameters']:,} parameters, batch {figures['batch']}" if "parameters" in figures else ""
+    return (
+        f"{figures['step_ms']:.1f} ms a step (of {figures['timed_steps']} steps){whose}; "
+        f"{figures['steps']:,} steps: {figures['whole_s'] / 60:.1f} min"
+    )
+
+
+def trained_said(figures: dict[str, Any]) -> str:
+    """For people."""
+    return f"{figures['step']:,} of {figures['of']:,} steps, loss {figures['loss']}, held out {figures['held_out']}"
+
+
+def training_pieces() -> tuple[Piece, ...]:
+    """All of them; the one that may take several calls last."""
+    return (
+        Piece("prior-speed", "a step of the published trajectory prior", prior_speed, training_said),
+        Piece(f"{MINIATURE}-speed", "a step of a miniature", miniature_speed, training_said),
+        Piece(
+            "prior-trained", "the published trajectory prior, to the end", prior_to_the_end, trained_said, prior_so_far
+        ),
+    )

@@ -1,0 +1,140 @@
+"""A day with a GPU, tried on a processor: pieces measure, are kept, skipped, ended, gone on with, and listed."""
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.gpu import PIECES, main
+from bench.gpu_day import networks, photorealistic, pieces, training
+from bench.gpu_day.pieces import Outcome, Piece, Setting, kept_outcome, kept_path, markdown, piece_named, run_piece
+from tests.generation.diffusion.training.test_loop import tracks as made_up_tracks
+
+TRIAL = ("--device", "cpu", "--tiny", "--folder")
+tracks = made_up_tracks
+
+
+def trial(folder: Path) -> Setting:
+    return Setting(folder, "cpu", tiny=True)
+
+
+def told(figures: dict[str, Any]) -> str:
+    return f"counted {figures['count']}"
+
+
+def count(setting: Setting) -> dict[str, Any]:
+    return {"count": 3}
+
+
+def breaks(setting: Setting) -> dict[str, Any]:
+    raise ValueError("no memory\nat all")
+
+
+def sleeps(setting: Setting) -> dict[str, Any]:
+    setting.kept.mkdir(parents=True, exist_ok=True)
+    (setting.kept / "begun").write_text("")
+    time.sleep(600)
+    return {}
+
+
+def so_far(setting: Setting) -> dict[str, Any]:
+    return {"step": 7, "of": 9}
+
+
+COUNT, BREAKS = Piece("count", "counts", count, told), Piece("breaks", "breaks", breaks, told)
+LONG = Piece("long", "takes long", sleeps, told, so_far)
+
+
+def test_pieces_are_run_once_and_what_failed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    two, setting = (COUNT, BREAKS), trial(tmp_path)
+    assert main([*TRIAL, str(tmp_path)], two) == 1
+    assert "count: counted 3" in (said := capsys.readouterr().out) and "breaks: failed: ValueError: no memory (" in said
+    kept = json.loads(kept_path(setting, COUNT).read_text())
+    assert kept["machine"].keys() >= {"card", "driver", "torch", "commit", "processor", "device", "tiny"}
+    before = kept_path(setting, COUNT).stat().st_mtime_ns
+    assert main([*TRIAL, str(tmp_path)], two) == 1
+    assert "count" not in capsys.readouterr().out.split() and kept_path(setting, COUNT).stat().st_mtime_ns == before
+    assert main([*TRIAL, str(tmp_path), "--list"], two) == 0
+    assert capsys.readouterr().out.splitlines()[0].endswith("done: counted 3, no GPU")
+    kept_path(setting, COUNT).write_text("{")
+    assert kept_outcome(setting, COUNT) is None
+    assert "| count | not run | | | |" in markdown(setting, two)
+
+
+def test_a_piece_that_takes_too_long_is_ended_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    setting = trial(tmp_path)
+    outcome = run_piece(setting, LONG, 0.5)
+    assert outcome.unfinished and not outcome.finished and outcome.figures == {"step": 7, "of": 9}
+    assert "unfinished: step 7, of 9" in markdown(setting, (LONG,))
+    whole = Piece("whole", "cannot be cut", sleeps, told)
+    assert run_piece(setting, whole, 0.5).failure == "ended after 0 s" and kept_outcome(setting, whole) is None
+    monkeypatch.setattr(pieces, "PIECE_LIMIT_S", 0.5)
+    run_piece(setting, whole, 0.5)
+    kept = kept_outcome(setting, whole)
+    assert kept is not None and not kept[0].finished
+
+
+def test_time_that_is_up_begins_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*TRIAL, str(tmp_path), "--minutes", "0"], (COUNT,)) == 1
+    assert capsys.readouterr().out == "1 pieces are left; run the same command again\n"
+
+
+def test_what_cannot_be_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*TRIAL, str(tmp_path), "--piece", "none"]) == 2
+    assert "there is no piece 'none'; they are diffusiondrive-agreement" in capsys.readouterr().err
+    assert main(["--folder", str(tmp_path), "--device", "cuda:77"]) == 2
+    assert "no GPU for device 'cuda:77'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_network_is_there_in_every_way() -> None:
+    names = {piece.name for piece in PIECES}
+    assert len(names) == len(PIECES) == 28
+    for network in ("uniad", "vad-base", "vad-tiny", "sparsedrive", "diffusiondrive"):
+        assert names >= {f"{network}-{way}" for way in ("agreement", "float32", "bfloat16", "compiled")}
+
+
+def test_a_network_is_timed_and_agrees_with_itself(tmp_path: Path) -> None:
+    setting = trial(tmp_path)
+    for name in ("vad-tiny-float32", "vad-tiny-bfloat16"):
+        piece = piece_named(PIECES, name)
+        figures = piece.work(setting)
+        assert figures["frames_per_s"] > 0 and "random weights" in piece.said(figures)
+    piece = piece_named(PIECES, "sparsedrive-agreement")
+    figures = piece.work(setting)
+    assert figures["plan_m"] == 0.0 and figures["frames"] == networks.COMPARED_FRAMES
+    assert "against the processor" in piece.said(figures)
+
+
+def test_the_photorealistic_network_is_timed(tmp_path: Path) -> None:
+    for piece in (piece for piece in photorealistic.photorealistic_pieces() if "compiled" not in piece.name):
+        figures = piece.work(trial(tmp_path))
+        assert figures["scene_s"] > 0 and figures["frames"] == 9 and "random weights" in piece.said(figures)
+
+
+def test_the_prior_is_timed_and_trained_to_the_end(tracks: Path, tmp_path: Path) -> None:
+    setting = Setting(tmp_path / "gpu", "cpu", tiny=True, tracks=tracks)
+    assert training.prior_so_far(setting)["step"] == 0
+    timed = training.prior_speed(setting)
+    assert timed["step_ms"] > 0 and timed["tracks"] == "given" and "ms a step" in training.training_said(timed)
+    done = training.prior_to_the_end(setting)
+    assert (done["step"], done["of"]) == (4, 4) and "4 of 4 steps" in training.trained_said(done)
+    assert sorted(path.name for path in setting.kept.iterdir()) == ["prior.log.jsonl", "prior.safetensors"]
+
+
+def test_a_miniature_is_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    figures = training.miniature_speed(trial(tmp_path))
+    assert figures["whole_s"] > 0 and figures["steps"] > 100
+
+
+def test_figures_that_are_no_json_are_a_failure(tmp_path: Path) -> None:
+    assert run_piece(trial(tmp_path), Piece("odd", "", not_a_number, told)) == Outcome(
+        failure="ValueError: Out of range float values are not JSON compliant", seconds=pytest.approx(0, abs=600)
+    )
+
+
+def not_a_number(setting: Setting) -> dict[str, Any]:
+    return {"count": float("nan")}
