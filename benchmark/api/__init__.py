@@ -91,6 +91,8 @@ OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""
 DEFAULT_IMAGE_SIZE = (448, 256)
 """Width and height of schematic images, pixels."""
+_TOWN_TAKES = {"keyframes": "half a minute", "all": "two minutes"}
+"""How long the embedded data set takes to build, for people."""
 
 
 def tell(sentence: str) -> None:
@@ -133,6 +135,7 @@ def open_data(
     workers: int = 0,
     out: Path = OUT,
     rates: "FaultList | None" = None,
+    sweeps: bool = False,
 ) -> "DataSet":
     """Open a data set; the embedded one is built into the user's cache the first time.
 
@@ -144,6 +147,8 @@ def open_data(
         out: Folder below which the small town of the demo lies.
         rates: For whoever judges nothing: gets scenes whose keyframes are not half a second apart, which are refused
             if it is not given.
+        sweeps: Whether the embedded data set, or the demo's town, is to have its images between samples too, for films
+            at 12 Hz; they are drawn when somebody asks for them, and no table changes by it.
 
     Returns:
         The data set.
@@ -153,17 +158,19 @@ def open_data(
     """
     from benchmark.datasets.roots import open_data as open_root
     from benchmark.machine.workspace import DEMONSTRATED, EMBEDDED, cache_root, is_finished
-
-    if str(data) == DEMONSTRATED:
-        return open_root(workspace(out).demonstrated("val"), name=DEMONSTRATED)
-    if str(data) != EMBEDDED:
-        return open_root(Path(data), version=tables, rates=rates)
     from generation.sources.mini import TownSettings, build_town
 
-    settings = TownSettings()
+    if str(data) == DEMONSTRATED:
+        town = open_root(workspace(out).demonstrated("val"), name=DEMONSTRATED)
+        if sweeps:
+            build_town(town.root, TownSettings(val_scenes=len(town.scene_names("val"))), workers=worker_count(workers))
+        return town
+    if str(data) != EMBEDDED:
+        return open_root(Path(data), version=tables, rates=rates)
+    settings = TownSettings(pictures="all" if sweeps else "keyframes")
     root = cache_root() / settings.folder_name(EMBEDDED)
     if not is_finished(root):
-        tell(f"building the embedded data set in {root} (once, about two minutes)")
+        tell(f"building the embedded data set in {root} (once, about {_TOWN_TAKES[settings.pictures]})")
     return open_root(build_town(root, settings, workers=worker_count(workers)), name=EMBEDDED)
 
 

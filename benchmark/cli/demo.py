@@ -37,7 +37,7 @@ def demo_command(
         raise typer.Exit(1 if stale else 0)
     api.worker_count(workers)
     require_place(out, "--out")
-    require_room(out, town_bytes(town_scenes), "the demo", "--out")
+    require_room(out, town_bytes(2 * town_scenes, frames="keyframes"), "the demo", "--out")
     if full:
         files = [str(path) for path in full_demo(out, to, workers=workers)]
         print_json({"files": files}) if json_output else typer.echo("\n".join(files))

@@ -49,9 +49,11 @@ def demo(
 
     space, processes = api.workspace(out), api.worker_count(workers)
     say(f"1/4 building {counted(town_scenes, 'scene')} of the embedded town")
-    town = build_town(out / "data" / "demo" / "val", TownSettings(val_scenes=town_scenes), workers=processes)
+    # Planners, tables and the site look at samples; what lies between them is drawn when somebody asks for it.
+    settings = TownSettings(val_scenes=town_scenes, pictures="keyframes")
+    town = build_town(out / "data" / "demo" / "val", settings, workers=processes)
     source = open_root(town, name="demo")
-    settings = BuildSettings(
+    search = BuildSettings(
         out=space.split_root("demo", "adv"),
         timings=space.timings_of(space.split_root("demo", "adv")),
         # The default keeps scenes of two of these four recordings alone, whose ego hardly reacts to anybody.
@@ -63,7 +65,7 @@ def demo(
         keep_rounds=True,
     )
     say("2/4 generating adversarial scenes")
-    report = build_split(source, "adv", settings)
+    report = build_split(source, "adv", search)
     say(report.summary())
     say("3/4 evaluating planners on val and adv")
     records = []

@@ -378,7 +378,8 @@ def quality_command(
     from leaderboard.tables.quality import quality_tables
 
     settings = QualitySettings(definition, weights_folder, device, name_list(scenes), limit, workers)
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    between = frames is Frames.ALL and split == "val" and not dry_run
+    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between)
     dataset = api.open_split(source, split, out, workers=workers)
     if dry_run:
         say_plan([plan_of(dataset, split, settings)], json_output=json_output)

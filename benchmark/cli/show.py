@@ -75,7 +75,9 @@ def sheets_command(
     if dry_run and ahead.builds:
         say_plan(ahead.plan(f"write sheets of {ahead.counted()} of {split}"), json_output=json_output)
         return
-    source, root = api.open_data(data, tables=tables, workers=workers, out=out), api.workspace(out).sheet_root()
+    between = pictures is SheetPictures.ALL and split == "val" and not dry_run
+    source = api.open_data(data, tables=tables, workers=workers, out=out, sweeps=between)
+    root = api.workspace(out).sheet_root()
     dataset = api.open_split(source, split, out, workers=workers)
     if dry_run:
         say_plan([plan_of(dataset, split, root, settings)], json_output=json_output)

@@ -59,6 +59,8 @@ class DataSetPlan:
             original scene names, which official model code accepts unpatched.
         renderer: Draws the camera images; ``None`` for a data set without cameras.
         frames: Which frames get rows and files: all 12 Hz frames or the 2 Hz keyframes.
+        pictures: Which of these frames get camera images now. ``keyframes`` leaves out files that the rows name, which
+            the same plan with ``all`` adds later: tables, tokens and keys are the same with and without them.
         jpeg_quality: 1..100.
         lossless: Beside each JPEG file a PNG file of the same name, which no table names.
         source: What the data set derives from, or ``None``.
@@ -76,6 +78,7 @@ class DataSetPlan:
     layout: Literal["suffixed", "per-variant"] = "suffixed"
     renderer: Renderer | None = None
     frames: Literal["all", "keyframes"] = "all"
+    pictures: Literal["all", "keyframes"] = "all"
     jpeg_quality: int = 92
     lossless: bool = False
     source: SourceInfo | None = None

@@ -22,6 +22,8 @@ from generation.nuscenes_writer.vocabulary import Vocabulary
 from generation.render.contract import CuttingRenderer, Images, SweepRenderer
 
 FRAGMENT_SCHEMA = 1
+UNDRAWN = "undrawn"
+"""Stands in the fragment of a scene whose images between samples are not drawn yet."""
 
 
 class WrittenScene(NamedTuple):
@@ -108,9 +110,13 @@ def written_scene(
         sensor_files += [_lossless(path) for path in sensor_files if path.endswith(".jpg")]
     claim_files(plan, key, variant, name, [*sensor_files, *messages])
     root = plan.data_root(variant)
+    there = _pictures_there(plan, key, variant, name)
     for path, data in messages.items():
         write_bytes(root / path, data, durable=False)
-    _write_sensor_files(plan, root, names, scene, channels, frames)
+    _write_lidar_files(root, names, scene, channels, frames)
+    _write_images(plan, root, names, scene, channels, frames, there)
+    if plan.pictures == "keyframes":
+        sensor_files = [path for path in sensor_files if not _is_sweep_image(path)]
     fragment = {
         "schema": FRAGMENT_SCHEMA,
         "key": key,
@@ -123,6 +129,7 @@ def written_scene(
         "instances": [row["token"] for row in tables["instance"]],
         "files": {path: (root / path).stat().st_size for path in sorted([*sensor_files, *messages])},
         "renderer": _renderer_row(plan, cameras),
+        **({UNDRAWN: True} if plan.pictures == "keyframes" else {}),
         "tables": {table: ",\n".join(map(canonical_json, rows)) for table, rows in tables.items()},
     }
     write_json(plan.fragment_path(key), fragment, indent=None)
@@ -131,12 +138,35 @@ def written_scene(
 
 def is_complete(plan: DataSetPlan, key: str, *, variant: int, name: str) -> bool:
     """Whether a scene's fragment, claim and files are all there, the files in the size they were written."""
+    fragment = _claimed_fragment(plan, key, variant=variant, name=name)
+    if fragment is None or (UNDRAWN in fragment and plan.pictures == "all"):
+        return False
+    return len(_whole_files(plan.data_root(variant), fragment)) == len(fragment["files"])
+
+
+def _claimed_fragment(plan: DataSetPlan, key: str, *, variant: int, name: str) -> dict[str, Any] | None:
     claim, fragment = read_state(plan.claim_path(variant, name)), read_state(plan.fragment_path(key))
     if claim is None or fragment is None or claim["key"] != key or fragment["key"] != key:
-        return False
-    root = plan.data_root(variant)
-    sizes = fragment["files"]
-    return all((root / path).is_file() and (root / path).stat().st_size == size for path, size in sizes.items())
+        return None
+    return fragment
+
+
+def _whole_files(root: Path, fragment: dict[str, Any]) -> frozenset[str]:
+    """Which files of a fragment are there, in the size they were written."""
+    sizes = fragment["files"].items()
+    return frozenset(path for path, size in sizes if (root / path).is_file() and (root / path).stat().st_size == size)
+
+
+def _pictures_there(plan: DataSetPlan, key: str, variant: int, name: str) -> frozenset[str]:
+    """Images of a scene whose other images are drawn later, as far as they are there already."""
+    fragment = _claimed_fragment(plan, key, variant=variant, name=name)
+    if fragment is None or UNDRAWN not in fragment:
+        return frozenset()
+    return frozenset(path for path in _whole_files(plan.data_root(variant), fragment) if not path.endswith(".bin"))
+
+
+def _is_sweep_image(path: str) -> bool:
+    return path.startswith("sweeps/") and path.endswith((".jpg", ".png"))
 
 
 def read_state(path: Path) -> dict[str, Any] | None:
@@ -231,31 +261,35 @@ def _store_map(plan: DataSetPlan, road_map: RoadMap) -> str:
     return key
 
 
-def _write_sensor_files(
-    plan: DataSetPlan,
-    root: Path,
-    names: SceneNames,
-    scene: Scene,
-    channels: Sequence[Channel],
-    frames: Sequence[int],
+def _file_of(names: SceneNames, scene: Scene, channel: Channel, frame: int) -> str:
+    """Path of a sensor file below the data root."""
+    timestamp, is_keyframe = int(scene.timestamps_us[frame]), bool((scene.keyframes == frame).any())
+    return names.file(channel.name, timestamp, is_keyframe=is_keyframe, extension=channel.extension)
+
+
+def _write_lidar_files(
+    root: Path, names: SceneNames, scene: Scene, channels: Sequence[Channel], frames: Sequence[int]
 ) -> None:
-    keyframes = set(scene.keyframes.tolist())
-
-    def path_of(channel: Channel, frame: int) -> Path:
-        timestamp = int(scene.timestamps_us[frame])
-        return root / names.file(channel.name, timestamp, is_keyframe=frame in keyframes, extension=channel.extension)
-
     lidar = next(channel for channel in channels if channel.name == LIDAR_NAME)
     for frame in frames:
-        write_bytes(path_of(lidar, frame), b"", durable=False)
+        write_bytes(root / _file_of(names, scene, lidar, frame), b"", durable=False)
+
+
+def _write_images(
+    plan: DataSetPlan, root: Path, names: SceneNames, scene: Scene, channels: Sequence[Channel], frames: Sequence[int],
+    there: frozenset[str],
+) -> None:  # fmt: skip
+    """Draw and write the images that a plan wants of a scene and that are not there."""
     cameras = [channel for channel in channels if channel.camera is not None]
     if plan.renderer is None or not cameras:
         return
-    drawn = plan.renderer.render(scene, list(frames))
-    told = progress(drawn, total=len(frames), label=scene.name, count=Count("frame"))
-    for frame, images in zip(frames, told, strict=True):
+    wanted = frames if plan.pictures == "all" else scene.keyframes.tolist()
+    open_frames = [frame for frame in wanted if any(_file_of(names, scene, one, frame) not in there for one in cameras)]
+    drawn = plan.renderer.render(scene, open_frames)
+    told = progress(drawn, total=len(open_frames), label=scene.name, count=Count("frame"))
+    for frame, images in zip(open_frames, told, strict=True):
         for channel in cameras:
-            path, image = path_of(channel, frame), _checked(channel, images)
+            path, image = root / _file_of(names, scene, channel, frame), _checked(channel, images)
             if plan.lossless:
                 write_bytes(path.with_name(_lossless(path.name)), _encoded(image, ".png", []), durable=False)
             write_bytes(path, jpeg_bytes(image, plan.jpeg_quality), durable=False)

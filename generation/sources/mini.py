@@ -35,6 +35,8 @@ class TownSettings:
         frames: Which frames get images: all 12 Hz frames or the 2 Hz keyframes.
         images: Whether there are cameras at all; without them a thousand scenes are written in minutes.
         off_path: Whether the ego of training scenes gets off its path and comes back.
+        pictures: Which of these frames are drawn now; the same settings with ``all`` draw what is left, and no table
+            changes by it.
     """
 
     val_scenes: int = DEFAULT_VAL_SCENES
@@ -45,6 +47,7 @@ class TownSettings:
     frames: Literal["all", "keyframes"] = "all"
     images: bool = True
     off_path: bool = False
+    pictures: Literal["all", "keyframes"] = "all"
 
     def drawn_name(self, name: str) -> str:
         """A name for what happens in the scenes and how they look: all that a measured number depends on."""
@@ -56,6 +59,8 @@ class TownSettings:
 
     def _drawn(self) -> tuple[object, ...]:
         settings = asdict(self)
+        # Nothing is measured on images that wait to be drawn, and the folder stays the same when they are.
+        del settings["pictures"]
         if not self.off_path:
             # A town of before is still the same town.
             del settings["off_path"]
@@ -83,13 +88,15 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     # How many there can be is asked before a billion of them are listed.
     town_scene_names("val", settings.val_scenes)
     train = list(town_scene_names("train", settings.train_scenes))
-    note, made_of = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
-    if is_finished(root) and read_kept_json(note) == made_of:
+    note, whole = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
+    made_of = whole if settings.pictures == "all" else {**whole, "pictures": settings.pictures}
+    if is_finished(root) and read_kept_json(note) in (made_of, whole):
         return root
     renderer = SchematicRenderer(settings.width, settings.height) if settings.images else None
     plan = DataSetPlan(
-        root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames, source=None
-    )
+        root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames,
+        pictures=settings.pictures, source=None,
+    )  # fmt: skip
     work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
     work += [("train", index) for index in range(settings.train_scenes)]
     job = partial(_write_one, plan, settings.seed, settings.off_path)

@@ -171,10 +171,10 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
     root, recorded = cache_root() / settings.folder_name(EMBEDDED), town_scene_names("val", settings.val_scenes)
     builds = []
     if not is_finished(root):
-        needed = town_bytes(settings.val_scenes)
+        needed = town_bytes(settings.val_scenes, frames="keyframes")
         require_place(root, "CHALLENGER_BENCH_CACHE")
         require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
-        builds.append(f"the embedded data set in {root} (once, about two minutes, {gigabytes(needed)})")
+        builds.append(f"the embedded data set in {root} (once, about half a minute, {gigabytes(needed)})")
     if split == "val":
         return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
     if is_finished(made):

@@ -24,6 +24,14 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
     """Note sensor files and maps that are missing, broken, or of another size."""
     folders = _Folders(root)
     owners: dict[str, str] = {}
+    undrawn = _without_sweep_images(folders, tables)
+    if undrawn:
+        sentence = (
+            f"{undrawn[0]['filename']} is missing, and so is every other image between samples; films then play at 2 Hz "
+            "(of mini and demo, sheets --pictures all draws them)"
+        )
+        faults.add("no images between samples", "sample_data", undrawn[0]["token"], sentence, severity="warning")
+    left_out = {row["token"] for row in undrawn}
     for row in tables.having("sample_data", "filename", "width", "height"):
         name = row["filename"]
         if name in owners:
@@ -31,6 +39,8 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
             faults.add("files of two rows", "sample_data", row["token"], sentence, severity="warning")
         owners[name] = row["token"]
         size = folders.size(name)
+        if size is None and row["token"] in left_out:
+            continue
         if size is None:
             faults.add("missing files", "sample_data", row["token"], f"{name} is missing")
             continue
@@ -51,6 +61,16 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
             CanBus.read(root, scene["name"])
         except InputError as error:
             faults.add("broken CAN bus files", "can_bus", scene["token"], str(error))
+
+
+def _without_sweep_images(folders: "_Folders", tables: CheckedTables) -> list[Row]:
+    """Rows of all images between samples, if not one of them is there: whoever keeps samples alone leaves them out."""
+    rows = [
+        row
+        for row in tables.having("sample_data", "filename", "is_key_frame")
+        if row["is_key_frame"] is False and row["filename"].endswith((".jpg", ".jpeg", ".png"))
+    ]
+    return [] if any(folders.size(row["filename"]) is not None for row in rows) else rows
 
 
 class _Folders:

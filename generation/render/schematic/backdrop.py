@@ -47,6 +47,7 @@ class Backdrop:
     Attributes:
         sky: (h, w, 3) sky; the haze colour below the horizon.
         fade: (h, w) share of haze over the ground; 1 at and above the horizon.
+        clear: (h, w) what haze leaves of it.
         light: (h, w, 3) light on the ground, 255 for white.
         bands: Rows that show ground, from the horizon down.
         hazy_until: First row from which haze is invisible.
@@ -54,6 +55,7 @@ class Backdrop:
 
     sky: NDArray[np.uint8]
     fade: NDArray[np.float32]
+    clear: NDArray[np.float32]
     light: NDArray[np.uint8] | None
     bands: tuple[Band, ...]
     hazy_until: int
@@ -77,7 +79,7 @@ class Backdrop:
         below = slope < -_HORIZON_SLOPE
         light = _ground_light(view, air, height, ego_yaw, ego_xy)
         bands, hazy_until = _bands(height, below, z[:, z.shape[1] // 2], fade)
-        return cls(sky, fade, light, bands, hazy_until)
+        return cls(sky, fade, np.asarray(1.0 - fade, np.float32), light, bands, hazy_until)
 
     def draw(self, view: View, plans: tuple[PlanView, PlanView, PlanView], skyline: "Skyline") -> NDArray[np.uint8]:
         """Picture of everything that does not stand on the ground.
@@ -96,15 +98,17 @@ class Backdrop:
             return image
         first = self.bands[0].first
         ground = np.empty_like(image[first:])
+        from_ground = np.linalg.inv(view.ground_to_pixel())
+        to_plans = [np.vstack([plan.world_to_pixel, [0.0, 0.0, 1.0]]) @ from_ground for plan in plans]
         for band in self.bands:
-            ground[band.first - first : band.last - first] = _seen_through(view, plans[band.plan], band)
+            rows = ground[band.first - first : band.last - first]
+            _look_through(rows, plans[band.plan].pixels, to_plans[band.plan], band)
         if self.light is not None:
             cv2.multiply(ground, self.light[first:], dst=ground, scale=1.0 / 255.0)
         hazy = slice(first, self.hazy_until)
         share = self.fade[hazy]
         if len(share):
-            near = np.asarray(1.0 - share, np.float32)
-            image[hazy] = cv2.blendLinear(ground[: len(share)], image[hazy], near, share)
+            cv2.blendLinear(ground[: len(share)], image[hazy], self.clear[hazy], share, dst=image[hazy])
         image[self.hazy_until :] = ground[len(share) :]
         return image
 
@@ -161,25 +165,24 @@ def _bands(
     return tuple(bands), int(max(visible[-1] + 1 if len(visible) else first, first))
 
 
-def _seen_through(view: View, plan: PlanView, band: Band) -> NDArray[np.uint8]:
-    """The ground in some rows of a view."""
-    affine = np.vstack([plan.world_to_pixel, [0.0, 0.0, 1.0]])
-    image_to_plan = affine @ np.linalg.inv(view.ground_to_pixel())
+def _look_through(seen: NDArray[np.uint8], plan: NDArray[np.uint8], image_to_plan: Floats, band: Band) -> None:
+    """Fill some rows of a view, (h, w, 3), with the ground of a plan view."""
     # Row r of the finer image looks through row (r + 0.5) / samples - 0.5 of the band.
     rows = np.array(
         [[1.0, 0.0, 0.0], [0.0, 1.0 / band.samples, 0.5 / band.samples - 0.5 + band.first], [0.0, 0.0, 1.0]]
     )
-    size = (view.camera.width, (band.last - band.first) * band.samples)
-    warped = cv2.warpPerspective(
-        plan.pixels,
+    height, width = seen.shape[:2]
+    finer = seen if band.samples == 1 else np.empty((height * band.samples, width, 3), dtype=np.uint8)
+    cv2.warpPerspective(
+        plan,
         image_to_plan @ rows,
-        size,
+        (width, len(finer)),
+        dst=finer,
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    if band.samples > 1:
-        warped = cv2.resize(warped, (size[0], band.last - band.first), interpolation=cv2.INTER_AREA)
-    return np.asarray(warped, dtype=np.uint8)
+    if finer is not seen:
+        cv2.resize(finer, (width, height), dst=seen, interpolation=cv2.INTER_AREA)
 
 
 @dataclass(frozen=True, slots=True)

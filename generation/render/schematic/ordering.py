@@ -6,6 +6,9 @@ import numpy as np
 
 from benchmark.geometry import Bools, Floats, wrap_angle
 
+_NEXT = (1, 2, 3, 0)
+"""Of each corner the one that follows."""
+
 
 def drawing_order(footprints: Floats, eye: Floats) -> list[int]:
     """Order upright convex solids so that each is drawn after everything that it can hide.
@@ -22,7 +25,8 @@ def drawing_order(footprints: Floats, eye: Floats) -> list[int]:
         N indices, the first to be drawn first.
     """
     behind = _is_behind(np.asarray(footprints, np.float64) - np.asarray(eye, np.float64))
-    farthest = np.hypot(*np.moveaxis(footprints - eye, -1, 0)).max(axis=1, initial=0.0)
+    offset = footprints - eye
+    farthest = np.hypot(offset[..., 0], offset[..., 1]).max(axis=1, initial=0.0)
     return _topological(behind, farthest)
 
 
@@ -51,7 +55,7 @@ def _is_behind(corners: Floats) -> Bools:
 
 def _distances(corners: Floats) -> tuple[Floats, Floats]:
     """Nearest and farthest distance of each footprint from the eye; zero where the eye is inside."""
-    side = np.roll(corners, -1, axis=1) - corners
+    side = corners[:, _NEXT] - corners
     length_sq = np.maximum((side**2).sum(axis=-1), 1e-12)
     share = np.clip(-(corners * side).sum(axis=-1) / length_sq, 0.0, 1.0)
     foot = corners + share[..., None] * side
@@ -66,7 +70,7 @@ def _first_is_behind(first: Floats, second: Floats) -> Bools:
     verdict = np.asarray(centre_distance[0] > centre_distance[1])
     best = np.full(len(first), -1e-3)
     for own, other, own_is_first in ((first, second, True), (second, first, False)):
-        side = np.roll(own, -1, axis=1) - own
+        side = own[:, _NEXT] - own
         normal = np.stack([side[..., 1], -side[..., 0]], axis=-1)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
         offset = (normal * own).sum(axis=-1)

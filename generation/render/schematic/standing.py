@@ -1,5 +1,7 @@
 """Drawing what stands on the ground: shadows, then solids from far to near."""
 
+import functools
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +33,14 @@ def draw_standing(image: NDArray[np.uint8], view: View, facets: Facets, colours:
     rank[order] = np.arange(len(order))
     depth = np.maximum((facets.centre - view.eye) @ view.rotation[2], 1.0)
     apparent_px = view.camera.intrinsic[1, 1] * facets.height / depth
-    towards = ((view.eye - facets.quads[:, 0]) * facets.normal).sum(axis=-1) > 0.0
-    detailed = apparent_px[facets.solid] * (256.0 / max(view.camera.height, 256)) >= facets.detail_px
-    drawn = np.flatnonzero((rank[facets.solid] >= 0) & towards & detailed)
+    apparent_px *= 256.0 / max(view.camera.height, 256)
+    drawn = np.flatnonzero((rank >= 0)[facets.solid])
+    drawn = drawn[apparent_px[facets.solid[drawn]] >= facets.detail_px[drawn]]
+    drawn = drawn[((view.eye - facets.quads[drawn, 0]) * facets.normal[drawn]).sum(axis=-1) > 0.0]
+    solid = facets.solid[drawn]
     eye_is_ahead = (facets.split[:, :2] @ view.eye[:2]) > facets.split[:, 2]
-    in_front = facets.ahead[drawn] == eye_is_ahead[facets.solid[drawn]]
-    key = (rank[facets.solid[drawn]] * 2 + in_front) * _PART_STEP + facets.layer[drawn]
+    in_front = facets.ahead[drawn] == eye_is_ahead[solid]
+    key = (rank[solid] * 2 + in_front) * _PART_STEP + facets.layer[drawn]
     drawn = drawn[np.lexsort((facets.batch[drawn], key))]
     _fill(image, view, facets, colours, drawn)
 
@@ -54,19 +58,32 @@ def draw_shadows(image: NDArray[np.uint8], view: View, footprints: Floats, air: 
         return
     centre = footprints.mean(axis=1, keepdims=True)
     lean = -0.35 * np.array(air.sun[:2]) / max(air.sun[2], 0.3)
-    mask: NDArray[np.uint8] | None = None
-    for grow, offset, share in ((1.10, 1.0, 0.45), (1.0, 0.4, 1.0)):
-        outline = centre + (footprints - centre) * grow + lean * offset
-        ground = np.concatenate([outline, np.full((*outline.shape[:2], 1), view.ground_z)], axis=-1)
-        in_camera = view.to_camera(ground)
-        for pixels in _on_image(view, in_camera)[1]:
-            if mask is None:
-                mask = np.full(image.shape[:2], 255, dtype=np.uint8)
-            cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, SHIFT)
-    if mask is not None:
-        size = max(3, image.shape[0] // 64 | 1)
-        soft = cv2.blur(mask, (size, size))
-        cv2.multiply(image, cv2.merge([soft, soft, soft]), dst=image, scale=1.0 / 255.0)
+    # Wide and light ones first, narrow and dark ones over them.
+    parts = [centre + (footprints - centre) * grow + lean * offset for grow, offset in ((1.10, 1.0), (1.0, 0.4))]
+    outline = np.concatenate(parts)
+    ground = np.concatenate([outline, np.full((*outline.shape[:2], 1), view.ground_z)], axis=-1)
+    kept, polygons = _on_image(view, view.to_camera(ground))
+    if not len(kept):
+        return
+    mask = np.full(image.shape[:2], 255, dtype=np.uint8)
+    for index, pixels in zip(kept.tolist(), polygons):
+        share = 0.45 if index < len(footprints) else 1.0
+        cv2.fillConvexPoly(mask, pixels, (255 * (1 - share * air.shadow),), cv2.LINE_AA, SHIFT)
+    size = max(3, image.shape[0] // 64 | 1)
+    part = _around(polygons, size + 2, image.shape)
+    if not image[part].size:
+        return
+    soft = cv2.blur(mask[part], (size, size))
+    image[part] = cv2.multiply(image[part], cv2.merge([soft, soft, soft]), scale=1.0 / 255.0)
+
+
+def _around(polygons: list[NDArray[np.int32]], margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of an image that polygons in fixed point lie in, with a margin in pixels."""
+    points = np.concatenate(polygons) >> SHIFT
+    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    rows = slice(max(top - margin, 0), max(min(bottom + margin + 1, shape[0]), 0))
+    columns = slice(max(left - margin, 0), max(min(right + margin + 1, shape[1]), 0))
+    return rows, columns
 
 
 def _solids_in_view(view: View, facets: Facets) -> NDArray[np.int64]:
@@ -74,13 +91,18 @@ def _solids_in_view(view: View, facets: Facets) -> NDArray[np.int64]:
     if not len(facets.footprint):
         return np.zeros(0, dtype=np.int64)
     in_camera = view.to_camera(facets.centre)
-    width, height = view.camera.width, view.camera.height
-    corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=np.float64)
-    rays = corners @ np.linalg.inv(view.camera.intrinsic).T
-    sides = np.cross(rays, np.roll(rays, -1, axis=0))
-    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    sides = _pyramid(view.camera.width, view.camera.height, view.camera.intrinsic.tobytes())
     inside = (in_camera @ sides.T > -facets.radius[:, None]).all(axis=1) & (in_camera[:, 2] > NEAR_M - facets.radius)
     return np.flatnonzero(inside)
+
+
+@functools.lru_cache(maxsize=64)
+def _pyramid(width: int, height: int, intrinsic: bytes) -> Floats:
+    """(4, 3) inward normals of the sides of what a camera sees, in camera axes."""
+    corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=np.float64)
+    rays = corners @ np.linalg.inv(np.frombuffer(intrinsic, np.float64).reshape(3, 3)).T
+    sides = np.cross(rays, np.roll(rays, -1, axis=0))
+    return np.asarray(sides / np.linalg.norm(sides, axis=1, keepdims=True))
 
 
 def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[NDArray[np.int32]]]:
@@ -89,7 +111,7 @@ def _on_image(view: View, in_camera: Floats) -> tuple[NDArray[np.int64], list[ND
     ahead = depth > NEAR_M
     corners_ahead = ahead.sum(axis=1)
     cut = (corners_ahead > 0) & (corners_ahead < 4)
-    homogeneous = in_camera @ view.camera.intrinsic.T
+    homogeneous = (in_camera.reshape(-1, 3) @ view.camera.intrinsic.T).reshape(in_camera.shape)
     pixels = homogeneous[..., :2] / np.where(ahead, depth, 1.0)[..., None]
     x, y = pixels[..., 0], pixels[..., 1]
     outside = (x < -1).all(axis=1) | (y < -1).all(axis=1)

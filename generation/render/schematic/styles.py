@@ -164,15 +164,16 @@ def developed(image: NDArray[np.uint8], pipeline: Pipeline, seed: int) -> NDArra
     """
     height, width = image.shape[:2]
     curve, deviation = _tables(pipeline)
-    light = np.asarray(cv2.LUT(cv2.GaussianBlur(image, (0, 0), pipeline.blur * width), curve), np.float32)
-    light *= _falloff(height, width, pipeline.vignette)
-    # The noise of a sensor follows what falls on it: a table by the grey level.
-    spread = cv2.LUT(np.clip(light, 0.0, 255.0).astype(np.uint8), deviation)
-    light += spread * _noise(height, width, seed)
-    exposed = np.clip(np.rint(light), 0.0, 255.0).astype(np.uint8)
+    light = cv2.LUT(cv2.GaussianBlur(image, (0, 0), pipeline.blur * width), curve)
+    light = cv2.multiply(light, _falloff(height, width, pipeline.vignette), dst=light)
+    # The noise of a sensor follows what falls on it: a table by the grey level. Light is never below nothing.
+    spread = cv2.LUT(np.minimum(light, 255.0).astype(np.uint8), deviation)
+    spread = cv2.multiply(spread, _noise(height, width, seed), dst=spread)
+    # The sum is rounded to even and cut to 0..255 on its way into bytes.
+    exposed = cv2.add(light, spread, dtype=cv2.CV_8U)
     options = [cv2.IMWRITE_JPEG_QUALITY, pipeline.jpeg_quality]
-    _, stored = cv2.imencode(".jpg", np.ascontiguousarray(exposed[..., ::-1]), options)
-    return np.ascontiguousarray(cv2.imdecode(stored, cv2.IMREAD_COLOR)[..., ::-1]).astype(np.uint8, copy=False)
+    _, stored = cv2.imencode(".jpg", cv2.cvtColor(exposed, cv2.COLOR_RGB2BGR), options)
+    return np.asarray(cv2.cvtColor(cv2.imdecode(stored, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 @functools.lru_cache(maxsize=4)
@@ -186,24 +187,24 @@ def _tables(pipeline: Pipeline) -> tuple[NDArray[np.float32], NDArray[np.float32
 
 @functools.lru_cache(maxsize=8)
 def _falloff(height: int, width: int, lost: float) -> NDArray[np.float32]:
-    """(H, W, 1) share of the light that arrives."""
+    """(H, W, 3) share of the light that arrives, the same in every channel."""
     y, x = np.mgrid[:height, :width]
     radius = np.hypot((2 * x + 1 - width) / width, (2 * y + 1 - height) / height) / np.sqrt(2.0)
-    return np.asarray((1.0 - lost * radius**3)[..., None], np.float32)
+    return np.repeat((1.0 - lost * radius**3)[..., None].astype(np.float32), 3, axis=-1)
 
 
 def _noise(height: int, width: int, seed: int) -> NDArray[np.float32]:
-    """(H, W, 3) normal noise: a fixed tile, laid from another corner each time."""
-    tile = _noise_tile()
-    down, right = np.random.default_rng(seed).integers(0, _NOISE_TILE, 2)
-    rows, columns = (np.arange(height) + down) % _NOISE_TILE, (np.arange(width) + right) % _NOISE_TILE
-    return np.asarray(tile[rows[:, None], columns])
+    """(H, W, 3) normal noise: a fixed tile, laid from another corner each time; to be read, not to be written."""
+    down, right = np.random.default_rng(seed).integers(0, _NOISE_TILE, 2).tolist()
+    return _tiled_noise(height, width)[down : down + height, right : right + width]
 
 
-@functools.lru_cache(maxsize=1)
-def _noise_tile() -> NDArray[np.float32]:
+@functools.lru_cache(maxsize=2)
+def _tiled_noise(height: int, width: int) -> NDArray[np.float32]:
+    """The tile side by side, so that a picture can be cut out from every corner of the first."""
     random = np.random.default_rng(content_seed("sensor noise"))
-    return random.standard_normal((_NOISE_TILE, _NOISE_TILE, 3), dtype=np.float32)
+    tile = random.standard_normal((_NOISE_TILE, _NOISE_TILE, 3), dtype=np.float32)
+    return np.pad(tile, ((0, height), (0, width), (0, 0)), mode="wrap")
 
 
 def grain_tile(count: int, resolution_m: float, style: Style) -> NDArray[np.uint8]:

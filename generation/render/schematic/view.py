@@ -1,5 +1,6 @@
 """One camera at one moment: projection, the ground seen by each pixel, and clipping at the near plane."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +37,9 @@ class View:
             ego_position: (3,) global, metres.
             ego_rotation: (4,) quaternion, global.
         """
-        body = rotation_matrix(ego_rotation)
+        body, mount = _turn(ego_rotation.tobytes()), _turn(camera.rotation.tobytes())
         eye = body @ camera.translation + ego_position
-        return cls(camera, eye, (body @ rotation_matrix(camera.rotation)).T, float(ego_position[2]))
+        return cls(camera, eye, (body @ mount).T, float(ego_position[2]))
 
     def to_camera(self, points: Floats) -> Floats:
         """Global points in camera axes.
@@ -49,7 +50,9 @@ class View:
         Returns:
             (..., 3) metres; the last component is the depth.
         """
-        return np.asarray((points - self.eye) @ self.rotation.T)
+        # One product of all points: a stack of small ones takes four times as long and gives the same.
+        offset = (points - self.eye).reshape(-1, 3)
+        return np.asarray(offset @ self.rotation.T).reshape(np.shape(points))
 
     def to_pixels(self, in_camera: Floats) -> Floats:
         """Pinhole projection.
@@ -87,6 +90,14 @@ class View:
         columns = np.arange(0, self.camera.width, step, dtype=np.float32)
         rows = np.arange(0, self.camera.height, step, dtype=np.float32)[:, None]
         return np.stack([axis[0] * columns + (axis[1] * rows + axis[2]) for axis in turn])
+
+
+@functools.lru_cache(maxsize=64)
+def _turn(quaternion: bytes) -> Floats:
+    """Rotation matrix of a quaternion's bytes: six cameras share the ego's, and all frames each camera's own."""
+    matrix = rotation_matrix(np.frombuffer(quaternion, np.float64))
+    matrix.flags.writeable = False
+    return matrix
 
 
 def clip_near(polygon: Floats, near_m: float = NEAR_M) -> Floats:
