@@ -117,7 +117,6 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
                 "failure": None if row.failure is None else row.failure.reason,
                 "everybody": one.everybody,
                 "adversary": _adversary_is_shown(one, sheets),
-                and driven_adversary(sheets.scenes[one.scene].sheet, row) is not None,
             }
         )
     return found
