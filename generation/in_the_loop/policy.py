@@ -23,7 +23,7 @@ from benchmark.scene import Scene
 from generation.in_the_loop.against import PlanningAgainst, ego_speed
 from generation.in_the_loop.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
 from generation.in_the_loop.answering import Answering, with_expected_others
-from generation.in_the_loop.careful import CarefulAhead
+from generation.in_the_loop.careful import CarefulAhead, careful_ahead
 from generation.in_the_loop.considered import considered_frame
 from generation.in_the_loop.expecting import Seen, expected_ego
 from generation.in_the_loop.settings import LONGEST_FRAMES, AdversarySettings, Knows
@@ -238,7 +238,7 @@ class Adversary:
     ) -> _Chosen:
         """What was chosen, or the brakes where a careful human does not survive it but survives them."""
         size = self.scene.agents.size[self.agent, :2]
-        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame))
+        careful = careful_ahead(scene, self.agent, frame, ego_speed(scene, frame))
         now = memory.track[-1:]
 
         def hits(poses: Floats) -> bool:
