@@ -1,8 +1,7 @@
 """Encounters of a record of drives as strips from above, to be looked at: one picture a drive.
 
     challenger-bench drive --agents adversary --split adv --model constant-velocity-on-path --no-baselines --out out
-    python bench/encounters_from_above.py --data mini --split adv --record out/drives/mini/adv/.../constant-velocity-on-path \
-        --to strips
+    python bench/encounters_from_above.py --record out/drives/mini/adv/WORLD/constant-velocity-on-path --to strips
 
 Each strip has nine moments, evenly spread from the hand-over to the end of the drive: the adversary is orange, the ego
 green, thick lines are the next 3 s, the pale dashes are the recorded path, and what the adversary considered is there
@@ -29,7 +28,7 @@ from benchmark.drawing.driven import DrivenSheet
 from benchmark.drawing.lettering import Picture
 from benchmark.drawing.palette import planner_style
 from benchmark.machine.storage import file_name, write_bytes
-from benchmark.records.drive_schema import AdversaryRow
+from benchmark.records.drive_schema import AdversaryRow, DriveRow
 from benchmark.records.drives import load_drives
 from benchmark.runs.drive_sheets import driven_sheet
 from benchmark.scene import Scene
@@ -59,6 +58,15 @@ def strip(driven: DrivenSheet, name: str) -> Picture:
     return np.concatenate(rows)
 
 
+def said(row: DriveRow) -> str:
+    """What came of a drive."""
+    contact = row.contact
+    whom = "" if contact is None else " with the adversary" if contact.adversary else " with another"
+    ended = "no contact" if contact is None else f"{contact.kind} contact{whom} after {contact.seconds:.1f} s"
+    fault = ", at fault" if contact is not None and contact.at_fault else ""
+    return f"{ended}{fault}, a careful human {'survives' if row.fair else 'does not survive'}"
+
+
 def off_road(scene: Scene, adversary: AdversaryRow) -> int:
     """How many poses of an adversary have their centre off the drivable area."""
     poses = np.array(adversary.poses).reshape(-1, 3)
@@ -81,26 +89,14 @@ def main() -> None:
             continue
         scene = data.scene(row.scene)
         counts.append((off_road(scene, row.adversary), len(row.adversary.poses)))
-        contact = row.contact and [round(row.contact.seconds, 1), row.contact.kind, row.contact.adversary]
-        print(
-            row.scene,
-            row.run,
-            "contact",
-            contact,
-            "at fault",
-            row.contact and row.contact.at_fault,
-            "careful",
-            row.fair,
-        )
-        print("  off the road:", counts[-1][0], "of", counts[-1][1], "poses; scores", row.adversary.scores)
+        print(f"{row.scene} {row.run}: {said(row)}; off the road {counts[-1][0]} of {counts[-1][1]} poses")
         if chosen.to is not None:
             with tempfile.TemporaryDirectory() as folder:
                 driven = driven_sheet(Path(folder), data, record, row, maker, None)
             write_bytes(chosen.to / f"{file_name(row.scene)}-{row.run}.png", png(strip(driven, record.planner)))
     off = [count for count, _ in counts if count]
-    print(
-        f"{len(counts)} drives, {sum(off)} of {sum(all_ for _, all_ in counts)} poses off the road in {len(off)} drives"
-    )
+    poses = sum(count for _, count in counts)
+    print(f"{len(counts)} drives, {sum(off)} of {poses} poses off the road in {len(off)} drives")
 
 
 if __name__ == "__main__":
