@@ -35,6 +35,7 @@ def drive_settings(
     adversary_rounds: int | None = None,
     adversary_candidates: int | None = None,
     adversary_tracks: "Path | None" = None,
+    keep_considered: bool = False,
     ladder: "Sequence[str] | None" = None,
     sensor: str = "none",
     accept_torch_tensors: bool = False,
@@ -61,6 +62,7 @@ def drive_settings(
         adversary_rounds: Refinement rounds of its search; those of open loop by default.
         adversary_candidates: Candidates of each round; those of open loop by default.
         adversary_tracks: A record of drives against an adversary: its tracks are driven again, and nothing is planned.
+        keep_considered: Keep what the adversary considered at each of its plans beside the record, for films and site.
         ladder: Reference drivers that drive every encounter with an adversary too; all by default.
         sensor: ``none``, ``schematic``, or the address of a renderer's server (docs/model-servers.md).
         accept_torch_tensors: Whether a renderer's pictures may be saved tensors, which are pickles.
@@ -89,6 +91,11 @@ def drive_settings(
     drivers = [driver.value for driver in LADDER]
     if ladder is not None and (strange := [name for name in ladder if name not in drivers]):
         raise InputError(f"there is no reference driver {strange[0]!r}; there are {', '.join(drivers)}")
+    if keep_considered and (agents != ADVERSARY or adversary_tracks is not None):
+        raise InputError(
+            "--keep-considered keeps what an adversary considers that plans; add --agents adversary, and leave "
+            "--adversary-tracks out"
+        )
     pursuit: AdversaryMaker | None = None
     if adversary_tracks is not None:
         if agents != ADVERSARY:
@@ -105,12 +112,14 @@ def drive_settings(
                 others=adversary_others,
                 rounds=adversary_rounds,
                 candidates=adversary_candidates,
+                keep_considered=keep_considered,
             )
         )
     return DriveSettings(
         engine=engine,
         maker=rides_of(engine, agents, latency_ms, scenarios, pursuit),
         ladder=tuple(drivers if ladder is None else ladder),
+        keep_considered=keep_considered,
         agents=agents,
         sensor=_sensor(sensor, split, tensors=accept_torch_tensors),
         runs=runs,

@@ -126,6 +126,10 @@ def drive_command(
         Path | None,
         typer.Option(help="adversary: drives the tracks of this record of drives once more, and plans nothing."),
     ] = None,
+    keep_considered: Annotated[
+        bool,
+        typer.Option("--keep-considered", help="adversary: keep what it considers, for films and the site."),
+    ] = False,
     sensor: Annotated[
         str, typer.Option(help="What cameras see: none, schematic or http://HOST:PORT; blind planners have none.")
     ] = "none",
@@ -171,10 +175,12 @@ def drive_command(
     from benchmark.runs.shards import Shard
 
     _require_engine(engine, agents, latency, scenarios)
-    about_adversary = (adversary_knows, adversary_every, adversary_others, adversary_rounds, adversary_candidates)
+    budget = (adversary_every, adversary_rounds, adversary_candidates)
+    about_adversary = (adversary_knows, adversary_others, *budget, keep_considered)
     if agents is not AgentsName.ADVERSARY and about_adversary != _USUAL_ADVERSARY:
         raise InputError(
-            f"--agents {agents.value} has no adversary; add --agents adversary or leave --adversary-... out"
+            f"--agents {agents.value} has no adversary; add --agents adversary or leave --adversary-... and "
+            "--keep-considered out"
         )
     names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
     if not names:
@@ -224,6 +230,7 @@ def drive_command(
         adversary_rounds=adversary_rounds,
         adversary_candidates=adversary_candidates,
         adversary_tracks=adversary_tracks,
+        keep_considered=keep_considered,
         sensor=sensor,
         accept_torch_tensors=accept_torch_tensors,
         latency_ms=latency,
@@ -257,7 +264,7 @@ def drive_command(
         raise typer.Exit(1)
 
 
-_USUAL_ADVERSARY: Final = (KnowsName.MOTION, 1.0, OthersName.REPLAY, None, None)
+_USUAL_ADVERSARY: Final = (KnowsName.MOTION, OthersName.REPLAY, 1.0, None, None, False)
 """What says nothing about an adversary."""
 
 

@@ -5,10 +5,18 @@ from typing import Final
 
 import numpy as np
 
-from benchmark.drawing.overlays import Contact, PathOverlay, PlanOverlay, Verdict
+from benchmark.drawing.overlays import (
+    CandidatesOverlay,
+    Contact,
+    PathOverlay,
+    PlanOverlay,
+    Verdict,
+    candidates_by_score,
+)
 from benchmark.drawing.palette import PlannerStyle
 from benchmark.drawing.placing import PlacedPlan, frame_seconds
 from benchmark.geometry import Floats
+from benchmark.records.considered import ConsideredFrame
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.scenes import StoredSheet
 
@@ -47,6 +55,7 @@ class DrivenSheet:
         recorded_seconds: (T,) times of both after the sheet's first frame.
         speed: (F,) of the driven ego at the sheet's frames, m/s.
         contact: The first contact.
+        considered: What an adversary considered at its planning frames, where that was kept.
     """
 
     stored: StoredSheet
@@ -58,6 +67,7 @@ class DrivenSheet:
     recorded_seconds: Floats
     speed: Floats
     contact: DrivenContact | None
+    considered: tuple[ConsideredFrame, ...] = ()
 
     @property
     def seconds(self) -> Floats:
@@ -75,6 +85,20 @@ class DrivenSheet:
     def path(self) -> PathOverlay:
         """The recorded path."""
         return PathOverlay(self.recorded)
+
+    def considered_at(self, frame: int) -> ConsideredFrame | None:
+        """The planning frame of the adversary that is in force at a frame of the sheet, where it was kept."""
+        now_us = self.stored.sheet.timestamps_us[frame]
+        past = [each for each in self.considered if each.time_us <= now_us]
+        return past[-1] if past else None
+
+    def candidates_at(self, frame: int) -> CandidatesOverlay | None:
+        """What the adversary considered at the planning frame in force; ``None`` where it did not search."""
+        now = self.considered_at(frame)
+        if now is None or not now.candidates:
+            return None
+        paths = np.array(now.candidates, np.float64) - np.array(self.stored.sheet.origin_m)
+        return candidates_by_score(paths, now.scores, now.chosen)
 
     def plan_at(self, frame: int, name: str, style: PlannerStyle) -> PlanOverlay | None:
         """The last plan that was made, and the contact that comes, if it comes soon.

@@ -1,5 +1,6 @@
 """What is drawn over a scene: plans with their verdicts, and candidates of the search."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -97,12 +98,12 @@ class CandidatesOverlay:
     Attributes:
         paths: (B, M, 2) worst first, each from where the adversary was.
         shares: (B,) 0 for the best score, 1 for the worst or infinite ones.
-        chosen: (M, 2) the one that was executed.
+        chosen: (M, 2) the one that was executed; ``None`` where none was.
     """
 
     paths: Floats
     shares: Floats
-    chosen: Floats
+    chosen: Floats | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,14 +212,28 @@ def candidates_overlay(sheet: Sheet, trace: RefinementTrace, frame: int) -> Cand
             "different lengths; run challenger-bench sheets again"
         )
     found = now.rounds[now.chosen_round]
-    scores = np.array([np.inf if score is None else score for score in found.scores])
-    order = np.argsort(scores, kind="stable")[:CANDIDATES_SHOWN][::-1]
-    finite = scores[np.isfinite(scores)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    shares = np.clip((np.where(np.isfinite(scores), scores, high) - low) / max(high - low, 1e-9), 0.0, 1.0)
-    shares[~np.isfinite(scores)] = 1.0
     paths = np.array(found.candidates, np.float64).reshape(len(found.candidates), -1, 2)
-    return CandidatesOverlay(paths[order], shares[order], paths[now.chosen])
+    return candidates_by_score(paths, found.scores, now.chosen)
+
+
+def candidates_by_score(paths: Floats, scores: Sequence[float | None], chosen: int | None) -> CandidatesOverlay:
+    """Candidates in the order in which they are drawn.
+
+    Args:
+        paths: (B, M, 2) of all of them.
+        scores: (B,) lower is better, ``None`` where infinite.
+        chosen: Which was executed, if one was.
+
+    Returns:
+        The best `CANDIDATES_SHOWN` of them.
+    """
+    known = np.array([np.inf if score is None else score for score in scores])
+    order = np.argsort(known, kind="stable")[:CANDIDATES_SHOWN][::-1]
+    finite = known[np.isfinite(known)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    shares = np.clip((np.where(np.isfinite(known), known, high) - low) / max(high - low, 1e-9), 0.0, 1.0)
+    shares[~np.isfinite(known)] = 1.0
+    return CandidatesOverlay(paths[order], shares[order], None if chosen is None else paths[chosen])
 
 
 def _is_whole(found: TraceRound, chosen: int) -> bool:

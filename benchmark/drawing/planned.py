@@ -28,7 +28,7 @@ MOVES_M: Final = 1.0
 
 
 def draw_candidates(image: Picture, view: GroundView, overlay: CandidatesOverlay) -> None:
-    """Lines from pale (worst score) to dark (best), and the executed one on top of them.
+    """Lines from pale (worst score) to dark (best), and the executed one, if one was, on top of them.
 
     Args:
         image: Changed in place.
@@ -41,6 +41,8 @@ def draw_candidates(image: Picture, view: GroundView, overlay: CandidatesOverlay
             stroke(image, view, path, mixed(BEST, WORST, float(share)), 1)
 
     through(image, view, overlay.paths.reshape(-1, 2), 0.55, lines)
+    if overlay.chosen is None:
+        return
     stroke(image, view, overlay.chosen, BEST, 2)
     for point in overlay.chosen[1:]:
         mark_at(image, view.pixels(point), "diamond", 2.5, BEST)

@@ -44,6 +44,7 @@ class Job:
         fresh: Drive again even where drives are kept.
         factory: Builds the planner; ``None`` where there is one object alone.
         ladder: Reference drivers that drive the same encounters.
+        keep_considered: Whether what an adversary considered is kept beside the record.
     """
 
     directory: Path
@@ -56,6 +57,7 @@ class Job:
     fresh: bool
     factory: PlannerFactory | None = None
     ladder: tuple[str, ...] = ()
+    keep_considered: bool = False
 
     def key(self, unit: Unit) -> str:
         """Content key of a unit. No score is part of it: kept drives are scored again."""

@@ -9,6 +9,7 @@ import numpy as np
 from benchmark.closed_loop.agents.adversary import AdversaryTrack, Replanning
 from benchmark.closed_loop.drives.driving import Drive, Stage
 from benchmark.closed_loop.scores.scoring import DriveScores
+from benchmark.records.considered import ConsideredFrame
 from benchmark.records.drive_schema import DriveRow
 
 DECIMALS: Final = 6
@@ -49,12 +50,13 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
             "contact": contact,
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
-            "adversary": None if drive.adversary is None else _adversary_row(stage, drive.adversary),
+            "adversary": None if drive.adversary is None else adversary_row(stage, drive.adversary),
         }
     )
 
 
-def _adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
+def adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
+    """A track as it is stored in the row of its drive."""
     scores = [None if each.score is None else round(each.score, DECIMALS) + 0.0 for each in track.replanned]
     return {
         "agent": track.agent,
@@ -64,6 +66,11 @@ def _adversary_row(stage: Stage, track: AdversaryTrack) -> dict[str, Any]:
         "replanned": [each.frame for each in track.replanned],
         "scores": scores,
     }
+
+
+def considered_of(track: AdversaryTrack) -> tuple[ConsideredFrame, ...]:
+    """What an adversary considered at each of its planning frames, of one that was asked to keep it."""
+    return tuple(ConsideredFrame.model_validate(each.considered) for each in track.replanned)
 
 
 def track_of(row: DriveRow) -> AdversaryTrack | None:

@@ -1,5 +1,6 @@
 """Sheets of drives: the world as it was driven, from the stored plans; what films of drives are made from."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +19,7 @@ from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256, write_bytes
 from benchmark.planning import CameraView, Observation, Plan
+from benchmark.records.considered import read_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, SheetCamera, StoredSheet, picture_name
@@ -72,7 +74,7 @@ def driven_sheet(
         )
     scene, plans = data.scene(row.scene), WatchedPlans(row)
     found = seen_again(maker, sensor or NoSensor(), scene, data, row, plans)
-    driven = driven_scene(scene, Route.of(scene), found.motion)
+    driven = _with_its_adversary(driven_scene(scene, Route.of(scene), found.motion), row)
     sheet = sheet_to_draw(driven).model_copy(update={"data": record.facts.data, "split": record.facts.split})
     first = len(driven.timestamps_us) - len(found.motion.times_us)
     asked_at = [first + int(tick) for tick in found.motion.ticks]
@@ -101,7 +103,15 @@ def driven_sheet(
         recorded_seconds=seconds,
         speed=np.concatenate([speed, found.motion.ego[:, SPEED]]),
         contact=_contact(found, sheet),
+        considered=read_considered(record.directory, row) or (),
     )
+
+
+def _with_its_adversary(driven: Scene, row: DriveRow) -> Scene:
+    """The scene with who drove adversarially among its adversaries: in a recording it is one of the others."""
+    if row.adversary is None or row.adversary.uuid in driven.adversaries:
+        return driven
+    return replace(driven, adversaries=(*driven.adversaries, row.adversary.uuid))
 
 
 def _with_pictures(

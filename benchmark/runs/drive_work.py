@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from benchmark.closed_loop.agents.adversary import AdversaryTrack
 from benchmark.closed_loop.drives.asking import Reason
 from benchmark.closed_loop.drives.driving import Drive, Stage, drive, drive_together
 from benchmark.closed_loop.drives.riding import RecordedCan
@@ -19,13 +20,14 @@ from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, content_seed, read_json, write_json
 from benchmark.planning import Planner, SupervisedPlanner
+from benchmark.records.considered import read_considered, write_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.drive_jobs import Job, Task, Unit
-from benchmark.runs.drive_rows import row_of
+from benchmark.runs.drive_rows import considered_of, row_of
 from benchmark.runs.ladders import ladder_rows
 from benchmark.runs.plan_rows import seed_everything
-from benchmark.runs.redriving import can_of, driven_again
+from benchmark.runs.redriving import can_of, considered_again, driven_again
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -75,16 +77,26 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
         if scoring != VERSION:
             row = driven_again(job.maker, data.scene(unit.scene), data, row)
             write_kept(job.path(unit), key, row)
+        _keep_considered(data, job, row)
         found[place] = UnitResult(unit, row, None)
     started = time.perf_counter()
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
-    for place, row in driven:
+    for place, row, track in driven:
         job, unit = tasks[place]
+        if job.keep_considered and track is not None:
+            write_considered(job.directory, row, considered_of(track))
         if row.failure is None or row.failure.reason not in _TRIED_AGAIN:
             write_kept(job.path(unit), left[place], row)
         found[place] = UnitResult(unit, row, time.perf_counter() - started)
     results = [found[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
+
+
+def _keep_considered(data: "DataSet", job: Job, row: DriveRow) -> None:
+    """Search once more in a kept drive of which nobody knows any more what its adversary considered."""
+    if job.keep_considered and row.adversary is not None and read_considered(job.directory, row) is None:
+        track = considered_again(job.maker, data.scene(row.scene), data, row)
+        write_considered(job.directory, row, considered_of(track))
 
 
 def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
@@ -168,8 +180,8 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
 
 def _driven(
     data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
-) -> Iterator[tuple[int, DriveRow]]:
-    """Rows of tasks by their places, as their drives end; what cannot be driven is raised after those that can."""
+) -> Iterator[tuple[int, DriveRow, AdversaryTrack | None]]:
+    """Rows of tasks by their places, as their drives end, and adversaries; what cannot be driven is raised at last."""
     seed = content_seed(*keys)
     seed_everything(seed)
     stages: dict[int, Stage] = {}
@@ -188,7 +200,7 @@ def _driven(
     for number, found in _drives([*stages.values()], ready):
         stage = stages[places[number]]
         scores = None if found.failure is not None else score_drive(stage.scene, found)
-        yield places[number], row_of(stage, found, scores)
+        yield places[number], row_of(stage, found, scores), found.adversary
     if broken:
         raise broken[0]
 

@@ -27,6 +27,7 @@ from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
+from benchmark.records.considered import FOLDER as CONSIDERED
 from benchmark.records.drive_schema import MOST_RUNS, Measured
 from benchmark.records.drives import DriveRecord, write_drives
 from benchmark.records.run_schema import PlannerFacts
@@ -58,6 +59,8 @@ class DriveSettings:
         maker: The engine.
         agents: How the others behave; who makes an adversary is said by ``maker``.
         ladder: Reference drivers that drive every encounter with an adversary too, by name.
+        keep_considered: Whether what an adversary considered is kept beside the record, for films and the site; no
+            byte of the record depends on it. Its maker keeps it too.
         sensor: What cameras see.
         runs: Runs of each scene; one where the engine draws nothing.
         latency_ms: So much later does a plan take effect.
@@ -87,6 +90,7 @@ class DriveSettings:
     fresh: bool = False
     together: int = 1
     ladder: tuple[str, ...] = tuple(driver.value for driver in LADDER)
+    keep_considered: bool = False
 
     @property
     def measured(self) -> Measured:
@@ -348,6 +352,7 @@ def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings
         timeout_s=settings.timeout_s,
         fresh=settings.fresh,
         ladder=settings.ladder if settings.agents == ADVERSARY else (),
+        keep_considered=settings.keep_considered,
     )
 
 
@@ -410,12 +415,13 @@ def _described(
 
 
 def _tidy(job: Job, units: list[Unit]) -> None:
-    """Remove kept drives of scenes that are none of this record's any more; further runs of its own stay."""
-    wanted, folder = {_without_run(job.path(unit)) for unit in units}, job.directory / KEPT
-    with writing_to(folder):
-        for path in folder.iterdir() if folder.is_dir() else ():
-            if _without_run(path) not in wanted:
-                path.unlink()
+    """Remove what is kept of scenes that are none of this record's any more; further runs of its own stay."""
+    wanted = {_without_run(job.path(unit)) for unit in units}
+    for folder in (job.directory / KEPT, job.directory / CONSIDERED):
+        with writing_to(folder):
+            for path in folder.iterdir() if folder.is_dir() else ():
+                if _without_run(path) not in wanted:
+                    path.unlink()
 
 
 def _without_run(path: Path) -> str:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmark.closed_loop.agents.adversary import GivenTracks
+from benchmark.closed_loop.agents.adversary import AdversaryTrack, GivenTracks
 from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.closed_loop.drives.driving import Drive, Stage, drive
 from benchmark.closed_loop.drives.riding import RecordedCan, RideMaker
@@ -13,8 +13,8 @@ from benchmark.closed_loop.drives.sensors import NoSensor, Sensor
 from benchmark.closed_loop.scores.scoring import score_drive
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
-from benchmark.records.drive_schema import DriveRow
-from benchmark.runs.drive_rows import DECIMALS, row_of, track_of
+from benchmark.records.drive_schema import AdversaryRow, DriveRow
+from benchmark.runs.drive_rows import DECIMALS, adversary_row, row_of, track_of
 from benchmark.scene import Scene
 
 if TYPE_CHECKING:
@@ -87,6 +87,28 @@ def seen_again(
         InputError: If the plans lead elsewhere than they did.
     """
     return redriven(_stage(maker, sensor, scene, data, row), row, plans)
+
+
+def considered_again(maker: RideMaker, scene: Scene, data: "DataSet", row: DriveRow) -> AdversaryTrack:
+    """Search anew in a stored drive, from its plans: the same search finds the same track.
+
+    Args:
+        maker: The engine that drove it, with an adversary that keeps what it considers.
+        scene: Its scene, with its map.
+        data: The data set.
+        row: The drive.
+
+    Returns:
+        The adversary's track, with what it considered.
+
+    Raises:
+        InputError: If the plans lead elsewhere than they did, or the adversary goes elsewhere.
+    """
+    stage = Stage(scene, can_of(data, row.scene), row.run, maker, NoSensor(), _LONG_S, row.family)
+    track = redriven(stage, row, StoredPlans(row)).adversary
+    if track is None or AdversaryRow.model_validate(adversary_row(stage, track)) != row.adversary:
+        raise InputError(_elsewhere(row))
+    return track
 
 
 def redriven(stage: Stage, row: DriveRow, plans: "StoredPlans") -> Drive:

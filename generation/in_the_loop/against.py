@@ -10,7 +10,7 @@ from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Floats
 from benchmark.road_map import DrivableRaster
 from benchmark.scene import Scene
-from generation.in_the_loop.careful import CarefulAhead
+from generation.in_the_loop.careful import careful_ahead
 from generation.search.planning import Planning
 from generation.search.scoring import Surroundings, Terms, surroundings
 
@@ -38,7 +38,7 @@ class PlanningAgainst(Planning):
     def rated(self, frame: int, offsets: tuple[int, ...], track: Floats) -> Callable[[SimulatedMotion], Terms]:
         """As in open loop, and what is not survivable costs."""
         rate = Planning.rated(self, frame, offsets, track)
-        careful = CarefulAhead.of(self.scene, self.agent, frame, ego_speed(self.scene, frame))
+        careful = careful_ahead(self.scene, self.agent, frame, ego_speed(self.scene, frame))
         size = self.scene.agents.size[self.agent, :2]
 
         def rated(motion: SimulatedMotion) -> Terms:

@@ -16,8 +16,9 @@ from benchmark.constants import FRAME_HZ
 from benchmark.drivers.rules import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.geometry import Bools, Floats
+from benchmark.machine.last_made import LastMade
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay
+from generation.search.ego_way import EgoWay, ego_way
 
 EVERY_FRAMES: Final = 2
 LOOK_FRAMES: Final = 60
@@ -100,7 +101,7 @@ class CarefulAhead:
         """
         last = min(frame + look_frames, len(scene.timestamps_us) - 1)
         steps = tuple(range(EVERY_FRAMES, last - frame + 1, EVERY_FRAMES)) or (last - frame,)
-        way = EgoWay.of(scene)
+        way = ego_way(scene)
         others = _others(scene, agent, way, frame, steps)
         found = cls(way, frame, float(way.station[frame]), speed, others, steps, False)
         nobody = Bodies(*(np.full((1, len(steps) + 1), np.inf) for _ in range(3)))
@@ -151,17 +152,14 @@ class CarefulAhead:
         station, speed = np.full(count, self.station), np.full(count, self.speed)
         waiting, braking = np.full(count, REACTION_S), np.zeros(count)
         hit, lost = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+        in_way = others.beside <= 0.0
         for step in range(len(self.steps)):
             unsafe = _unsafe(rear[:, step : step + 2], front[:, step], beside[:, step], station, speed, half)
-            for each in range(len(others.rear)):
-                unsafe |= _unsafe(
-                    others.rear[None, each, step : step + 2],
-                    others.front[each, step],
-                    others.beside[each, step],
-                    station,
-                    speed,
-                    half,
-                )
+            # Most of the others are in the ego's way for a while only.
+            there = np.flatnonzero(in_way[:, step])
+            if len(there):
+                ahead, along = others.rear[there, step : step + 2, None], others.front[there, step, None]
+                unsafe |= _unsafe(ahead, along, others.beside[there, step, None], station, speed, half).any(axis=0)
             ready = unsafe & (waiting <= 0.0)
             waiting = np.where(unsafe, waiting - dt, waiting)
             braking = np.where(ready, np.minimum(braking + _RISE_M_S3 * dt, HARDEST_BRAKING), braking)
@@ -169,8 +167,9 @@ class CarefulAhead:
             station, speed = station + 0.5 * dt * (speed + after), after
             over = (rear[:, step + 1] < station + half + _AIR_ALONG_M) & (front[:, step + 1] > station - half)
             hit |= over & (beside[:, step + 1] <= _AIR_ASIDE_M + _ASIDE_M_S * (step + 1) * dt)
-            now = (others.rear[:, step + 1, None] < station + half) & (others.front[:, step + 1, None] > station - half)
-            lost |= (now & (others.beside[:, step + 1, None] <= 0.0)).any(axis=0)
+            there = np.flatnonzero(in_way[:, step + 1])
+            now = others.rear[there, step + 1, None] < station + half
+            lost |= (now & (others.front[there, step + 1, None] > station - half)).any(axis=0)
         if np.isfinite(rear[:, -1]).all():
             gap = rear[:, -1] - station - half
             closing = np.maximum(speed - (rear[:, -1] - rear[:, -2]) / dt, 0.0)
@@ -195,8 +194,12 @@ class CarefulAhead:
         return np.asarray(behind * np.maximum(missing, 0.0))
 
 
+careful_ahead: Final = LastMade[Scene, CarefulAhead](CarefulAhead.of, kept=2)
+"""`CarefulAhead.of`: a planning frame asks for it of its candidates, and of what it chose."""
+
+
 def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
-    """(B,) whether a careful human has somebody in its way less than two seconds ahead."""
+    """(..., B) whether a careful human has somebody in its way less than two seconds ahead."""
     gap = rear[:, 0] - station - half
     with np.errstate(invalid="ignore"):
         closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)

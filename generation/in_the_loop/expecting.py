@@ -12,7 +12,7 @@ from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, PLAN_STEP_S
 from benchmark.geometry import Floats, quaternion_from_yaw, to_global, wrap_angle
 from benchmark.scene import EgoTrack, Scene
 from generation.in_the_loop.settings import Knows
-from generation.search.ego_way import EgoWay
+from generation.search.ego_way import ego_way
 
 _TURN_US: Final = 300_000
 """Over how long a turn is looked at: one instant says little of it."""
@@ -110,7 +110,7 @@ def expected_ego(scene: Scene, seen: Seen, plan: PlanInForce | None, knows: Know
 def _on_its_way(scene: Scene, seen: Seen, seconds: Floats) -> Floats | None:
     """(K, 3) poses of an ego that keeps its speed on its route; ``None`` if it is not on it."""
     now = max(int(np.searchsorted(scene.timestamps_us, seen.times_us[-1], side="right")) - 1, 0)
-    way, back = EgoWay.of(scene), EGO_CENTER_FROM_REAR_AXLE_M
+    way, back = ego_way(scene), EGO_CENTER_FROM_REAR_AXLE_M
     center = seen.poses[-1].copy()
     center[:2] += back * np.array([np.cos(center[2]), np.sin(center[2])])
     station, offset, turn = (float(each[0]) for each in way.places(center[None], now, now))

@@ -23,7 +23,8 @@ from benchmark.scene import Scene
 from generation.in_the_loop.against import PlanningAgainst, ego_speed
 from generation.in_the_loop.allowed import AHEAD_FRAMES, BRAKING_M_S2, Surrounded, braked, in_order
 from generation.in_the_loop.answering import Answering, with_expected_others
-from generation.in_the_loop.careful import CarefulAhead
+from generation.in_the_loop.careful import CarefulAhead, careful_ahead
+from generation.in_the_loop.considered import considered_frame
 from generation.in_the_loop.expecting import Seen, expected_ego
 from generation.in_the_loop.settings import LONGEST_FRAMES, AdversarySettings, Knows
 from generation.search.adversary import ALGORITHM_VERSION, scene_identity
@@ -31,7 +32,6 @@ from generation.search.planning import Planning
 from generation.search.proposals import Diversify, Prior, run_together
 from generation.search.recorded_motion import initial_state
 from generation.search.refinement import NothingToDraw, Refinement, scores_together
-from generation.search.rounds import rounds_of
 
 MOST_TRIED: Final = 96
 """Candidates that are asked after the best one of a search, where that may not be driven."""
@@ -78,6 +78,7 @@ class _Chosen:
         state: The motion at the end of what is driven.
         replanning: What is noted of it.
         as_made: Whether the adversary stays on the track that the scene was made with.
+        picked: Round and index of the candidate that it is, if it is one.
     """
 
     executed: Floats
@@ -86,6 +87,7 @@ class _Chosen:
     state: VehicleState
     replanning: Replanning
     as_made: bool = False
+    picked: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,11 +179,13 @@ class Adversary:
         planning = self._planning(scene, rng, self._road_around(scene, frame, memory.track[-1]))
         steps = min(self.settings.every_frames, len(scene.timestamps_us) - 1 - frame)
         around = Surrounded.of(scene, self.agent, frame, moment.time_us)
-        chosen = self._as_made(scene, around, frame, steps, memory)
+        chosen, found = self._as_made(scene, around, frame, steps, memory), None
         if chosen is None:
-            chosen = self._chosen(scene, around, frame, steps, self._searched(planning, frame, memory), memory)
+            found = self._searched(planning, frame, memory)
+            chosen = self._chosen(scene, around, frame, steps, found, memory)
             if self.settings.knows is not Knows.RECORDING:
                 chosen = self._yielding(scene, around, frame, steps, chosen, memory)
+        noted = self._noted(scene, frame, memory.state, found, chosen)
         return replace(
             memory,
             state=chosen.state,
@@ -189,7 +193,7 @@ class Adversary:
             ahead=chosen.ahead,
             ending=chosen.ending,
             randomness=rng.bit_generator.state,
-            replanned=(*memory.replanned, chosen.replanning),
+            replanned=(*memory.replanned, noted),
             as_made=chosen.as_made,
         )
 
@@ -234,7 +238,7 @@ class Adversary:
     ) -> _Chosen:
         """What was chosen, or the brakes where a careful human does not survive it but survives them."""
         size = self.scene.agents.size[self.agent, :2]
-        careful = CarefulAhead.of(scene, self.agent, frame, ego_speed(scene, frame))
+        careful = careful_ahead(scene, self.agent, frame, ego_speed(scene, frame))
         now = memory.track[-1:]
 
         def hits(poses: Floats) -> bool:
@@ -277,30 +281,22 @@ class Adversary:
                 continue
             ending = around.ending(motion.center[index], steps)
             if ending is not None:
-                return self._as_searched(scene, frame, steps, found, memory, number, index, ending)
+                return self._as_searched(frame, steps, found, number, index, ending)
         return self._last_resort(around, frame, steps, memory)
 
     def _as_searched(
-        self,
-        scene: Scene,
-        frame: int,
-        steps: int,
-        found: Refinement,
-        memory: Memory,
-        number: int,
-        index: int,
-        ending: Floats,
+        self, frame: int, steps: int, found: Refinement, number: int, index: int, ending: Floats
     ) -> _Chosen:
         """A candidate of the search, and how it may end."""
         motion = found.batches[number].evaluated.motion
         score = float(scores_together(found.batches, self.settings.hyper)[number, index])
-        considered = self._considered(scene, frame, memory.state, found, number, index)
         return _Chosen(
             motion.center[index, 1 : steps + 1],
             _ahead(motion.center[index], steps),
             ending[steps + 1 :],
             motion.state(index, steps),
-            Replanning(frame, score, braked=False, considered=considered),
+            Replanning(frame, score, braked=False),
+            picked=(number, index),
         )
 
     def _candidates(self, found: Refinement) -> "Any":
@@ -308,14 +304,17 @@ class Adversary:
         yield found.round, found.chosen
         yield from in_order(scores_together(found.batches, self.settings.hyper), MOST_TRIED)
 
-    def _considered(
-        self, scene: Scene, frame: int, state: VehicleState, found: Refinement, number: int, index: int
-    ) -> dict[str, Any] | None:
+    def _noted(
+        self, scene: Scene, frame: int, state: VehicleState, found: Refinement | None, chosen: _Chosen
+    ) -> Replanning:
+        """What is noted of a planning frame."""
         if not self.settings.keep_considered:
-            return None
-        shown = replace(found, round=number, chosen=index)
-        rounds = rounds_of(scene, self.agent, frame, state, shown, self.settings.hyper, self.model)
-        return rounds.model_dump(mode="json")
+            return chosen.replanning
+        hyper, picked = self.settings.hyper, chosen.picked
+        considered = considered_frame(
+            scene, self.agent, frame, state, found, picked, hyper, self.model, as_made=chosen.as_made
+        )
+        return replace(chosen.replanning, considered=considered)
 
     def _last_resort(self, around: Surrounded, frame: int, steps: int, memory: Memory) -> _Chosen:
         """Brake on the path that was meant, as gently as touches nobody; or what was kept; or what lasts longest."""

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Floats, wrap_angle
+from benchmark.machine.last_made import LastMade
 from benchmark.scene import Scene
 from generation.labels.path_frame import PathFrame
 
@@ -83,6 +84,10 @@ class EgoWay:
         station = self.stations[window][nearest] + cos * away[..., 0] + sin * away[..., 1]
         offset = cos * away[..., 1] - sin * away[..., 0]
         return station, offset, wrap_angle(poses[..., 2] - headings[nearest])
+
+
+ego_way: Final = LastMade[Scene, EgoWay](EgoWay.of, kept=2)
+"""`EgoWay.of`, which several terms of a search ask for."""
 
 
 def smooth_speed(station: Floats, seconds: Floats) -> Floats:

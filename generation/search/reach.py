@@ -14,7 +14,7 @@ from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import WHEELBASE, DriverLimits
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay
+from generation.search.ego_way import EgoWay, ego_way
 from generation.search.hyperparameters import HyperParameters
 from generation.search.recorded_motion import drives_forward, in_canvas, initial_state
 
@@ -146,7 +146,7 @@ def launch_in_reach(scene: Scene, agent: int, hyper: HyperParameters) -> int | N
     frames = np.array([frame for frame in frames.tolist() if drives_forward(scene, agent, frame)], np.int64)
     if not len(frames):
         return None
-    way = EgoWay.of(scene)
+    way = ego_way(scene)
     seconds = reach_s(scene, way, _start(scene, agent, frames), hyper.half_extent_m)
     seconds = np.where(frames + FRAME_HZ * seconds <= last_opportunity(way, hyper), seconds, np.inf)
     best = int(np.argmax(seconds <= SOON_S)) if (seconds <= SOON_S).any() else int(np.argmin(seconds))
@@ -172,7 +172,7 @@ def last_opportunity(way: EgoWay, hyper: HyperParameters) -> int:
 def reach_at(scene: Scene, agent: int, frame: int, hyper: HyperParameters) -> float:
     """`reach_s` of one vehicle at one frame."""
     start = _start(scene, agent, np.array([frame], np.int64))
-    return float(reach_s(scene, EgoWay.of(scene), start, hyper.half_extent_m)[0])
+    return float(reach_s(scene, ego_way(scene), start, hyper.half_extent_m)[0])
 
 
 def _start(scene: Scene, agent: int, frames: NDArray[np.int64]) -> Start:

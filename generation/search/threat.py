@@ -15,7 +15,7 @@ from benchmark.constants import FRAMES_PER_KEYFRAME
 from benchmark.dynamics.bicycle import WHEELBASE, SimulatedMotion
 from benchmark.geometry import Bools, Floats, to_local
 from benchmark.scene import Scene
-from generation.search.ego_way import EgoWay
+from generation.search.ego_way import EgoWay, ego_way
 from generation.search.hyperparameters import HyperParameters
 from generation.search.lane_headings import LaneHeadings
 from generation.search.scoring import Surroundings, collisions
@@ -70,7 +70,7 @@ class Ahead:
         columns = columns or [len(offsets) - 1]
         chosen = tuple(offsets[column] for column in columns)
         frames = tuple(frame + offset for offset in chosen)
-        return cls(tuple(columns), chosen, EgoWay.of(scene), frames, scene.ego.pose[list(frames)])
+        return cls(tuple(columns), chosen, ego_way(scene), frames, scene.ego.pose[list(frames)])
 
     @cached_property
     def speed(self) -> Floats:

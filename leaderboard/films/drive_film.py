@@ -14,6 +14,7 @@ from benchmark.drawing.lettering import Picture, drawable, fitted, text_width, w
 from benchmark.drawing.overlays import Overlay
 from benchmark.drawing.palette import (
     ADVERSARY,
+    BEST,
     CONTACT,
     EGO,
     FAINT_INK,
@@ -30,6 +31,7 @@ from benchmark.drawing.palette import (
 )
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.records.considered import Did
 from benchmark.records.drives import DriveRecord
 from benchmark.report.cells import MINIATURE_WORDS
 from leaderboard.films.cameras import CameraPictures
@@ -50,6 +52,11 @@ HELD_S: Final = 1.5
 """The last frame of a drive that did not reach the scene's end is shown so much longer."""
 DRIVE_FPS: Final = 10.0
 """A drive has an instant each tenth of a second."""
+DID: Final[dict[Did, str]] = {
+    "track": "drives the scene's own track",
+    "searched": "drives what its search found",
+    "slowed": "nothing it found is allowed; brakes or goes on",
+}
 _EDGE_PX: Final = 14
 _CHART_PX: Final = 240
 _LEAST_TOP_M_S: Final = 5.0
@@ -105,6 +112,8 @@ class DriveFilm:
     def _frame(self, frame: int) -> Picture:
         plan = self.driven.plan_at(frame, self.name, self._style)
         overlays: list[Overlay] = [self.driven.path(), *([] if plan is None else [plan])]
+        considered = self.driven.candidates_at(frame) if self.settings.candidates else None
+        overlays += [] if considered is None else [considered]
         return composed(
             self.layout,
             None if self._cameras is None else self._cameras.at(frame),
@@ -142,9 +151,11 @@ class DriveFilm:
         )
         colour = CONTACT if alarm else INK
         write_text(image, words, (right, top + 12.0), size_px=13, bold=alarm, colour=colour, anchor="right")
-        for number, line in enumerate(self._outcome(frame)):
+        outcome = self._outcome(frame)
+        lines = [(line, CONTACT) for line in outcome] or [(line, ADVERSARY) for line in self._pursuit(frame)]
+        for number, (line, shade) in enumerate(lines):
             said = fitted(line, image.shape[1] - 2 * _EDGE_PX, size_px=13)
-            write_text(image, said, (_EDGE_PX, top + 34.0 + 18 * number), size_px=13, colour=CONTACT)
+            write_text(image, said, (_EDGE_PX, top + 34.0 + 18 * number), size_px=13, colour=shade)
         foot = image.shape[0] - 12 - (16 if miniature else 0)
         if miniature:
             write_text(image, MINIATURE_WORDS, (_EDGE_PX, foot + 14.0), size_px=12, colour=FAINT_INK)
@@ -158,6 +169,7 @@ class DriveFilm:
             LegendEntry("box", ON_LIGHT.vehicle, "others"),
             LegendEntry("way", EGO, "what happened, 3 s"),
             LegendEntry("path", PATH, "recorded path"),
+            *([LegendEntry("candidates", BEST, "considered")] if self._shows_considered else []),
         ]
         entries = entries if self.layout is not FilmLayout.CAMERAS else entries[1:2] if adversaries else []
         x, y = float(_EDGE_PX), 18.0
@@ -181,6 +193,15 @@ class DriveFilm:
         ego = self._sheet.ego
         ahead = ego.centre_ahead_m * np.array([np.cos(ego.yaw_rad[frame]), np.sin(ego.yaw_rad[frame])])
         return np.asarray(np.array([ego.x_m[frame], ego.y_m[frame]]) + ahead)
+
+    @property
+    def _shows_considered(self) -> bool:
+        return self.settings.candidates and bool(self.driven.considered)
+
+    def _pursuit(self, frame: int) -> list[str]:
+        """What the adversary does now, where what it considered is shown."""
+        now = self.driven.considered_at(frame) if self._shows_considered else None
+        return [] if now is None else [f"adversary: {DID[now.did]}"]
 
     def _outcome(self, frame: int) -> list[str]:
         """How it ended, once it has."""

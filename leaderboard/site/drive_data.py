@@ -6,7 +6,9 @@ whose key is ``base``: ``frames`` to the drive's end, ``ego`` as driven, ``sampl
 they went. Beyond them:
 
 * ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
-* ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null.
+* ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null;
+* ``moved``: where there was an adversary that answers, its track, as ``agents`` has it; it takes the place of its own;
+* ``considered``: where it was kept, what that adversary considered (`leaderboard.site.considered_data`).
 
 The ego is between the stored states, half a second apart, where a cubic through their places and speeds leads.
 """
@@ -19,13 +21,16 @@ import numpy as np
 
 from benchmark.constants import LIDAR_FROM_REAR_AXLE_M
 from benchmark.drawing.overlays import shared_point
-from benchmark.drawing.placing import agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
+from benchmark.drawing.placing import agent_box, agent_box_at, ego_box, ego_pose, frame_seconds, placed_waypoints
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_key
+from benchmark.records.considered import read_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.drives import DriveRecord
-from benchmark.records.scenes import Sheet, Sheets
+from benchmark.records.scenes import Sheet, SheetAgent, Sheets
+from leaderboard.site.considered_data import considered_data
 from leaderboard.site.packing import CENTIMETRE, MILLIRADIAN, packed, packed_path
+from leaderboard.site.scene_data import agent_data
 from leaderboard.site.scene_index import scene_key
 from leaderboard.site.scene_plans import ERROR_CHARACTERS
 from leaderboard.site.scripts import data_script
@@ -56,9 +61,9 @@ class _Shown:
 
     @property
     def everybody(self) -> bool:
-        """Whether the others are where the recording has them: records hold nobody's places but the ego's."""
+        """Whether the others are where the recording has them: records hold an ego's and an adversary's places."""
         measured = self.record.facts.measured
-        return measured.engine == "default" and measured.agents == "replay"
+        return measured.engine == "default" and measured.agents_facts.get("others", measured.agents) == "replay"
 
 
 def drive_files(drives: Sequence[DriveRecord], sheets: Sheets) -> dict[str, bytes]:
@@ -89,7 +94,7 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
     Returns:
         For each ``key`` (null without a sheet), ``scene`` (the scene's key), ``planner``, ``privileged``,
         ``miniature``, ``world``, ``sensor``, ``family``, ``run``, ``runs``, ``end``, ``contact``, ``failure``,
-        ``everybody``.
+        ``everybody``, ``adversary`` (whether one that answers is shown where it went).
     """
     found = []
     for one in _shown(drives):
@@ -111,6 +116,7 @@ def drive_index(drives: Sequence[DriveRecord], sheets: Sheets) -> list[dict[str,
                 "contact": contact,
                 "failure": None if row.failure is None else row.failure.reason,
                 "everybody": one.everybody,
+                "adversary": _adversary_is_shown(one, sheets),
             }
         )
     return found
@@ -131,12 +137,17 @@ def _has_sheet(one: _Shown, sheets: Sheets) -> bool:
     return stored is not None and stored.sheet.data.fingerprint == one.record.facts.data.fingerprint
 
 
+def _adversary_is_shown(one: _Shown, sheets: Sheets) -> bool:
+    return _has_sheet(one, sheets) and driven_adversary(sheets.scenes[one.scene].sheet, one.row) is not None
+
+
 def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
     row = one.row
     ticks = (np.array(row.ticks.time_us, np.int64) - sheet.timestamps_us[0]) * 1e-6
     states = np.array(row.ticks.ego, np.float64)
     states[:, :2] -= sheet.origin_m
-    contact = _contact(one, sheet, ticks, states)
+    adversary = driven_adversary(sheet, row)
+    contact = _contact(one, sheet, adversary, ticks, states)
     end = ticks[-1] if contact is None else contact["t"]
     seconds = frame_seconds(sheet)
     seconds = seconds[: max(int(np.searchsorted(seconds, end + _LATE_S)), 1)]
@@ -164,7 +175,34 @@ def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
         "pictures": [],
         "edges": {},
     }
-    return data | ({} if one.everybody else {"agents": []}) | _plans(one, seconds, ticks, states)
+    data |= {} if one.everybody else {"agents": []}
+    data |= {} if adversary is None else {"moved": agent_data(adversary)}
+    considered = read_considered(one.record.directory, row)
+    data |= {} if considered is None else {"considered": considered_data(sheet, considered)}
+    return data | _plans(one, seconds, ticks, states)
+
+
+def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:
+    """An adversary that answers, as it drove: up to its hand-over it is where the recording has it.
+
+    Args:
+        sheet: The scene.
+        row: The drive.
+
+    Returns:
+        Its track; ``None`` without one, and where the sheet does not know the vehicle.
+    """
+    went = row.adversary
+    agent = None if went is None else next((each for each in sheet.agents if each.id == went.uuid), None)
+    if went is None or agent is None:
+        return None
+    begins = min(agent.first, went.start)
+    boxes = [agent_box(agent, frame) for frame in range(begins, went.start)]
+    before = [(None, None, None) if box is None else (float(box[0]), float(box[1]), float(box[4])) for box in boxes]
+    x, y = sheet.origin_m
+    poses = before + [(pose[0] - x, pose[1] - y, pose[2]) for pose in went.poses]
+    columns = dict(zip(("x_m", "y_m", "yaw_rad"), zip(*poses, strict=True), strict=True))
+    return agent.model_copy(update={"adversary": True, "first": begins, **columns})
 
 
 def _plans(one: _Shown, seconds: Floats, ticks: Floats, states: Floats) -> dict[str, Any]:
@@ -209,7 +247,9 @@ def _plan(waypoints: Floats, frame: str, axle: Floats) -> dict[str, Any] | None:
     }
 
 
-def _contact(one: _Shown, sheet: Sheet, ticks: Floats, states: Floats) -> dict[str, float] | None:
+def _contact(
+    one: _Shown, sheet: Sheet, adversary: SheetAgent | None, ticks: Floats, states: Floats
+) -> dict[str, float] | None:
     """When and where the drive ended, by the stored states; between the bodies where the other's place is known."""
     row = one.row
     if row.contact is None:
@@ -218,8 +258,10 @@ def _contact(one: _Shown, sheet: Sheet, ticks: Floats, states: Floats) -> dict[s
     x, y, yaw = driven_poses(np.array([t]), ticks, states)[0]
     ego, ahead = sheet.ego, sheet.ego.centre_ahead_m
     box = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), ego.length_m, ego.width_m, yaw])
-    agent = next((each for each in sheet.agents if each.id == row.contact.agent), None)
-    other = None if agent is None or not one.everybody else agent_box_at(sheet, agent, t)
+    agent = next((each for each in sheet.agents if each.id == row.contact.agent and one.everybody), None)
+    if adversary is not None and adversary.id == row.contact.agent:
+        agent = adversary
+    other = None if agent is None else agent_box_at(sheet, agent, t)
     point = box[:2] if other is None else shared_point(box, other)
     return {"t": round(t, 3), "x": round(float(point[0]), 2), "y": round(float(point[1]), 2)}
 

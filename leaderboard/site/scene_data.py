@@ -152,7 +152,7 @@ def _of_sheet(sheet: Sheet, key: str) -> dict[str, Any]:
             "width": sheet.ego.width_m,
             "ahead": sheet.ego.centre_ahead_m,
         },
-        "agents": [_agent(agent) for agent in sheet.agents],
+        "agents": [agent_data(agent) for agent in sheet.agents],
         "road": _road(sheet.road),
         "cameras": [camera.model_dump() for camera in sheet.cameras],
         "pictures": list(sheet.pictures),
@@ -216,7 +216,8 @@ def _seconds(timestamps_us: Sequence[int]) -> list[float]:
     return [round((time - timestamps_us[0]) / _MICROSECONDS, 3) for time in timestamps_us]
 
 
-def _agent(agent: SheetAgent) -> dict[str, Any]:
+def agent_data(agent: SheetAgent) -> dict[str, Any]:
+    """A member of ``agents``."""
     return {
         "id": agent.id,
         "category": agent.category,

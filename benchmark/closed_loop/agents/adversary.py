@@ -6,7 +6,7 @@ another planner can be driven against the same track.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -36,7 +36,7 @@ class Replanning:
         frame: Of the scene.
         score: Of what was chosen, lower is better; ``None`` where nothing was.
         braked: Whether no candidate was allowed and it braked on its own path.
-        considered: Candidates and scores (`benchmark.records.scenes.TraceFrame` as JSON), where they were asked for.
+        considered: A `benchmark.records.considered.ConsideredFrame` as JSON, where it was asked for.
     """
 
     frame: int
@@ -257,8 +257,3 @@ class GivenTracks:
 def rounded(poses: Floats) -> Floats:
     """Poses as they are driven and stored."""
     return np.asarray(np.round(poses, DECIMALS) + 0.0)
-
-
-def without_rounds(track: AdversaryTrack) -> AdversaryTrack:
-    """The track without what was considered."""
-    return replace(track, replanned=tuple(replace(each, considered=None) for each in track.replanned))

@@ -42,8 +42,9 @@
         element("p", {}, `Closed loop: ${measured(drive)}; ${outcome(drive)}.`),
         element("p", { class: "remark", "data-testid": "drive-note" },
           "Green is the driven ego, the pale dashes are the recorded path, the line with marks is the plan of each instant. ",
+          drive.adversary ? "Orange is the adversary as it drove. " : "",
           drive.everybody ? "The others are where the recording has them."
-            : "Only the ego is shown as driven: the record does not hold where the others went. challenger-bench film --drives shows everybody."),
+            : `Only the ego ${drive.adversary ? "and the adversary are" : "is"} shown as driven: the record does not hold where the others went. challenger-bench film --drives shows everybody.`),
         node,
       ],
       ready() {

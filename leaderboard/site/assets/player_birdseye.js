@@ -10,7 +10,8 @@
   class BirdsEye extends player.GroundView {
     /**
      * @param {{frame: number, chosen: {model: *, place: number}[], protocol: number, exact: boolean,
-     *   show: {forecasts: boolean, modes: boolean, bodies: boolean, recorded: boolean}}} state
+     *   show: {forecasts: boolean, modes: boolean, bodies: boolean, recorded: boolean,
+     *   considered: boolean}}} state
      */
     draw(state) {
       if (!this.fit()) return;
@@ -28,6 +29,7 @@
         this.drawRecordedPath();
         this.drawWays();
       }
+      if (state.show.considered) this.drawConsidered();
       const age = sample < 0 ? 0 : this.scene.frames[state.frame] - this.scene.samples[sample].t;
       this.context.globalAlpha = Math.max(1 - 0.8 * age, 0.45);
       for (const each of plans) this.drawExpectations(each);
@@ -98,6 +100,22 @@
       this.context.globalAlpha = 0.6;
       this.line(this.scene.recordedPath, this.colours.ego, 2, [5, 6]);
       this.context.globalAlpha = 1;
+    }
+
+    /** Of a drive: what an adversary considered at the planning frame in force, the driven one thick. */
+    drawConsidered() {
+      const { considered, frames } = this.scene;
+      const now = considered.findLast(({ t }) => t <= frames[this.state.frame] + 0.001);
+      if (!now) return;
+      for (const [at, path] of now.paths.entries()) {
+        this.context.globalAlpha = 0.7 - 0.5 * now.shares[at];
+        this.line(path, this.colours.adversary, 1);
+      }
+      this.context.globalAlpha = 1;
+      if (!now.chosen) return;
+      this.line(now.chosen, this.colours.paper, 5);
+      this.line(now.chosen, this.colours.adversary, 3);
+      this.marks(now.chosen.subarray(2), "diamond", 4, this.colours.adversary);
     }
 
     /** Of a drive: the contact that ended it, from `FUTURE_S` before. */

@@ -175,6 +175,19 @@
     };
   }
 
+  /** @param {*} raw A planning frame of an adversary. @returns {*} What it considered, in metres. */
+  function consideredOf({ t, did, paths, shares, chosen }) {
+    return {
+      t, did, shares: shares.map((share) => share / 100), paths: paths.map((path) => unpackPath(path, DECIMETRE)),
+      chosen: chosen ? unpackPath(chosen, DECIMETRE) : null,
+    };
+  }
+
+  /** @param {*} raw @returns {*[]} The objects of a scene; in a drive an adversary is where it went. */
+  function whoWasThere({ agents, moved }) {
+    return moved ? [...agents.filter(({ id }) => id !== moved.id), moved] : agents;
+  }
+
   /** @param {*} scene @returns {Int32Array} For each frame the sample whose plans are in force; -1 before the first. */
   function samplesOfFrames(scene) {
     const found = new Int32Array(scene.frames.length).fill(-1);
@@ -192,7 +205,7 @@
     };
     return {
       ...raw, ego,
-      agents: agentsOf(raw.agents),
+      agents: agentsOf(whoWasThere(raw)),
       ground: {
         drivable: areas(raw.road.drivable), crossings: areas(raw.road.crossings),
         walkways: areas(raw.road.walkways), carparks: areas(raw.road.carparks),
@@ -201,6 +214,7 @@
       recorded: (raw.recorded ?? []).map((way) => unpackPath(way, CENTIMETRE)),
       recordedPath: raw.recordedPath ? unpackPath(raw.recordedPath, CENTIMETRE) : null,
       contact: raw.contact ?? null,
+      considered: (raw.considered ?? []).map(consideredOf),
       driven: raw.base !== undefined,
       models: raw.models.map((model) => modelOf(model, raw.body)),
       sampleOf: samplesOfFrames(raw),

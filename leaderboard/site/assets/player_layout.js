@@ -15,7 +15,7 @@
   const MARKS = "✕ a plan made then collides, ┃ where the present one first does, ? the planner failed";
   const TOGGLES = [
     ["recorded", "recorded ways", true], ["bodies", "footprints", true], ["forecasts", "forecasts", false],
-    ["modes", "other modes", false],
+    ["modes", "other modes", false], ["considered", "what the adversary considered", true],
   ];
 
   const TIMES_S = [1, 2, 5, 10, 20, 60, 300], MOST_TIMES = 12;
@@ -206,7 +206,8 @@
     }
 
     buildChoices() {
-      const choices = TOGGLES.map(([name, words]) => {
+      const there = TOGGLES.filter(([name]) => name !== "considered" || this.scene.considered.length);
+      const choices = there.map(([name, words]) => {
         const box = element("input", {
           type: "checkbox", checked: this.show[name], "data-testid": `player-show-${name}`,
           change: () => { this.show[name] = box.checked; this.redraw(); },

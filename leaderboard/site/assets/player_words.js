@@ -4,6 +4,10 @@
   const player = window.ChallengerPlayer;
   const HORIZONS = [["1 s", 2], ["2 s", 4], ["3 s", 6]];
   const COMMANDS = ["right", "left", "straight"];
+  const DID = {
+    track: "The adversary drives the scene's own track.", searched: "The adversary drives what its search found.",
+    slowed: "Nothing that the adversary's search found is allowed; it brakes or goes on.",
+  };
   const COLUMNS = 8, LAST_COMPARED = 5;
 
   /**
@@ -149,7 +153,9 @@
     if (scene.driven) {
       // Plans that were driven are not judged one by one: what came of them is what is seen.
       const failed = models.map((model) => model.at(sample)?.failed).filter((why) => why !== undefined);
-      return [element("p", { class: "cp-note" }, [`${caption}.`, ...failed.map((why) => `The planner failed: ${why}`)].join(" "))];
+      const did = scene.considered.findLast(({ t }) => t <= scene.samples[sample].t + 0.001)?.did;
+      return [element("p", { class: "cp-note" }, [`${caption}.`, ...(did ? [DID[did]] : []),
+        ...failed.map((why) => `The planner failed: ${why}`)].join(" "))];
     }
     const notes = compare && models.length === 2 ? [difference(models, entries, sample)] : [];
     if (entries.some(({ cells }) => cells[0].words.endsWith("‡"))) {

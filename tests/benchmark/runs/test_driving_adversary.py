@@ -12,12 +12,13 @@ from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.closed_loop.engines import rides_as, rides_of
 from benchmark.errors import InputError
 from benchmark.machine.workers import LocalProcesses
+from benchmark.records.considered import read_considered
 from benchmark.records.drives import DriveRecord, load_drives
-from benchmark.runs import ladders
+from benchmark.runs import drive_work, ladders
 from benchmark.runs.driving import DriveSettings, drive_planners
-from benchmark.runs.redriving import driven_again
+from benchmark.runs.redriving import considered_again, driven_again
 from generation.in_the_loop.settings import Knows
-from tests.benchmark.cli.cli_runs import bytes_below
+from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.generation.in_the_loop.loops import SETTINGS, rides
 
@@ -129,3 +130,56 @@ def test_tracks_of_one_planner_are_driven_against_another(records: list[DriveRec
         api.drive_settings("adv", agents="adversary", adversary_tracks=source.directory)
     with pytest.raises(InputError, match="add --agents adversary"):
         api.drive_settings("val", adversary_tracks=source.directory)
+
+
+KEEPING = replace(ADVERSARY, maker=rides(replace(SETTINGS, keep_considered=True)), keep_considered=True)
+
+
+def beside(out: Path) -> dict[str, bytes]:
+    return {name: content for name, content in bytes_below(out).items() if "considered" in Path(name).parts}
+
+
+def test_what_was_considered_is_kept_beside_a_record_of_the_same_bytes(
+    records: list[DriveRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = driven(tmp_path / "fresh", KEEPING)
+    fresh = bytes_below(tmp_path / "fresh")
+    kept = beside(tmp_path / "fresh")
+    plain = bytes_below(records[0].directory.parents[3])
+    assert len(kept) == 8 and {name: fresh[name] for name in fresh.keys() - kept.keys()} == plain
+    for record in found:
+        for row in record.rows:
+            frames = read_considered(record.directory, row)
+            assert frames is not None and row.adversary is not None
+            assert [each.frame for each in frames] == row.adversary.replanned
+            assert [each.did != "searched" for each in frames] == [score is None for score in row.adversary.scores]
+    # Of drives that are kept, the search is repeated, and nobody drives.
+    later = tmp_path / "later"
+    driven(later)
+    assert not beside(later)
+    monkeypatch.setattr(drive_work, "_drives", None)
+    driven(later, KEEPING)
+    assert beside(later) == kept
+    # What was there stays; what is damaged is made anew.
+    monkeypatch.setattr(drive_work, "considered_again", None)
+    driven(later, KEEPING)
+    next(later.rglob("considered/*.json")).write_text("{")
+    with pytest.raises(TypeError):
+        driven(later, KEEPING)
+
+
+def test_an_adversary_that_would_go_elsewhere_is_not_shown(records: list[DriveRecord]) -> None:
+    row = records[0].rows[0]
+    assert row.adversary is not None
+    moved = [[x, y + 0.001, yaw] for x, y, yaw in row.adversary.poses]
+    elsewhere = row.model_copy(update={"adversary": row.adversary.model_copy(update={"poses": moved})})
+    data = town()
+    with pytest.raises(InputError, match="lead elsewhere"):
+        considered_again(rides(), data.scene(row.scene), data, elsewhere)
+
+
+def test_only_who_plans_considers_anything(records: list[DriveRecord]) -> None:
+    for wrong in ({}, {"agents": "adversary", "adversary_tracks": records[0].directory}):
+        with pytest.raises(InputError, match="--keep-considered"):
+            api.drive_settings("val", keep_considered=True, **wrong)
+    assert "--keep-considered" in refusal("drive", "--keep-considered")

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmark.constants import FRAME_HZ
 from benchmark.drivers.driving import Rung, Situation, drive
 from benchmark.drivers.outcomes import Surroundings
 from benchmark.drivers.reaction import Driver
+from benchmark.drivers.rules import CAREFUL_TIME_S, HARDEST_BRAKING, REACTION_S
 from benchmark.dynamics.bicycle import SimulatedMotion
 from benchmark.encounters.tracks import Tracks
 from benchmark.geometry import Floats
 from benchmark.scene import Scene
-from generation.in_the_loop.careful import CarefulAhead
+from generation.in_the_loop.careful import EVERY_FRAMES, Bodies, CarefulAhead
 from tests.generation.in_the_loop.loops import road
 from tests.hand_made import Car
 
@@ -90,3 +92,55 @@ def test_who_follows_too_closely_to_stop_lacks_what_is_missing(gap: float, aside
     size = np.array([4.6, 1.9])
     found = careful.lacking(careful.placed(motion_of(poses), size))[0]
     assert found == pytest.approx(max(8.0 - gap, 0.0) if aside == 0.0 else 0.0, abs=0.1)
+
+
+def hits_one_by_one(careful: CarefulAhead, placed: Bodies) -> list[bool]:
+    """Each body by itself, each of the others by itself, step after step."""
+    return [_hits_alone(careful, placed, row) for row in range(len(placed.rear))]
+
+
+def _hits_alone(careful: CarefulAhead, placed: Bodies, row: int) -> bool:
+    own = [column[row] for column in (placed.rear, placed.front, placed.beside)]
+    others = [list(body) for body in zip(careful.others.rear, careful.others.front, careful.others.beside, strict=True)]
+    half, dt, station, speed = 0.5 * careful.way.length_m, EVERY_FRAMES / FRAME_HZ, careful.station, careful.speed
+    waiting, braking, hit, lost = REACTION_S, 0.0, False, False
+    for step in range(len(careful.steps)):
+        unsafe = False
+        for rear, front, beside in [own, *others]:
+            gap, closing = rear[step] - station - half, speed - (rear[step + 1] - rear[step]) / dt
+            near = gap <= 0.0 or (closing > 0.0 and gap <= CAREFUL_TIME_S * closing)
+            unsafe |= bool(beside[step] <= 0.0 and front[step] > station and near)
+        ready = unsafe and waiting <= 0.0
+        waiting -= dt if unsafe else 0.0
+        braking = min(braking + 12.65 * dt, HARDEST_BRAKING) if ready else braking
+        after = max(speed - (braking if ready else 0.0) * dt, 0.0)
+        station, speed = station + 0.5 * dt * (speed + after), after
+        rear, front, beside = (column[step + 1] for column in own)
+        hit |= bool(rear < station + half + 1.0 and front > station - half and beside <= 0.4 + 0.1 * (step + 1) * dt)
+        for other in others:
+            rear, front, beside = (column[step + 1] for column in other)
+            lost |= bool(rear < station + half and front > station - half and beside <= 0.0)
+    return hit or lost
+
+
+def test_all_at_once_is_each_by_itself() -> None:
+    scene = road(seconds=8.0)
+    careful = CarefulAhead.of(scene, 0, FRAME, 8.0)
+    rng, instants = np.random.default_rng(5), len(careful.steps) + 1
+
+    def bodies(count: int, along: tuple[float, float]) -> Bodies:
+        rear = (
+            careful.station + rng.uniform(*along, (count, 1)) + rng.uniform(0.0, 1.6, (count, instants)).cumsum(axis=1)
+        )
+        return Bodies(rear, rear + 4.6, rng.uniform(-0.4, 1.2, (count, instants)))
+
+    outcomes = set()
+    for others in (0, 1, 4):
+        among = replace(careful, others=bodies(others, (15.0, 60.0)), lost=False)
+        placed = bodies(60, (-20.0, 40.0))
+        # What is looked at after the last instant is not part of this comparison.
+        placed.beside[:, -1] = 2.0
+        found = among.hits(placed).tolist()
+        assert found == hits_one_by_one(among, placed)
+        outcomes |= set(found)
+    assert outcomes == {False, True}

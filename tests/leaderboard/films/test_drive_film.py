@@ -12,7 +12,7 @@ from adapters.baselines.stop import Stop
 from benchmark.closed_loop.drives.default_engine import DefaultRides
 from benchmark.constants import FRAME_HZ
 from benchmark.drawing.driven import DrivenSheet
-from benchmark.drawing.palette import CONTACT, EGO, PATH
+from benchmark.drawing.palette import ADVERSARY, BEST, CONTACT, EGO, PATH
 from benchmark.errors import InputError
 from benchmark.records.drives import DriveRecord
 from benchmark.runs.drive_sheets import driven_sheet
@@ -27,6 +27,8 @@ from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.benchmark.records.test_drives import written as written_drives
 from tests.benchmark.runs.test_drive_sheets import Clock, driven, town
+from tests.generation.in_the_loop.loops import SETTINGS as ADVERSARY_SETTINGS
+from tests.generation.in_the_loop.loops import rides
 from tests.leaderboard.films.test_film import pixels_of
 
 SETTINGS = FilmSettings(fps=DRIVE_FPS)
@@ -129,6 +131,32 @@ def test_a_film_of_twenty_seconds_is_less_than_a_megabyte(tmp_path: Path) -> Non
     settings = FilmSettings(fps=DRIVE_FPS)
     film = write_drive_film(shown, record, "log-replay", tmp_path / "films", FilmFormat.WEBM, settings)
     assert film.suffix == ".webm" and film.stat().st_size * 20 / seconds < LARGEST_BYTES
+
+
+def test_what_an_adversary_considered_is_drawn_where_it_was_kept_and_asked_for(tmp_path: Path) -> None:
+    maker = rides(replace(ADVERSARY_SETTINGS, keep_considered=True))
+    settings = DriveSettings("default", maker, agents="adversary", ladder=("cc",), limit=1, keep_considered=True)
+    record = drive_split(town(), "val", Stop(), tmp_path / "out", settings)
+    kept = driven_sheet(tmp_path, town(), record, record.rows[0], maker, None)
+    # A vehicle of a recording is the adversary of the drive.
+    assert record.rows[0].adversary is not None
+    assert [each.id for each in kept.stored.sheet.agents if each.adversary] == [record.rows[0].adversary.uuid]
+    first = next(each for each in kept.considered if each.did == "searched")
+    assert first.chosen is not None
+    frame = int(np.searchsorted(kept.stored.sheet.timestamps_us, first.time_us))
+    shown = kept.candidates_at(frame)
+    assert shown is not None and shown.chosen is not None and len(shown.paths) == len(first.candidates)
+    np.testing.assert_allclose(shown.chosen + kept.stored.sheet.origin_m, first.candidates[first.chosen], atol=1e-6)
+    assert kept.candidates_at(0) is None
+    moment = float(kept.seconds[frame])
+    whole, without, unkept = (
+        next(iter(film_of((record, sheet), begin_s=moment, layout=FilmLayout.BIRDSEYE, **changes)))
+        for sheet, changes in ((kept, {}), (kept, {"candidates": False}), (replace(kept, considered=()), {}))
+    )
+    assert np.array_equal(without, unkept)
+    above, panel = slice(WIDTH_PX - 820, None), slice(0, WIDTH_PX - 820)
+    assert pixels_of(whole[:, above], BEST) > pixels_of(without[:, above], BEST) + 100
+    assert pixels_of(whole[:, panel], ADVERSARY) > pixels_of(without[:, panel], ADVERSARY) + 20
 
 
 @pytest.fixture

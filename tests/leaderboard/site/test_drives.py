@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmark.records.considered import ConsideredFrame, write_considered
 from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, Sheets
 from leaderboard.build import write_leaderboard
@@ -23,6 +24,7 @@ def drive_of(folder: Path, sheet: Sheet, agents: str = "replay", **changes: Any)
     times = [sheet.timestamps_us[0] + 500_000 * tick for tick in range(7)]
     x, y = (place + at for place, at in zip(sheet.origin_m, (sheet.ego.x_m[0], sheet.ego.y_m[0])))
     ego = [[x + 2.0 * tick, y + 2.0, 0.0, 4.0, 0.0, 0.0, 0.0] for tick in range(7)]
+    measured = changes.pop("measured", {"engine": "default", "agents": agents, "sensor": "none"})
     end = {"end": "contact", "contact": {**contact(), "seconds": 1.3}}
     one = row(
         sheet.scene,
@@ -31,7 +33,6 @@ def drive_of(folder: Path, sheet: Sheet, agents: str = "replay", **changes: Any)
         plans=[{"frame": "ego", "waypoints": [[2.0 * step, 0.0] for step in range(1, 7)]}] * 6,
         **{**end, **changes},
     )
-    measured = {"engine": "default", "agents": agents, "sensor": "none"}
     data = sheet.data.model_dump()
     return written(folder, one, data=data, split=sheet.split, scenes=[sheet.scene], measured=measured)
 
@@ -105,6 +106,81 @@ def test_the_page_plays_a_drive(site: Site, browser: Browser, tmp_path: Path) ->
     assert "Only the ego is shown as driven" in opened(browser, index, f"#/drive/{keys[False]}")
     scene = scene_key((sheet.data.name, sheet.split, sheet.scene))
     assert "Driven in closed loop" in opened(browser, index, f"#/scene/{scene}")
+
+
+def pursued(folder: Path, sheet: Sheet, others: str = "replay") -> DriveRecord:
+    """A drive in which the sheet's last agent is an adversary from frame 12 on, and what it considered."""
+    agent = sheet.agents[-1]
+    x, y = sheet.origin_m
+    poses = [[x + 5.0 + 0.1 * step, y + 1.0, 0.5] for step in range(17)]
+    adversary = {
+        "agent": 0,
+        "uuid": agent.id,
+        "start": 12,
+        "poses": poses,
+        "replanned": [12, 24],
+        "scores": [None, -1.0],
+    }
+    measured = {"engine": "default", "agents": "adversary", "sensor": "none", "agents_facts": {"others": others}}
+    found = drive_of(folder, sheet, adversary=adversary, measured=measured)
+    lines = [[[x + 6.0 + 2.0 * at, y + side * at] for at in range(7)] for side in (-1.0, 0.0, 1.0)]
+    frames = (
+        ConsideredFrame(frame=12, time_us=sheet.timestamps_us[12], did="track"),
+        ConsideredFrame.model_validate(
+            {"frame": 24, "time_us": sheet.timestamps_us[24], "did": "searched", "candidates": lines,
+             "scores": [2.0, -1.0, None], "chosen": 1}
+        ),
+    )  # fmt: skip
+    write_considered(found.directory, found.rows[0], frames)
+    return found
+
+
+def test_an_adversary_is_where_it_drove_with_what_it_considered(site: Site, tmp_path: Path) -> None:
+    sheet = first_sheet(site)
+    driven = [pursued(tmp_path / others, sheet, others=others) for others in ("replay", "idm")]
+    files, index = drive_files(driven, site.sheets), drive_index(driven, site.sheets)
+    index.sort(key=lambda one: not one["everybody"])
+    assert [one["everybody"] for one in index] == [True, False] and all(one["adversary"] for one in index)
+    beside, alone = (value_of(files[f"data/scenes/{one['key']}.js"]) for one in index)
+    assert "agents" not in beside and alone["agents"] == []
+    moved, recorded = beside["moved"], sheet.agents[-1]
+    assert moved == alone["moved"] and moved["adversary"] and moved["id"] == recorded.id
+    assert moved["first"] == min(recorded.first, 12) and moved["count"] == 12 - moved["first"] + 17
+    x = np.cumsum([*moved["x"], *[0] * (moved["count"] - len(moved["x"]))]) * 0.01
+    assert x[-17:] == pytest.approx(5.0 + 0.1 * np.arange(17), abs=0.006)
+    track, searched = beside["considered"]
+    assert (track["did"], track["paths"], track["chosen"]) == ("track", [], None)
+    # The worst is first, and the driven one is among them.
+    assert searched["shares"] == [100, 100, 0] and searched["chosen"] == searched["paths"][-1]
+    assert searched["t"] == pytest.approx((sheet.timestamps_us[24] - sheet.timestamps_us[0]) * 1e-6, abs=1e-3)
+
+
+def test_the_player_shows_what_was_considered_until_it_is_switched_off(
+    site: Site, browser: Browser, tmp_path: Path
+) -> None:
+    sheet = first_sheet(site)
+    driven, folder = [pursued(tmp_path / "a", sheet), drive_of(tmp_path / "b", sheet)], tmp_path / "board"
+    write_leaderboard(site.records, folder, sheets=site.sheets, drives=driven)
+    index = (folder / "site" / "index.html").as_uri()
+    keys = {one["adversary"]: one["key"] for one in drive_index(driven, site.sheets)}
+    text = opened(browser, index, f"#/drive/{keys[True]}?t=2.1")
+    assert "Orange is the adversary as it drove" in text and "what its search found" in text
+    box = browser.one("player-show-considered")
+    with_them = canvas_of(browser)
+    browser.click(box)
+    browser.frames()
+    without = canvas_of(browser)
+    browser.click(box)
+    browser.frames()
+    assert with_them != without and canvas_of(browser) == with_them
+    assert "the scene's own track" in opened(browser, index, f"#/drive/{keys[True]}?t=1.5")
+    opened(browser, index, f"#/drive/{keys[False]}")
+    assert not browser.all("player-show-considered")
+
+
+def canvas_of(browser: Browser) -> str:
+    """What the player has drawn from above."""
+    return str(browser.js("return document.querySelector('.cp-birdseye').toDataURL()"))
 
 
 def opened(browser: Browser, index: str, route: str) -> str:

@@ -1,0 +1,105 @@
+"""What an adversary in the loop considered at each of its planning frames: a file a drive, beside its record.
+
+The files are written on request (`drive --keep-considered`) and are no part of the record: with and without them its
+bytes are the same.
+"""
+
+from pathlib import Path
+from typing import Any, Final, Literal, Self
+
+from pydantic import model_validator
+
+from benchmark.machine.storage import content_key, file_name, read_kept_json, write_json
+from benchmark.records.drive_schema import AdversaryRow, DriveRow
+from benchmark.records.scenes import Ring
+from benchmark.records.stored import Stored
+
+SCHEMA: Final = 1
+FOLDER: Final = "considered"
+"""In the directory of a record of drives."""
+Did = Literal["track", "searched", "slowed"]
+
+
+class ConsideredFrame(Stored):
+    """One planning frame.
+
+    Attributes:
+        frame: Of the scene.
+        time_us: When it was.
+        did: What was done: the track that the scene was made with went on, a candidate of the search was driven, or
+            none was allowed and it went on or braked on the path that was meant.
+        candidates: (B, M) global x, y of the search's candidates, half a second apart; none where it did not search.
+        scores: (B,) lower is better; null where infinite.
+        chosen: Which was driven; null where none was.
+    """
+
+    frame: int
+    time_us: int
+    did: Did
+    candidates: tuple[Ring, ...] = ()
+    scores: tuple[float | None, ...] = ()
+    chosen: int | None = None
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if len(self.scores) != len(self.candidates) or len({len(line) for line in self.candidates}) > 1:
+            raise ValueError("every candidate has a score and as many points as the others")
+        if (self.chosen is not None) != (self.did == "searched"):
+            raise ValueError("a candidate is chosen where one of the search was driven")
+        if self.chosen is not None and not 0 <= self.chosen < len(self.candidates):
+            raise ValueError("the chosen candidate is one of them")
+        return self
+
+
+class _ConsideredFile(Stored):
+    """The file of one drive; ``adversary`` is a key of the track that these frames led to."""
+
+    schema_version: Literal[1]
+    adversary: str
+    frames: tuple[ConsideredFrame, ...]
+
+
+def considered_path(directory: Path, scene: str, run: int) -> Path:
+    """Where a record keeps what the adversary of a drive considered."""
+    return directory / FOLDER / f"{file_name(scene)}-{run}.json"
+
+
+def write_considered(directory: Path, row: DriveRow, frames: tuple[ConsideredFrame, ...]) -> None:
+    """Keep what the adversary of a drive considered.
+
+    Args:
+        directory: Of the record.
+        row: The drive; it has an adversary.
+        frames: One for each of its planning frames.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    assert row.adversary is not None
+    found = _ConsideredFile(schema_version=SCHEMA, adversary=_key(row.adversary), frames=frames)
+    write_json(considered_path(directory, row.scene, row.run), found.model_dump(mode="json"), indent=None)
+
+
+def read_considered(directory: Path, row: DriveRow) -> tuple[ConsideredFrame, ...] | None:
+    """What the adversary of a drive considered.
+
+    Args:
+        directory: Of the record.
+        row: The drive.
+
+    Returns:
+        Its planning frames; ``None`` where they were not kept, or were of another drive.
+    """
+    if row.adversary is None:
+        return None
+    kept: Any = read_kept_json(considered_path(directory, row.scene, row.run))
+    try:
+        found = _ConsideredFile.model_validate(kept)
+    except ValueError:
+        # What is absent or damaged is made again by whoever asks for it.
+        return None
+    return found.frames if found.adversary == _key(row.adversary) else None
+
+
+def _key(adversary: AdversaryRow) -> str:
+    return content_key(adversary.model_dump(mode="json"))
