@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -15,8 +15,6 @@ from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
 from benchmark.planning import Forecasts, Observation, Plan, SceneInfo
 
-FORECAST_SCORE: Final = 0.3
-"""Boxes of a lower score are not counted as what a model expects: it always reports a hundred or more."""
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -67,6 +65,7 @@ class NativePlanner(ABC, Generic[Network]):
         self._network = network.eval().to(self._device)
         config: Any = network.config
         self._format: ImageFormat = config.image_format
+        self._forecast_score: float = config.forecast_score
         self._normalisation = normalisation
         self.settings = {
             **(settings or {}),
@@ -74,7 +73,7 @@ class NativePlanner(ABC, Generic[Network]):
             "normalisation": normalisation.name,
             "device": self._device.type,
             "precision": precision,
-            "forecast_score": FORECAST_SCORE,
+            "forecast_score": self._forecast_score,
             **({"as_published": "+".join(as_published)} if as_published else {}),
         }
 
@@ -119,7 +118,11 @@ def numbers(tensor: torch.Tensor) -> Floats:
 
 
 def forecasts_of(
-    boxes: torch.Tensor, scores: torch.Tensor, trajectories: torch.Tensor, shares: torch.Tensor
+    boxes: torch.Tensor,
+    scores: torch.Tensor,
+    trajectories: torch.Tensor,
+    shares: torch.Tensor,
+    least_score: float,
 ) -> Forecasts:
     """What a network expects of the others.
 
@@ -131,11 +134,12 @@ def forecasts_of(
         scores: (N,) 0 to 1.
         trajectories: (N, modes, steps, 2) centres, at least as many steps as a plan has.
         shares: (N, modes) probabilities.
+        least_score: Boxes of a lower one are left out.
 
     Returns:
-        Boxes with a score of `FORECAST_SCORE` or more.
+        The others.
     """
-    kept = scores >= FORECAST_SCORE
+    kept = scores >= least_score
     # Length before width, as boxes are everywhere here; networks have them the other way round.
     listed, paths = numbers(boxes[kept][:, [0, 1, 4, 3, 6]]), numbers(trajectories[kept][:, :, :PLAN_STEPS])
     likely = numbers(shares[kept])

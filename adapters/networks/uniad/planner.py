@@ -72,7 +72,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     def _computed(self, observation: Observation) -> Plan:
         self.seen = self._network(self.inputs(observation))
-        return _plan(self.seen)
+        return _plan(self.seen, self._forecast_score)
 
 
 def example_frame(config: UniADConfig) -> UniADInputs:
@@ -97,11 +97,13 @@ def example_frame(config: UniADConfig) -> UniADInputs:
     )
 
 
-def _plan(outputs: UniADOutputs) -> Plan:
+def _plan(outputs: UniADOutputs, forecast_score: float) -> Plan:
     planned = [outputs.plan_before_optimisation, outputs.plan][: 1 if outputs.collision is None else 2]
     return Plan(
         waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
         modes=numbers(torch.stack(planned)),
-        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores),
+        forecasts=forecasts_of(
+            outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores, forecast_score
+        ),
     )

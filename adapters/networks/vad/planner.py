@@ -15,7 +15,7 @@ class VADPlanner(NativePlanner[VAD]):
     """VAD with given weights; arguments and errors as in `NativePlanner`."""
 
     def _computed(self, observation: Observation) -> Plan:
-        return _plan(self._network(self._inputs(observation)))
+        return _plan(self._network(self._inputs(observation)), self._forecast_score)
 
     def _inputs(self, observation: Observation) -> VADInputs:
         images = camera_images(observation, self._format, self._normalisation)
@@ -47,10 +47,12 @@ def example_frame(config: VADConfig) -> VADInputs:
     )
 
 
-def _plan(outputs: VADOutputs) -> Plan:
+def _plan(outputs: VADOutputs, forecast_score: float) -> Plan:
     return Plan(
         waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
         modes=numbers(outputs.plan_modes),
-        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores),
+        forecasts=forecasts_of(
+            outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores, forecast_score
+        ),
     )
