@@ -50,11 +50,12 @@ def main(folders: tuple[Path, ...]) -> None:
         record = load_drives(folder)
         rows = [row for row in record.rows if row.scores is not None]
         contacts = [row.contact for row in rows if row.contact is not None]
+        strayed = sum(left_road_s(row) is not None for row in rows)
         print(
             f"{record.planner} on {record.facts.split}, {record.facts.measured.agents}: completed "
             f"{sum(map(completed, rows))} of {len(record.rows)}; contacts {len(contacts)}, at fault "
-            f"{sum(each.at_fault for each in contacts)}; off the road {sum(left_road_s(row) is not None for row in rows)}; "
-            f"clear {np.mean([clear_m(row) for row in rows]):.0f} m"
+            f"{sum(each.at_fault for each in contacts)}; off the road {strayed}; clear "
+            f"{np.mean([clear_m(row) for row in rows]):.0f} m"
         )
 
 
