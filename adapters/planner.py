@@ -10,6 +10,7 @@ from torch import nn
 
 from adapters.as_published import CAN_AFTER, CROSS_SCENES
 from adapters.camera_inputs import ImageFormat, Normalisation
+from adapters.networks.layers.reporting import Reporting, said_once
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
@@ -65,7 +66,7 @@ class NativePlanner(ABC, Generic[Network]):
         self._network = network.eval().to(self._device)
         config: Any = network.config
         self._format: ImageFormat = config.image_format
-        self._forecast_score: float = config.forecast_score
+        self._reporting: Reporting = config.reporting
         self._normalisation = normalisation
         self.settings = {
             **(settings or {}),
@@ -73,7 +74,8 @@ class NativePlanner(ABC, Generic[Network]):
             "normalisation": normalisation.name,
             "device": self._device.type,
             "precision": precision,
-            "forecast_score": self._forecast_score,
+            "forecast_score": self._reporting.least_score,
+            **({"forecasts_apart": self._reporting.apart} if self._reporting.apart else {}),
             **({"as_published": "+".join(as_published)} if as_published else {}),
         }
 
@@ -122,7 +124,7 @@ def forecasts_of(
     scores: torch.Tensor,
     trajectories: torch.Tensor,
     shares: torch.Tensor,
-    least_score: float,
+    reporting: Reporting,
 ) -> Forecasts:
     """What a network expects of the others.
 
@@ -134,12 +136,13 @@ def forecasts_of(
         scores: (N,) 0 to 1.
         trajectories: (N, modes, steps, 2) centres, at least as many steps as a plan has.
         shares: (N, modes) probabilities.
-        least_score: Boxes of a lower one are left out.
+        reporting: Which boxes count.
 
     Returns:
-        The others.
+        Those that count, in their order.
     """
-    kept = scores >= least_score
+    kept = (scores >= reporting.least_score).nonzero()[:, 0]
+    kept = kept[said_once(boxes[kept][:, :2], boxes[kept][:, 4], scores[kept], reporting.apart)]
     # Length before width, as boxes are everywhere here; networks have them the other way round.
     listed, paths = numbers(boxes[kept][:, [0, 1, 4, 3, 6]]), numbers(trajectories[kept][:, :, :PLAN_STEPS])
     likely = numbers(shares[kept])

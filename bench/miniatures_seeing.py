@@ -43,7 +43,8 @@ def built(name: str, weights: Path | None, forecast_score: float | None) -> Any:
     network = small.build()
     load_weights(network, resolve_checkpoint(name, weights or small.packaged))
     if forecast_score is not None:
-        network.config = replace(network.config, forecast_score=forecast_score)
+        reporting = replace(network.config.reporting, least_score=forecast_score)
+        network.config = replace(network.config, reporting=reporting)
     return resolve(small.planner)(network, name=name, normalisation=RGB_MEAN_STD, device="cpu")
 
 

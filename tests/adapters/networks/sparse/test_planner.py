@@ -134,7 +134,7 @@ def test_forecasts_are_boxes_of_this_project(data: NuScenesData) -> None:
             return replace(
                 super().forward(inputs, noise),
                 boxes=box.expand(2, 9),
-                box_scores=torch.tensor([0.9, MINIATURE.forecast_score - 0.01]),
+                box_scores=torch.tensor([0.9, MINIATURE.reporting.least_score - 0.01]),
                 trajectories=steps.expand(2, 6, 12, 2),
                 trajectory_scores=torch.tensor([[0.9, 0.45, 0.15, 0.0, 0.0, 0.0]] * 2),
             )
