@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -10,13 +10,12 @@ from torch import nn
 
 from adapters.as_published import CAN_AFTER, CROSS_SCENES
 from adapters.camera_inputs import ImageFormat, Normalisation
+from adapters.networks.layers.reporting import Reporting, said_once
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
 from benchmark.planning import Forecasts, Observation, Plan, SceneInfo
 
-FORECAST_SCORE: Final = 0.3
-"""Boxes of a lower score are not counted as what a model expects: it always reports a hundred or more."""
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -67,6 +66,7 @@ class NativePlanner(ABC, Generic[Network]):
         self._network = network.eval().to(self._device)
         config: Any = network.config
         self._format: ImageFormat = config.image_format
+        self._reporting: Reporting = config.reporting
         self._normalisation = normalisation
         self.settings = {
             **(settings or {}),
@@ -74,7 +74,8 @@ class NativePlanner(ABC, Generic[Network]):
             "normalisation": normalisation.name,
             "device": self._device.type,
             "precision": precision,
-            "forecast_score": FORECAST_SCORE,
+            "forecast_score": self._reporting.least_score,
+            **({"forecasts_apart": self._reporting.apart} if self._reporting.apart else {}),
             **({"as_published": "+".join(as_published)} if as_published else {}),
         }
 
@@ -119,7 +120,11 @@ def numbers(tensor: torch.Tensor) -> Floats:
 
 
 def forecasts_of(
-    boxes: torch.Tensor, scores: torch.Tensor, trajectories: torch.Tensor, shares: torch.Tensor
+    boxes: torch.Tensor,
+    scores: torch.Tensor,
+    trajectories: torch.Tensor,
+    shares: torch.Tensor,
+    reporting: Reporting,
 ) -> Forecasts:
     """What a network expects of the others.
 
@@ -131,11 +136,13 @@ def forecasts_of(
         scores: (N,) 0 to 1.
         trajectories: (N, modes, steps, 2) centres, at least as many steps as a plan has.
         shares: (N, modes) probabilities.
+        reporting: Which boxes count.
 
     Returns:
-        Boxes with a score of `FORECAST_SCORE` or more.
+        Those that count, in their order.
     """
-    kept = scores >= FORECAST_SCORE
+    kept = (scores >= reporting.least_score).nonzero()[:, 0]
+    kept = kept[said_once(boxes[kept][:, :2], boxes[kept][:, 4], scores[kept], reporting.apart)]
     # Length before width, as boxes are everywhere here; networks have them the other way round.
     listed, paths = numbers(boxes[kept][:, [0, 1, 4, 3, 6]]), numbers(trajectories[kept][:, :, :PLAN_STEPS])
     likely = numbers(shares[kept])

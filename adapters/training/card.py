@@ -40,6 +40,8 @@ rows, so the rows below the first say how much of a plan comes from the images.
 
 {forecasts}
 
+{seen}
+
 Weights and card: Apache-2.0, as the code; the town is drawn by it.
 """
 _FORECASTS: Final = """\
@@ -47,6 +49,11 @@ Of {vehicles:,} vehicles within 30 m (annotated, at least one lidar point) {reca
 diagnosis of collisions matches (`docs/diagnosis.md`); {precision:.0%} of the forecasts there are of something that is
 annotated. Mean error over 3 s of the matched ones: {least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most
 likely mode), {standing_error_m:.2f} m if everybody were expected to stay where it is."""
+_SEEN: Final = """\
+Of the {vehicles:,} that are at least 40 % visible {recall:.0%} have a forecast whose present box is within 2 m, and
+{precision:.0%} of the forecasts there are of something that is annotated. Mean error over 3 s of the matched ones:
+{least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most likely mode), {standing_error_m:.2f} m for
+standing still."""
 _STARTS: Final = {"image_encoder": "image encoder", "start_from": "weights"}
 _TITLES: Final = {
     "own": "its own images",
@@ -95,5 +102,6 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
         sha256=facts["sha256"],
         judged=f"{len(facts['judged_on']['scenes'])} scenes of `{facts['judged_on']['data']}`",
         forecasts=_FORECASTS.format(**facts["forecasts"]) if facts["forecasts"] else "Forecasts: not measured.",
+        seen=_SEEN.format(**facts["seen"]) if facts.get("seen") else "Forecasts of what is visible: not measured.",
         rows="\n".join(rows) or "| not measured | | | | | |",
     )

@@ -1,4 +1,9 @@
-"""Whether a planner sees the others and knows where they go: what a diagnosis of its collisions rests on."""
+"""Whether a planner sees the others and knows where they go: what a diagnosis of its collisions rests on.
+
+Two rules say which vehicles count and which forecast is of whom. *As diagnosed*: vehicles with a lidar point, matched
+as `benchmark.metrics.diagnosis` matches, also with what appears later. *As seen*: vehicles that are at least 40 %
+visible now, matched by the distance of the present centres alone; what nobody could see costs no recall.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -7,8 +12,11 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import VEHICLE_CATEGORIES
-from benchmark.metrics.diagnosis import forecasts_in_lidar, matched_forecasts
-from benchmark.planning import Plan
+from benchmark.datasets.sample_truth import HIDDEN
+from benchmark.geometry import Floats
+from benchmark.metrics.diagnosis import MATCH_WITHIN_M, forecasts_in_lidar, matched_forecasts
+from benchmark.planning import Forecasts, Plan
+from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 NEAR_M: Final = 30.0
@@ -17,12 +25,12 @@ NEAR_M: Final = 30.0
 
 @dataclass(frozen=True, slots=True)
 class ForecastFigures:
-    """Figures over vehicles within `NEAR_M` of the ego, matched as `benchmark.metrics.diagnosis` matches.
+    """Figures over vehicles within `NEAR_M` of the ego, by one of the two rules.
 
     Attributes:
-        vehicles: Annotated ones, with at least one lidar point, over all samples.
+        vehicles: Annotated ones that count, over all samples.
         recall: Share of them that have a forecast.
-        precision: Share of the forecasts of that area that are of an annotated object.
+        precision: Share of the forecasts of that area that are of an annotated object, whatever it is.
         least_error_m: Mean distance over 3 s of the best mode, over matched vehicles annotated to the end.
         likeliest_error_m: Of the most likely mode.
         standing_error_m: Of the forecast that everybody stays where it is.
@@ -40,8 +48,25 @@ class ForecastFigures:
         return {name: round(value, 4) for name, value in asdict(self).items()}
 
 
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """One sample by one of the rules.
+
+    Attributes:
+        truth: The sample.
+        forecasts: In its lidar frame.
+        matched: Row of the forecast by instance.
+        counted: Numbers of the vehicles that count.
+    """
+
+    truth: SampleTruth
+    forecasts: Forecasts
+    matched: dict[str, int]
+    counted: tuple[int, ...]
+
+
 def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> ForecastFigures | None:
-    """Compare forecasts with what happened.
+    """Compare forecasts with what happened, as diagnosed.
 
     Args:
         truths: S samples.
@@ -50,31 +75,72 @@ def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> Fo
     Returns:
         The figures; ``None`` where there are no forecasts, no vehicles or no matches.
     """
-    vehicles = matches = claimed = confirmed = 0
-    errors_m: list[tuple[float, float, float]] = []
+    compared = []
     for truth, plan in zip(truths, plans, strict=True):
         if plan.forecasts is None:
             continue
         forecasts = forecasts_in_lidar(plan.forecasts, plan.frame, truth.lidar_ahead_m)
-        matched = matched_forecasts(truth, forecasts)
-        centres = np.asarray(forecasts.boxes, np.float64).reshape(-1, 5)[:, :2]
-        near = np.hypot(centres[:, 0], centres[:, 1]) <= NEAR_M
+        lit = tuple(number for number in _vehicles_near(truth) if truth.has_lidar_points[number, 0])
+        compared.append(_Compared(truth, forecasts, matched_forecasts(truth, forecasts), lit))
+    return _figures(compared)
+
+
+def seen_figures(
+    truths: Sequence[SampleTruth], plans: Sequence[Plan], visible: Sequence[frozenset[str]]
+) -> ForecastFigures | None:
+    """Compare forecasts with what happened, as seen.
+
+    Args:
+        truths: S samples.
+        plans: S plans with their forecasts.
+        visible: S sets of instances (`visible_instances`).
+
+    Returns:
+        The figures; ``None`` where there are no forecasts, no vehicles or no matches.
+    """
+    compared = []
+    for truth, plan, seen in zip(truths, plans, visible, strict=True):
+        if plan.forecasts is None:
+            continue
+        forecasts = forecasts_in_lidar(plan.forecasts, plan.frame, truth.lidar_ahead_m)
+        counted = tuple(number for number in _vehicles_near(truth) if truth.instances[number] in seen)
+        compared.append(_Compared(truth, forecasts, _nearest(truth, forecasts), counted))
+    return _figures(compared)
+
+
+def visible_instances(scene: Scene) -> tuple[frozenset[str], ...]:
+    """Who can be seen at each keyframe of a scene.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        For each keyframe the instances annotated there whose level of visibility is not the least, which means 40 % at
+        most. Where a data set has no levels everybody annotated is visible.
+    """
+    known = scene.annotations
+    seen = known.valid & (known.visibility != HIDDEN)
+    return tuple(
+        frozenset(scene.agents.ids[row] for row in np.flatnonzero(seen[:, number]))
+        for number in range(len(scene.keyframes))
+    )
+
+
+def _figures(compared: Sequence[_Compared]) -> ForecastFigures | None:
+    vehicles = matches = claimed = confirmed = 0
+    errors_m: list[tuple[float, float, float]] = []
+    for sample in compared:
+        near = np.hypot(*_centres(sample.forecasts).T) <= NEAR_M
         claimed += int(np.sum(near))
-        confirmed += sum(bool(near[row]) for row in matched.values())
-        for number, (instance, category) in enumerate(zip(truth.instances, truth.categories, strict=True)):
-            if not _counts(truth, number, category):
-                continue
-            vehicles += 1
-            row = matched.get(instance)
+        confirmed += sum(bool(near[row]) for row in sample.matched.values())
+        vehicles += len(sample.counted)
+        for number in sample.counted:
+            row = sample.matched.get(sample.truth.instances[number])
             if row is None:
                 continue
             matches += 1
-            if truth.annotated[number].all():
-                driven = truth.boxes[number, 1:, :2]
-                modes = np.linalg.norm(forecasts.trajectories[row] - driven, axis=-1).mean(-1)
-                standing = np.linalg.norm(truth.boxes[number, :1, :2] - driven, axis=-1).mean()
-                likeliest = modes[int(np.argmax(forecasts.scores[row]))]
-                errors_m.append((float(modes.min()), float(likeliest), float(standing)))
+            if sample.truth.annotated[number].all():
+                errors_m.append(_errors(sample.truth.boxes[number], sample.forecasts, row))
     if not (vehicles and claimed and errors_m):
         return None
     return ForecastFigures(
@@ -82,8 +148,38 @@ def forecast_figures(truths: Sequence[SampleTruth], plans: Sequence[Plan]) -> Fo
     )
 
 
-def _counts(truth: SampleTruth, number: int, category: str) -> bool:
-    """Whether an object is a vehicle nearby that can be seen now."""
-    seen = truth.annotated[number, 0] and truth.has_lidar_points[number, 0]
-    near = np.hypot(*truth.boxes[number, 0, :2]) <= NEAR_M
-    return bool(seen and near and category in VEHICLE_CATEGORIES)
+def _errors(boxes: Floats, forecasts: Forecasts, row: int) -> tuple[float, float, float]:
+    """Mean distances over 3 s of the best mode, of the most likely one, and of standing still, metres."""
+    driven = boxes[1:, :2]
+    modes = np.linalg.norm(forecasts.trajectories[row] - driven, axis=-1).mean(-1)
+    standing = np.linalg.norm(boxes[:1, :2] - driven, axis=-1).mean()
+    return float(modes.min()), float(modes[int(np.argmax(forecasts.scores[row]))]), float(standing)
+
+
+def _nearest(truth: SampleTruth, forecasts: Forecasts) -> dict[str, int]:
+    """Row of the forecast by instance annotated now: one to one, nearest first, at most `MATCH_WITHIN_M` apart."""
+    present = np.flatnonzero(truth.annotated[:, 0])
+    offset = truth.boxes[present, None, 0, :2] - _centres(forecasts)
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    pairs = sorted(
+        (float(distance[row, column]), truth.instances[present[row]], int(column))
+        for row, column in np.argwhere(distance <= MATCH_WITHIN_M)
+    )
+    matched: dict[str, int] = {}
+    taken: set[int] = set()
+    for _, instance, column in pairs:
+        if instance not in matched and column not in taken:
+            matched[instance] = column
+            taken.add(column)
+    return matched
+
+
+def _vehicles_near(truth: SampleTruth) -> list[int]:
+    """Numbers of the vehicles that are annotated now within `NEAR_M`."""
+    near = truth.annotated[:, 0] & (np.hypot(truth.boxes[:, 0, 0], truth.boxes[:, 0, 1]) <= NEAR_M)
+    return [number for number in np.flatnonzero(near).tolist() if truth.categories[number] in VEHICLE_CATEGORIES]
+
+
+def _centres(forecasts: Forecasts) -> Floats:
+    """(A, 2) present centres."""
+    return np.asarray(forecasts.boxes, np.float64).reshape(-1, 5)[:, :2]

@@ -8,13 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.training.forecast_figures import ForecastFigures, forecast_figures
+from adapters.training.forecast_figures import ForecastFigures, forecast_figures, seen_figures, visible_instances
 from benchmark.constants import HORIZON_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
-from benchmark.planning import CameraView, Observation, Planner, SceneInfo
+from benchmark.planning import CameraView, Observation, Plan, Planner, SceneInfo
 from benchmark.protocols import protocol
+from benchmark.protocols.contract import Outcomes
 from benchmark.report.words import counted
+from benchmark.truth import SampleTruth
 
 _BLANK_GREY: Final = 128
 
@@ -54,17 +56,53 @@ class PlanFigures:
         return {name: round(value, 4) for name, value in asdict(self).items()}
 
 
+@dataclass(frozen=True, slots=True)
+class JudgedPlans:
+    """S plans beside what happened.
+
+    Attributes:
+        truths: S samples whose recording reaches 3 s.
+        plans: S plans.
+        visible: S sets of instances that can be seen (`adapters.training.forecast_figures.visible_instances`).
+    """
+
+    truths: Sequence[SampleTruth]
+    plans: Sequence[Plan]
+    visible: Sequence[frozenset[str]]
+
+    def outcomes(self) -> Outcomes:
+        """What the protocol ``exact`` says of them."""
+        pairs = zip(self.truths, self.plans, strict=True)
+        waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in pairs]
+        return protocol("exact").evaluate(self.truths, np.array(waypoints))
+
+    def figures(self) -> PlanFigures:
+        """Figures of the plans."""
+        outcomes = self.outcomes()
+        l2 = {name: float(outcomes.l2[:, step - 1].mean()) for name, step in HORIZON_STEPS.items()}
+        collisions = float(outcomes.collision.any(-1).mean())
+        return PlanFigures(len(self.truths), l2["1s"], l2["2s"], l2["3s"], collisions)
+
+    def as_diagnosed(self) -> ForecastFigures | None:
+        """Figures of the forecasts as collisions are diagnosed; ``None`` as in `forecast_figures`."""
+        return forecast_figures(self.truths, self.plans)
+
+    def as_seen(self) -> ForecastFigures | None:
+        """Figures of the forecasts of what can be seen; ``None`` as in `seen_figures`."""
+        return seen_figures(self.truths, self.plans, self.visible)
+
+
 def plan_figures(
     planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
 ) -> PlanFigures:
-    """The figures of plans alone; arguments and errors as of `figures`."""
-    return figures(planner, data, scenes, images=images, every=every)[0]
+    """The figures of plans alone; arguments and errors as of `judged_plans`."""
+    return judged_plans(planner, data, scenes, images=images, every=every).figures()
 
 
-def figures(
+def judged_plans(
     planner: Planner, data: DataSet, scenes: Sequence[str], *, images: Images = Images.OWN, every: int = 1
-) -> tuple[PlanFigures, ForecastFigures | None]:
-    """Let a planner plan and compare its plans and forecasts with what happened.
+) -> JudgedPlans:
+    """Let a planner plan.
 
     Args:
         planner: The planner.
@@ -74,29 +112,27 @@ def figures(
         every: Of the samples, one in so many is judged; planners with memory see all of them.
 
     Returns:
-        Figures of the plans, and of the forecasts where the planner gives any.
+        Its plans, beside what happened.
 
     Raises:
         InputError: If no sample is complete, shuffling has only one scene, or something in the data is broken.
     """
-    truths, plans = [], []
+    truths, plans, visible = [], [], []
     for number, name in enumerate(scenes):
         scene = data.scene(name)
+        seen = visible_instances(scene)
         planner.reset(SceneInfo(scene.name, scene.road_map.location, scene.cameras))
         for observation, truth in zip(shown(data, scenes, number, images), data.truth(name), strict=True):
             plan = planner.plan(observation)
             if truth.complete and truth.index % every == 0:
                 truths.append(truth)
                 plans.append(plan)
+                visible.append(seen[truth.index])
     if not truths:
         raise InputError(
             f"none of the {counted(len(scenes), 'scene')} has a sample with three recorded seconds after it"
         )
-    waypoints = [plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in zip(truths, plans, strict=True)]
-    outcomes = protocol("exact").evaluate(truths, np.array(waypoints))
-    l2 = {name: float(outcomes.l2[:, step - 1].mean()) for name, step in HORIZON_STEPS.items()}
-    of_plans = PlanFigures(len(truths), l2["1s"], l2["2s"], l2["3s"], float(outcomes.collision.any(-1).mean()))
-    return of_plans, forecast_figures(truths, plans)
+    return JudgedPlans(truths, plans, visible)
 
 
 def shown(data: DataSet, scenes: Sequence[str], number: int, images: Images) -> Iterator[Observation]:

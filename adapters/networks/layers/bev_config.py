@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from adapters.networks.layers.bev_geometry import BEVGrid
+from adapters.networks.layers.reporting import PUBLISHED, Reporting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +34,7 @@ class BEVConfig:
         image_points: Sampling points per head and level in images, a multiple of `height_points`.
         bev_points: Sampling points per head in the bird's-eye view.
         rotation_centre: Column and row of the previous view, in cells, around which it is turned.
+        reporting: Which of its boxes count as what it expects.
     """
 
     bev_rows: int
@@ -57,6 +59,7 @@ class BEVConfig:
     image_points: int = 8
     bev_points: int = 4
     rotation_centre: tuple[float, float] = (100.0, 100.0)
+    reporting: Reporting = PUBLISHED
 
     @property
     def grid(self) -> BEVGrid:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 from adapters.camera_inputs import NUSCENES_IMAGE, ImageFormat
+from adapters.networks.layers.reporting import PUBLISHED, Reporting
 
 STRIDE = 32
 """Pixels of a cell of the coarsest feature map."""
@@ -59,6 +60,7 @@ class SparseConfig:
             published ones take what they said about it themselves then, and need a long training to know it.
         memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
             models: there time alone decides how much of it is used, and a stale memory is still attended to once.
+        reporting: Which of its boxes count as what it expects.
     """
 
     image_height_px: int = 256
@@ -94,6 +96,7 @@ class SparseConfig:
     reported_lines: int = 100
     speed_from_poses: bool = False
     memory_crosses_scenes: bool = True
+    reporting: Reporting = PUBLISHED
 
     def __post_init__(self) -> None:
         if not (image_length_fits(self.image_height_px) and image_length_fits(self.image_width_px)):

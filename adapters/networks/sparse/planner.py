@@ -5,6 +5,7 @@ from typing import Any
 import torch
 
 from adapters.camera_inputs import camera_images, lidar_pose, lidar_to_image
+from adapters.networks.layers.reporting import Reporting
 from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.networks.sparse.selection import SparseOutputs
@@ -31,7 +32,7 @@ class SparsePlanner(NativePlanner[SparseNetwork]):
         return {"memory_crosses_scenes": self.memory_crosses_scenes}
 
     def _computed(self, observation: Observation) -> Plan:
-        return _plan(self._network(self.inputs(observation)), int(observation.command))
+        return _plan(self._network(self.inputs(observation)), int(observation.command), self._reporting)
 
     def inputs(self, observation: Observation) -> SparseInputs:
         """What the network is given for a sample; errors as in `plan`."""
@@ -66,7 +67,7 @@ def example_frame(config: SparseConfig) -> SparseInputs:
     )
 
 
-def _plan(outputs: SparseOutputs, command: int) -> Plan:
+def _plan(outputs: SparseOutputs, command: int, reporting: Reporting) -> Plan:
     likely = outputs.trajectory_scores.double()
     # The network scores each mode for itself; as shares they are the probabilities that a forecast has.
     shares = likely / likely.sum(-1, keepdim=True).clamp_min(1e-12)
@@ -75,5 +76,5 @@ def _plan(outputs: SparseOutputs, command: int) -> Plan:
         frame=PlanFrame.LIDAR,
         modes=numbers(outputs.plan_modes[command]),
         mode_scores=numbers(outputs.plan_scores[command]),
-        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, shares),
+        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, shares, reporting),
     )

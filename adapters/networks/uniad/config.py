@@ -39,6 +39,8 @@ class UniADConfig(BEVConfig):
         memory_length: States that a track remembers.
         occupancy_half_m: Half the side of the square whose occupancy is predicted.
         occupied_above: Occupancy times the track's score above which a cell counts as occupied.
+        tracks_apart: Tracks whose boxes' centres are nearer to each other than this share of the shorter one's length
+            follow the same thing, and one of them ends, or is not born. 0: they all live, as published.
         image_format: Its images.
         motion_across_scenes: Whether the first key frame of a scene is told the motion from wherever the ego was last
             (in the very first, from the origin), as the published network is; else that it has not moved.
@@ -73,6 +75,7 @@ class UniADConfig(BEVConfig):
     max_lines: int = 100
     occupancy_half_m: float = 50.0
     occupied_above: float = 0.1
+    tracks_apart: float = 0.0
     image_format: ImageFormat = PUBLISHED_IMAGE
     motion_across_scenes: bool = True
     counterclockwise_yaw: bool = False
@@ -118,6 +121,8 @@ class UniADConfig(BEVConfig):
             occupied_above=0.2,
             rotation_centre=(12.0, 12.0),
             image_format=MINIATURE_IMAGE,
+            # It finds again what it follows already: tracks would pile up, over twenty of them after 10 s.
+            tracks_apart=0.5,
             motion_across_scenes=False,
             counterclockwise_yaw=True,
         )

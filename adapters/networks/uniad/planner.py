@@ -5,6 +5,7 @@ from typing import Any
 import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_pose, lidar_to_image
+from adapters.networks.layers.reporting import Reporting
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.frames import UniADInputs, UniADOutputs
 from adapters.networks.uniad.model import UniAD
@@ -72,7 +73,7 @@ class UniADPlanner(NativePlanner[UniAD]):
 
     def _computed(self, observation: Observation) -> Plan:
         self.seen = self._network(self.inputs(observation))
-        return _plan(self.seen)
+        return _plan(self.seen, self._reporting)
 
 
 def example_frame(config: UniADConfig) -> UniADInputs:
@@ -97,11 +98,13 @@ def example_frame(config: UniADConfig) -> UniADInputs:
     )
 
 
-def _plan(outputs: UniADOutputs) -> Plan:
+def _plan(outputs: UniADOutputs, reporting: Reporting) -> Plan:
     planned = [outputs.plan_before_optimisation, outputs.plan][: 1 if outputs.collision is None else 2]
     return Plan(
         waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
         modes=numbers(torch.stack(planned)),
-        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores),
+        forecasts=forecasts_of(
+            outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores, reporting
+        ),
     )

@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.layers.coders import decode_boxes, logit, metres, within
+from adapters.networks.layers.reporting import said_once
 from adapters.networks.uniad.bev import Detections
 from adapters.networks.uniad.config import UniADConfig
 
@@ -148,7 +149,9 @@ def _rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
     return (rows[:, :, None] * matrix).sum(1)
 
 
-def updated(instances: Instances, detections: Detections, fresh: int, next_id: Tensor) -> tuple[Instances, Tensor]:
+def updated(
+    instances: Instances, detections: Detections, fresh: int, next_id: Tensor, apart: float = 0.0
+) -> tuple[Instances, Tensor]:
     """Instances after the decoder: births, naps and ends of tracks.
 
     Args:
@@ -156,6 +159,7 @@ def updated(instances: Instances, detections: Detections, fresh: int, next_id: T
         detections: Of these.
         fresh: How many are fresh; the last of them is the ego.
         next_id: () int64, the first id that has not been given.
+        apart: As `UniADConfig.tracks_apart`.
 
     Returns:
         The instances, and the next id.
@@ -165,6 +169,10 @@ def updated(instances: Instances, detections: Detections, fresh: int, next_id: T
     ids = instances.track_ids.clone()
     ids[fresh - 1 : fresh].fill_(EGO)
     awake = scores >= BORN_SCORE
+    if apart > 0:
+        again = _again(detections.box_codes[-1], scores, ids, apart)
+        awake &= ~again
+        ids = torch.where(again, NO_TRACK, ids)
     asleep_for = instances.frames_asleep.masked_fill(awake, 0)
     born = (ids == NO_TRACK) & awake
     order = born.cumsum(0)
@@ -183,6 +191,15 @@ def updated(instances: Instances, detections: Detections, fresh: int, next_id: T
         scores=scores,
     )
     return after, next_id + order[-1]
+
+
+def _again(box_codes: Tensor, scores: Tensor, ids: Tensor, apart: float) -> Tensor:
+    """(Q,) which instances follow, or would follow, what another does; tracks that are awake go before all others."""
+    boxes, again = decode_boxes(box_codes), torch.zeros_like(ids, dtype=torch.bool)
+    alive = ((ids >= 0) | ((ids == NO_TRACK) & (scores >= BORN_SCORE))).nonzero()[:, 0]
+    certainty = scores[alive] + ((ids[alive] >= 0) & (scores[alive] >= ASLEEP_SCORE))
+    again[alive] = ~said_once(boxes[alive, :2], boxes[alive, 4], certainty, apart)
+    return again
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 import torch
 
 from adapters.camera_inputs import camera_images, can_bus_vector, lidar_to_image
+from adapters.networks.layers.reporting import Reporting
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.selection import VADOutputs
@@ -15,7 +16,7 @@ class VADPlanner(NativePlanner[VAD]):
     """VAD with given weights; arguments and errors as in `NativePlanner`."""
 
     def _computed(self, observation: Observation) -> Plan:
-        return _plan(self._network(self._inputs(observation)))
+        return _plan(self._network(self._inputs(observation)), self._reporting)
 
     def _inputs(self, observation: Observation) -> VADInputs:
         images = camera_images(observation, self._format, self._normalisation)
@@ -47,10 +48,12 @@ def example_frame(config: VADConfig) -> VADInputs:
     )
 
 
-def _plan(outputs: VADOutputs) -> Plan:
+def _plan(outputs: VADOutputs, reporting: Reporting) -> Plan:
     return Plan(
         waypoints=numbers(outputs.plan),
         frame=PlanFrame.LIDAR,
         modes=numbers(outputs.plan_modes),
-        forecasts=forecasts_of(outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores),
+        forecasts=forecasts_of(
+            outputs.boxes, outputs.box_scores, outputs.trajectories, outputs.trajectory_scores, reporting
+        ),
     )

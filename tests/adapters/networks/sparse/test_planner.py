@@ -20,7 +20,6 @@ from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.model import SparseDrive, SparseInputs
 from adapters.networks.sparse.planner import SparsePlanner, example_frame
 from adapters.networks.sparse.selection import SparseOutputs
-from adapters.planner import FORECAST_SCORE
 from adapters.registry import planner, planner_factory
 from adapters.verification.models import verify_model
 from benchmark.constants import CAMERA_NAMES
@@ -135,7 +134,7 @@ def test_forecasts_are_boxes_of_this_project(data: NuScenesData) -> None:
             return replace(
                 super().forward(inputs, noise),
                 boxes=box.expand(2, 9),
-                box_scores=torch.tensor([0.9, FORECAST_SCORE - 0.01]),
+                box_scores=torch.tensor([0.9, MINIATURE.reporting.least_score - 0.01]),
                 trajectories=steps.expand(2, 6, 12, 2),
                 trajectory_scores=torch.tensor([[0.9, 0.45, 0.15, 0.0, 0.0, 0.0]] * 2),
             )

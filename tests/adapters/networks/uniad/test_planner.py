@@ -18,12 +18,13 @@ from adapters.checkpoints.importing import ImportedWeights, fetch_checkpoint, im
 from adapters.checkpoints.listing import known_weights
 from adapters.checkpoints.motion_anchors import FILE, read_motion_anchors
 from adapters.models import MODELS, MOTION_ANCHORS
+from adapters.networks.layers.reporting import PUBLISHED, Reporting
 from adapters.networks.uniad import collision_solvers
 from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.frames import UniADInputs, UniADOutputs
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.planner import UniADPlanner, example_frame
-from adapters.planner import FORECAST_SCORE, forecasts_of
+from adapters.planner import forecasts_of
 from adapters.registry import planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -73,7 +74,7 @@ def test_a_plan_has_the_one_before_it_was_moved_and_forecasts(data: NuScenesData
     assert built.seen is not None and built.seen.collision is not None
     assert np.allclose(plan.modes[0], built.seen.plan_before_optimisation)
     assert plan.forecasts is not None
-    count = int((built.seen.box_scores >= FORECAST_SCORE).sum())
+    count = int((built.seen.box_scores >= CONFIG.reporting.least_score).sum())
     assert 0 < count == len(plan.forecasts.boxes) and plan.forecasts.trajectories.shape == (count, 6, 6, 2)
     assert np.allclose(plan.forecasts.boxes[:, 2:4], built.seen.boxes[:count, [4, 3]])
     assert plan.forecasts.scores.sum(1) == pytest.approx(np.ones(count))
@@ -168,23 +169,25 @@ KINDS: Any = ("float32", "bfloat16")
 def test_what_is_no_box_is_left_out_and_the_rest_is_kept(place: tuple[int, int], value: float) -> None:
     boxes = torch.tensor([[5.0, 20.0, -1.0, 2.0, 4.5, 1.6, 1.5, 0.0, 9.0]]).repeat(4, 1)
     boxes[place] = value
-    scores = torch.tensor([0.9, 0.8, FORECAST_SCORE, FORECAST_SCORE - 0.01])
-    found = forecasts_of(boxes, scores, torch.full((4, 6, 12, 2), 7.0), torch.full((4, 6), 1 / 6))
+    scores = torch.tensor([0.9, 0.8, 0.4, 0.39])
+    found = forecasts_of(
+        boxes, scores, torch.full((4, 6, 12, 2), 7.0), torch.full((4, 6), 1 / 6), Reporting(least_score=0.4)
+    )
     assert np.allclose(found.boxes, [[5.0, 20.0, 4.5, 2.0, 1.5]] * 2)
     assert found.trajectories.shape == (2, 6, 6, 2) and found.scores.shape == (2, 6)
 
 
 @pytest.mark.parametrize("part", ["trajectories", "shares", "scores"])
 def test_a_forecast_that_is_not_finite_is_left_out(part: str) -> None:
-    given = {
+    given: dict[str, torch.Tensor] = {
         "boxes": torch.ones(3, 7),
         "scores": torch.full((3,), 0.9),
         "trajectories": torch.ones(3, 2, 6, 2),
         "shares": torch.full((3, 2), 0.5),
     }
     given[part][1] = float("nan")
-    assert len(forecasts_of(**given).boxes) == 2
-    none = forecasts_of(**{name: tensor[:0] for name, tensor in given.items()})
+    assert len(forecasts_of(**given, reporting=PUBLISHED).boxes) == 2
+    none = forecasts_of(**{name: tensor[:0] for name, tensor in given.items()}, reporting=PUBLISHED)
     assert none.boxes.shape == (0, 5) and none.trajectories.shape == (0, 2, 6, 2)
 
 

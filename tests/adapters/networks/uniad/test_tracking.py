@@ -179,3 +179,37 @@ def test_what_is_chosen_at_once_is_what_is_chosen_one_by_one(
     assert found.vehicles.tolist() == [
         order for order, p in enumerate(near) if bool(vehicle[int(known.class_logits[p].argmax())])
     ]
+
+
+def placed(scores: list[float], places_m: list[tuple[float, float]]) -> Detections:
+    """Cars of 4.6 m at given places."""
+    found = detections(scores)
+    codes = torch.zeros(1, len(scores), 10)
+    codes[0, :, :2] = torch.tensor(places_m)
+    codes[0, :, 2], codes[0, :, 3] = math.log(1.9), math.log(4.6)
+    return Detections(found.states, found.class_logits, codes, found.reference_logits)
+
+
+def test_what_a_track_follows_is_not_born_again_and_of_two_tracks_on_one_thing_the_surer_lives() -> None:
+    """Fresh ones are 0 to 4, of these the last is the ego; 5 to 8 may be tracks."""
+    far = [(100.0 * place, 0.0) for place in range(9)]
+    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9, 0.8, 0.7, 0.1], far), FRESH, torch.tensor(0), 0.5)
+    assert known.track_ids.tolist()[5:] == [0, 1, 2, NO_TRACK] and int(next_id) == 3
+    near = list(far)
+    # A fresh one beside a track, surer than it; two tracks on one thing; a fresh one beside the ego, which is no track.
+    near[0], near[6], near[1] = (far[7][0] + 2.2, 0.0), (far[5][0], 2.2), far[4]
+    scores = [0.95, 0.9, 0.1, 0.1, 0.9, 0.6, 0.8, 0.7, 0.1]
+    after, then = updated(known, placed(scores, near), FRESH, next_id, 0.5)
+    assert after.track_ids.tolist() == [NO_TRACK, 3, NO_TRACK, NO_TRACK, EGO, NO_TRACK, 1, 2, NO_TRACK]
+    assert int(then) == 4
+    # As published nothing is compared.
+    as_published, last = updated(known, placed(scores, near), FRESH, next_id)
+    assert as_published.track_ids.tolist() == [3, 4, NO_TRACK, NO_TRACK, EGO, 0, 1, 2, NO_TRACK] and int(last) == 5
+
+
+def test_what_sleeps_gives_way_to_what_is_seen_again() -> None:
+    far = [(100.0 * place, 0.0) for place in range(9)]
+    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9] + [0.1] * 3, far), FRESH, torch.tensor(0), 0.5)
+    near = [far[5], *far[1:]]
+    after, _ = updated(known, placed([0.9] + [0.1] * 8, near), FRESH, next_id, 0.5)
+    assert after.track_ids.tolist() == [1, NO_TRACK, NO_TRACK, NO_TRACK, EGO] + [NO_TRACK] * 4

@@ -16,7 +16,6 @@ from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.planner import VADPlanner, example_frame
 from adapters.networks.vad.selection import VADOutputs
-from adapters.planner import FORECAST_SCORE
 from adapters.registry import planner, planner_factory
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -89,7 +88,7 @@ def test_forecasts_are_boxes_of_this_project(data: NuScenesData) -> None:
     class Fixed(VAD):
         def forward(self, inputs: VADInputs) -> VADOutputs:
             box = torch.tensor([[5.0, 20.0, -1.0, 2.0, 4.5, 1.6, 1.5, 0.0, 9.0]])
-            scores = torch.tensor([0.9, FORECAST_SCORE - 0.01])
+            scores = torch.tensor([0.9, self.config.reporting.least_score - 0.01])
             return replace(
                 super().forward(inputs),
                 boxes=box.expand(2, 9),
