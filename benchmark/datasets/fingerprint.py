@@ -38,14 +38,22 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
     contents = {name: kept.sha256(path) for name, path in hashed.items() if path.is_file()}
     kept.keep()
     can_bus = {path.name: path.stat().st_size for path in sorted((root / "can_bus").glob("*.json"))}
-    sizes = {name: _size(os.path.join(root, name)) for name in sorted(set(images))}
+    sizes = _sizes(root, sorted(set(images)))
     return content_key("data set", 1, contents, can_bus, sizes)
 
 
-def _size(path: str) -> int:
-    """Size of a file in bytes, -1 where it is missing. A path is a text: there are hundreds of thousands."""
+def _sizes(root: Path, names: Iterable[str]) -> dict[str, int]:
+    """Size of each file in bytes, -1 where it is missing; of hundreds of thousands, so that no path is made of them."""
+    below = os.open(root, os.O_RDONLY)
     try:
-        status = os.stat(path)
+        return {name: _size(name, below) for name in names}
+    finally:
+        os.close(below)
+
+
+def _size(name: str, below: int) -> int:
+    try:
+        status = os.stat(name, dir_fd=below)
     except (OSError, ValueError):
         return -1
     return status.st_size if stat.S_ISREG(status.st_mode) else -1

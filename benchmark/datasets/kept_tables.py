@@ -28,8 +28,11 @@ WORTH_BYTES: Final = 1 << 24
 _FOLDER: Final = "opened"
 _IMAGES: Final = "images"
 _PARTS: Final = {"starts": "<i8", "lengths": "<i4", "rows": "<i4", "ends": "<i4"}
-"""Of each growing table: places and lengths of its rows; numbers of the rows of all scenes, and where a scene's end."""
-_TYPES: Final = {**{f"{table}.{part}": kind for table in GROWING_TABLES for part, kind in _PARTS.items()}, _IMAGES: "u1"}
+"""Of each growing table: places and lengths of its rows; numbers of the rows of all scenes, and where a scene ends."""
+_TYPES: Final = {
+    **{f"{table}.{part}": kind for table in GROWING_TABLES for part, kind in _PARTS.items()},
+    _IMAGES: "u1",
+}
 
 
 def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
@@ -83,8 +86,9 @@ def _stamps(folder: Path) -> dict[str, Stamp]:
 def _checks() -> str:
     """What decides which tables are refused and what is found in them: code of this folder."""
     here = Path(__file__).parent
-    modules = [*here.glob("integrity/*.py"), *here.glob("schema/*.py"), here / "scene_tables.py", here / "stored_rows.py"]
-    return content_key([(path.name, file_sha256(path)) for path in sorted((*modules, Path(__file__)))])
+    own = [here / f"{name}.py" for name in ("kept_tables", "scene_tables", "stored_rows")]
+    modules = sorted((*here.glob("integrity/*.py"), *here.glob("schema/*.py"), *own))
+    return content_key([(path.name, file_sha256(path)) for path in modules])
 
 
 def _to_keep(tables: SceneTables) -> dict[str, NDArray[Any]]:

@@ -167,7 +167,8 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     require_current(record, EXACT)
     parts = slicing(record, kind)
     chosen = np.flatnonzero(record.columns.collides(EXACT)).tolist()
-    causes = [None if (said := record.columns.brief[place].diagnosis) is None else said.cause for place in chosen]
+    brief = record.columns.brief
+    causes = [None if (said := brief[place].diagnosis) is None else said.cause for place in chosen]
     if parts is None or not chosen or None in causes:
         return []
     values = np.array([[cause == one for one in CAUSES] for cause in causes], np.float64)
@@ -186,7 +187,8 @@ def _slices(
 ) -> list[Slice]:
     """Ratios of S chosen rows with C values each, for every slice in which any of them counts."""
     members, count = parts.members[list(chosen)], len(parts.names)
-    sources, scenes = source_of_scenes(record), [record.columns.brief[place].scene for place in chosen]
+    sources, brief = source_of_scenes(record), record.columns.brief
+    scenes = [brief[place].scene for place in chosen]
     spread = (weights[:, None, :] * members[:, :, None]).reshape(len(chosen), count * len(keys))
     rates = ratios_over_scenes(
         np.tile(values, (1, count)) * spread, spread, [sources[scene] for scene in scenes], seed=record.run.seed

@@ -7,7 +7,7 @@ somebody goes through them, a scene at a time.
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final, overload
 
@@ -18,6 +18,8 @@ from benchmark.machine.storage import canonical_json
 from benchmark.records.columns import RowColumns
 from benchmark.records.row_schema import SampleRow
 
+_LINES_AT_ONCE: Final = 64
+"""Lines that are looked at together before they are parsed one by one."""
 _QUICK: Final = 1
 """Level of compression: lines of a scene repeat each other, so that more effort gains little."""
 
@@ -62,12 +64,12 @@ class Rows(Sequence[SampleRow]):
             self._blocks.append((rows[0].scene, len(rows), packed))
 
     @classmethod
-    def read(cls, path: Path, parse: Callable[[int, str], SampleRow]) -> "Rows":
+    def read(cls, path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]) -> "Rows":
         """Read a file of rows.
 
         Args:
             path: The file.
-            parse: Checks a line, given its number.
+            parse: Checks some lines, each given with its number.
 
         Returns:
             The rows, with their columns.
@@ -77,10 +79,7 @@ class Rows(Sequence[SampleRow]):
         """
         made, parsed = cls(), list[SampleRow]()
         with uncollected():
-            for _, scene in groupby(
-                ((parse(number, line), line) for number, line in read_lines(path, RECORD)),
-                key=lambda pair: pair[0].scene,
-            ):
+            for _, scene in groupby(_checked(path, parse), key=lambda pair: pair[0].scene):
                 rows, lines = zip(*scene)
                 made.add(rows, lines)
                 parsed += rows
@@ -168,6 +167,15 @@ def columns_of(rows: Sequence[SampleRow] | RowColumns) -> RowColumns:
 def line_of(row: SampleRow) -> str:
     """A row as files have it."""
     return canonical_json(row.model_dump(mode="json"))
+
+
+def _checked(
+    path: Path, parse: Callable[[Sequence[tuple[int, str]]], Sequence[SampleRow]]
+) -> Iterator[tuple[SampleRow, str]]:
+    """Rows of a file, each with its line."""
+    lines = read_lines(path, RECORD)
+    while some := list(islice(lines, _LINES_AT_ONCE)):
+        yield from zip(parse(some), (line for _, line in some), strict=True)
 
 
 def _parsed(packed: bytes) -> list[SampleRow]:

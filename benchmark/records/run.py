@@ -336,7 +336,7 @@ def load_record(directory: Path) -> RunRecord:
 
     head = stored_head(directory)
     if head["schema"] == SCHEMA:
-        rows = Rows.read(directory / ROWS_FILE, partial(_row, directory, head))
+        rows = Rows.read(directory / ROWS_FILE, partial(_rows, directory, head))
         raw_run, raw_summary = head, read_json(directory / SUMMARY_FILE, RECORD)
         require_own(directory, head)
     else:
@@ -348,15 +348,21 @@ def load_record(directory: Path) -> RunRecord:
     return RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
 
 
-def _row(directory: Path, head: dict[str, Any], number: int, line: str) -> SampleRow:
-    """A line of ``samples.jsonl``, by the faster parser where it is sure to be sound."""
-    path = directory / ROWS_FILE
-    if is_plain(line.encode(), RECORD):
+def _rows(directory: Path, head: dict[str, Any], lines: Sequence[tuple[int, str]]) -> list[SampleRow]:
+    """Lines of ``samples.jsonl``, by the faster parser where they are sure to be sound."""
+    # What is plain of all lines together is plain of each.
+    plain = is_plain("\n".join(line for _, line in lines).encode(), RECORD)
+    return [_row(directory, head, number, line, plain=plain) for number, line in lines]
+
+
+def _row(directory: Path, head: dict[str, Any], number: int, line: str, *, plain: bool) -> SampleRow:
+    if plain or is_plain(line.encode(), RECORD):
         try:
             return SampleRow.model_validate_json(line)
         except ValidationError:
             # What is wrong is said in the words and in the order of the slower way.
             pass
+    path = directory / ROWS_FILE
     value = parse_line(path, number, line, RECORD)
     require_own(directory, head)
     validated(RunFacts.model_validate, head, partial(_fault, directory / RUN_FILE))

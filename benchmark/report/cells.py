@@ -4,7 +4,7 @@ A number is written by its own cell, so that what is shown and what stands behin
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final, Protocol
 
 from benchmark.records.run import RunRecord
@@ -101,8 +101,13 @@ class Cell:
 
     def as_json(self) -> dict[str, Any]:
         """The facts that there are as JSON values; an end that is infinite is the text ``∞``."""
-        facts = {name: value for name, value in asdict(self).items() if value is not None}
-        return {name: _stored(value) if isinstance(value, float) else value for name, value in facts.items()}
+        facts = ((name, getattr(self, name)) for name in _FACTS)
+        return {
+            name: _stored(value) if isinstance(value, float) else value for name, value in facts if value is not None
+        }
+
+
+_FACTS: Final = tuple(each.name for each in fields(Cell))
 
 
 @dataclass(frozen=True, slots=True)

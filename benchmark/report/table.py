@@ -1,6 +1,7 @@
 """A table as data, and its text for a terminal, as Markdown, LaTeX, CSV and JSON. Same table, same bytes."""
 
 import csv
+import functools
 import io
 import re
 from collections.abc import Iterator, Sequence
@@ -284,6 +285,7 @@ def table_of(
     )
 
 
+@functools.lru_cache(maxsize=1 << 14)
 def escape_latex(text: str) -> str:
     """Text on one line in which nothing is LaTeX code."""
     return "".join(map(_latex_character, " ".join(text.split())))
