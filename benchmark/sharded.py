@@ -15,6 +15,8 @@ from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import single_threaded
 from benchmark.planning import Observation, Plan, Planner, SceneInfo, remembers_across_scenes
+from benchmark.records.planner_cost import SceneCost, cost_path, gather_costs, note_cost, shard_cost_path
+from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.plan_rows import PlannerFactory, kept_rows, plan_scene, rows_path, scene_key
@@ -73,9 +75,14 @@ def plan_shard(
         mine = shard.part(scenes)
         with only_writer(shard_folder(run.directory, shard)):
             label = f"{run.planner.name} on {split}, shard {shard}"
+            costs: dict[str, SceneCost | None] = {}
             for scene in progress(mine, total=len(mine), label=label, count=Count()):
                 key = scene_key(run.fingerprint, split, scene, run.planner)
-                plan_scene(ready, data, scene, rows_path(run.directory, scene), key, fresh=settings.fresh)
+                planned = plan_scene(ready, data, scene, rows_path(run.directory, scene), key, fresh=settings.fresh)
+                costs[scene] = planned.cost
+            if settings.timings is not None and PLANS_SHA256 not in run.planner.settings:
+                whole = cost_path(settings.timings, out, run.directory)
+                note_cost(shard_cost_path(whole, shard.number, shard.of), run.planner, costs)
             write_shard(
                 run.directory,
                 ShardFacts(
@@ -97,7 +104,12 @@ def plan_shard(
 
 
 def merge_shards(
-    root: Path, open_split: Callable[[str], "DataSet"], data_name: str, *, workers: int = 1
+    root: Path,
+    open_split: Callable[[str], "DataSet"],
+    data_name: str,
+    *,
+    workers: int = 1,
+    timings: Path | None = None,
 ) -> Iterator[RunRecord]:
     """Judge the runs below a folder that were planned in shards, and write their records; no planner runs.
 
@@ -106,6 +118,7 @@ def merge_shards(
         open_split: Opens the data set that holds a split.
         data_name: Name of the data set; runs on others are left alone.
         workers: Number of processes that judge.
+        timings: Folder in which the shards noted what their planner cost, if they did.
 
     Yields:
         Records, the same as of evaluations that were never cut, by path.
@@ -128,6 +141,8 @@ def merge_shards(
         kept = KeptPlans(facts.planner, facts.plans_from)
         # Frozen attributes are no writable ones, as the protocol of planners has them; nobody writes to either.
         factory = cast("PlannerFactory", kept)
+        if timings is not None:
+            gather_costs(cost_path(timings, _root_of(directory), directory), facts.planner, facts.of)
         yield from evaluate_together(data, facts.split, [(factory, whole)], _root_of(directory))
         forget_shards(directory)
 

@@ -53,7 +53,8 @@ def merge_command(
     from benchmark.sharded import merge_shards
     from leaderboard.tables.collision import run_tables
 
-    root = api.workspace(out).run_root()
+    space = api.workspace(out)
+    root = space.run_root()
     count = api.worker_count(workers)
     require_root(data, tables, out)
     others = unfinished_shards(out)
@@ -63,7 +64,7 @@ def merge_command(
     if not others or sharded_runs(root):
         source = api.open_data(data, tables=tables, workers=workers, out=out)
         opener = partial(api.open_split, source, out=out, workers=workers)
-        records = list(merge_shards(root, opener, source.name, workers=count))
+        records = list(merge_shards(root, opener, source.name, workers=count, timings=space.timings_of(root)))
     if json_output:
         print_json(
             [

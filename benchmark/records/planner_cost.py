@@ -14,7 +14,7 @@ from pydantic import Field
 
 from benchmark.errors import InputError
 from benchmark.foreign.limits import RECORD
-from benchmark.machine.storage import content_key, read_json, write_json
+from benchmark.machine.storage import content_key, read_json, write_json, writing_to
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.store import validated
 from benchmark.records.stored import Stored
@@ -127,6 +127,47 @@ def cost_path(timings: Path, out: Path, directory: Path) -> Path:
     """
     relative = directory.relative_to(out)
     return timings / relative.parent / f"{relative.name}.timing.json"
+
+
+def shard_cost_path(whole: Path, number: int, of: int) -> Path:
+    """File of the cost of one shard of a run, which nobody else writes.
+
+    Args:
+        whole: File of the cost of the run, from `cost_path`.
+        number: Which shard, from 1.
+        of: How many there are.
+
+    Returns:
+        The file.
+    """
+    return whole.with_name(f"{whole.name.removesuffix('.timing.json')}.shard-{number}-of-{of}.timing.json")
+
+
+def gather_costs(whole: Path, facts: PlannerFacts, of: int) -> None:
+    """Put what the shards of a run noted into the note of the run.
+
+    Args:
+        whole: File of the cost of the run, from `cost_path`.
+        facts: Who planned.
+        of: How many shards there are.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    scenes: dict[str, SceneCost | None] = {}
+    parts = [shard_cost_path(whole, number, of) for number in range(1, of + 1)]
+    for part in parts:
+        try:
+            known = cost_of(part, facts)
+        except InputError:
+            # Costs are a convenience; what is damaged is missing.
+            continue
+        scenes |= {} if known is None else known.scenes
+    if scenes:
+        note_cost(whole, facts, scenes)
+    for part in parts:
+        with writing_to(part):
+            part.unlink(missing_ok=True)
 
 
 def note_cost(path: Path, facts: PlannerFacts, scenes: Mapping[str, SceneCost | None]) -> None:

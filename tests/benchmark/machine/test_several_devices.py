@@ -10,6 +10,7 @@ from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings, evaluate
 from benchmark.machine import workers
 from benchmark.machine.several_devices import device_here, device_names, require_one_device, workers_for
+from generation.search.definition import PackagedPrior
 from tests.benchmark.cli.cli_runs import bytes_below, refusal
 from tests.benchmark.test_evaluation import town_of_six
 
@@ -58,6 +59,33 @@ def test_two_devices_give_the_bytes_of_one(tmp_path: Path, monkeypatch: pytest.M
     for name, factory, count in (("one", one, 1), ("two", two, 2)):
         evaluate(town_of_six(), "val", factory, tmp_path / name, EvalSettings(workers=count), reopen=town_of_six)
     assert bytes_below(tmp_path / "one") == bytes_below(tmp_path / "two")
+
+
+def test_the_trajectory_model_is_on_the_device_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr("generation.search.definition._loaded", lambda weights, device, sampler: asked.append(device))
+    prior = PackagedPrior(device="cuda:0,cuda:1")
+    for number in range(3):
+        monkeypatch.setattr(workers, "_number", number)
+        prior()
+    assert asked == ["cuda:0", "cuda:1", "cuda:0"]
+
+
+@pytest.mark.parametrize(
+    ("options", "says_what"),
+    [
+        (["--device", "cpu,cuda"], "different kinds"),
+        (["--device", "cpu,"], "empty name"),
+        (["--device", "cpu,cpu", "--workers", "1"], "leaves some"),
+        (["--device", "cpu,cpu", "--executor", "ray", "--address", "127.0.0.1:1"], "a Ray cluster gives its tasks"),
+        (["--shard", "1/2", "--executor", "ray", "--address", "127.0.0.1:1"], "a Ray cluster shares the work out"),
+        (["--shard", "1/2", "--surrogate", "idm"], "--surrogate judges all scenes together"),
+        (["--shard", "3/2"], "--shard takes a number"),
+    ],
+)
+def test_what_generate_cannot_do_is_one_sentence(options: list[str], says_what: str, tmp_path: Path) -> None:
+    assert says_what in refusal("generate", "--out", tmp_path, *options)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

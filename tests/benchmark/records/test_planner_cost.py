@@ -25,10 +25,12 @@ from benchmark.records.planner_cost import (
 from benchmark.records.record_costs import with_cost
 from benchmark.records.run import RunRecord, load_record
 from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.shards import Shard
+from benchmark.sharded import merge_shards, plan_shard
 from leaderboard.tables.contents import data_set_tables
 from leaderboard.tables.cost import cost_table
 from tests.benchmark.fake_data import town_of_two
-from tests.benchmark.planners import Failing, Straight
+from tests.benchmark.planners import Factory, Failing, Straight
 from tests.leaderboard.csv_rows import csv_rows
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -159,3 +161,16 @@ def test_the_peak_of_memory_begins_again_with_each_meter() -> None:
     before, during, after = map(float, said.split())
     assert during > before + 200.0 and after < during - 200.0
     assert peak_memory_mb(2**22 + 1) is None
+
+
+def test_what_shards_took_is_put_together(tmp_path: Path) -> None:
+    runs, timings = tmp_path / "runs", tmp_path / "timings"
+    planners = [(Factory(), EvalSettings(protocols=("exact",), timings=timings))]
+    for number in (1, 2):
+        plan_shard(town_of_two(), "val", planners, runs, Shard(number, 2))
+    (record,) = merge_shards(runs, lambda split: town_of_two(), "fake", timings=timings)
+    known = with_cost(load_record(record.directory), [runs], lambda _: timings)
+    assert known.cost is not None and set(known.cost.scenes) == set(town_of_two().scene_names("val"))
+    assert summary_of(known.cost).median_s is not None
+    assert known == load_record(record.directory)
+    assert [path.name for path in timings.rglob("*.json")] == [f"{record.directory.name}.timing.json"]

@@ -86,6 +86,10 @@ def test_the_command_drives_shards_and_then_makes_the_record(tmp_path: Path) -> 
     for number in (1, 2):
         done = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", f"{number}/2", "--json")
         assert done.code == 0 and [each["driven"] for each in json.loads(done.out)] == [1, 1], done.err
+        asked = run_here("merge", "--data", plan.root, "--out", tmp_path / "cut", "--workers", "1")
+        missing = "shard 2/2 of the drives is missing; run the same drive command with --shard 2/2"
+        assert (asked.code == 1) == (missing in asked.err) == (number == 1)
+        assert asked.err.count("of the drives") == 2 and asked.code in (0, 1)
     assert run_here(*given, *models, "--out", tmp_path / "cut").code == 0
     assert bytes_below(tmp_path / "cut") == bytes_below(tmp_path / "whole")
     refused = run_here(*given, *models, "--out", tmp_path / "cut", "--shard", "3/2")
