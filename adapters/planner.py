@@ -10,6 +10,7 @@ from torch import nn
 
 from adapters.as_published import CAN_AFTER, CROSS_SCENES
 from adapters.camera_inputs import ImageFormat, Normalisation
+from adapters.networks.layers.folding import channels_last, folded
 from adapters.networks.layers.reporting import Reporting, said_once
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.geometry import Floats
@@ -64,6 +65,8 @@ class NativePlanner(ABC, Generic[Network]):
         self._device = device_of(device)
         self._half = precision == "bfloat16"
         self._network = network.eval().to(self._device)
+        if self._device.type == "cpu":
+            channels_last(folded(self._network))
         config: Any = network.config
         self._format: ImageFormat = config.image_format
         self._reporting: Reporting = config.reporting

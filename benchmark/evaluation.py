@@ -20,7 +20,7 @@ from benchmark.datasets.scene_facts import frozen_split_of
 from benchmark.errors import InputError, did_you_mean
 from benchmark.judging.kept import judged_facts
 from benchmark.machine.environment import facts as environment_facts
-from benchmark.machine.pages import keep_pages
+from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
 from benchmark.machine.workers import LocalProcesses, map_ordered
@@ -249,8 +249,7 @@ def _planned(
     if remembers_across_scenes(ready):
         require_whole_split(ready.name, settings.scenes, settings.limit, settings.workers)
     facts = facts_of(ready) if factory is None else factory.facts
-    if facts.weights_sha256 is not None:
-        keep_pages()
+    keep_pages_of(facts.weights_sha256)
     for name in settings.protocols:
         protocol(name)
     scenes, every_scene = settings.chosen(data, split), data.scene_names(split)

@@ -91,7 +91,7 @@ OUT = Path("challenger-out")
 """Folder for everything that is made, unless another one is named."""
 DEFAULT_IMAGE_SIZE = (448, 256)
 """Width and height of schematic images, pixels."""
-_TOWN_TAKES = {"keyframes": "half a minute", "all": "two minutes"}
+_TOWN_TAKES = {"keyframes": "a minute", "all": "two minutes"}
 """How long the embedded data set takes to build, for people."""
 
 

@@ -46,6 +46,7 @@ def serve_planner(
     from benchmark.api import model_that_runs
     from benchmark.closed_loop.wire.server import PlannerServer
     from benchmark.closed_loop.wire.session import Session
+    from benchmark.machine.pages import keep_pages_of
 
     runs = model_that_runs(name, checkpoint, data="")
     built: Planner
@@ -55,6 +56,7 @@ def serve_planner(
         )()
     else:
         built = planner(runs, checkpoint=checkpoint, seed=seed, device=device, precision=precision)
+    keep_pages_of(getattr(built, "weights_sha256", None))
     return PlannerServer(Session(built, tensors=accept_torch_tensors, seed=seed), host, port)
 
 

@@ -82,15 +82,12 @@ def _evaluate_built_in(dataset: "DataSet", split: str, out: Path, processes: int
     """Records of the baselines and of the miniatures."""
     from adapters.models import baselines, miniatures
     from adapters.registry import planner_factory
-    from benchmark.evaluation import EvalSettings, evaluate
+    from benchmark.evaluation import EvalSettings, evaluate_together
 
-    records, planners = [], (*baselines(), *miniatures())
-    for place, name in enumerate(planners, start=1):
-        api.tell(f"{name} on {split} ({place} of {counted(len(planners), 'planner')})")
-        runs = api.workspace(out).run_root()
-        settings = EvalSettings(workers=processes, timings=api.workspace(out).timings_of(runs))
-        records.append(evaluate(dataset, split, planner_factory(name), runs, settings))
-    return records
+    planners, runs = (*baselines(), *miniatures()), api.workspace(out).run_root()
+    api.tell(f"{counted(len(planners), 'planner')} on {split}: {', '.join(planners)}")
+    settings = EvalSettings(workers=processes, timings=api.workspace(out).timings_of(runs))
+    return evaluate_together(dataset, split, [(planner_factory(name), settings) for name in planners], runs)
 
 
 def full_demo(out: Path = api.OUT, to: Path = RESULTS, *, workers: int = 0) -> list[Path]:

@@ -13,6 +13,16 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4
 _NEVER: Final = 2**31 - 1
 
 
+def keep_pages_of(*weights_sha256: str | None) -> None:
+    """`keep_pages` of a process in which a planner with weights is going to run; without one nothing changes.
+
+    Args:
+        weights_sha256: Of each planner's weights; ``None`` of one that has none.
+    """
+    if any(each is not None for each in weights_sha256):
+        keep_pages()
+
+
 def keep_pages() -> bool:
     """Let this process keep what it frees, to use it again; what it computes does not change.
 

@@ -18,6 +18,7 @@ from benchmark.closed_loop.drives.driving import Drive, Stage, drive, drive_toge
 from benchmark.closed_loop.drives.riding import RecordedCan
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
+from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.storage import content_key, content_seed, read_json, write_json
 from benchmark.planning import Planner, SupervisedPlanner
 from benchmark.records.considered import read_considered, write_considered
@@ -136,6 +137,7 @@ class Planners:
             key = content_key(job.fingerprint, job.planner.model_dump(mode="json"))
             here = self._built.setdefault(key, [])
             if len(here) == taken[key]:
+                keep_pages_of(job.planner.weights_sha256)
                 here.append(job.factory())
             found.append(here[taken[key]])
             taken[key] += 1

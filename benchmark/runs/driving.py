@@ -23,6 +23,7 @@ from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
 from benchmark.machine.environment import facts as environment_facts
+from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
@@ -191,6 +192,7 @@ def drive_split(
         (record,) = drive_planners(data, split, [planner], out, settings, reopen=reopen)
         return record
     one = cast("Planner", planner)
+    keep_pages_of(getattr(one, "weights_sha256", None))
     _require_drivable([one], settings)
     job = job_of(data, split, facts_of(one), out, settings)
     alone = replace(settings, executor=LocalProcesses(1), together=1)
@@ -285,6 +287,7 @@ def _ready(
     reopen: Callable[[], "DataSet"] | None,
 ) -> tuple[list[Job], DriveSettings, Callable[[Sequence[Task]], list[UnitResult]] | None]:
     """What every unit needs to know, the settings that these planners allow, and how others drive units."""
+    keep_pages_of(*(factory.facts.weights_sha256 for factory in planners))
     built = [factory() for factory in planners]
     _require_drivable(built, settings)
     jobs = [replace(job_of(data, split, factory.facts, out, settings), factory=factory) for factory in planners]

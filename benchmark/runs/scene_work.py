@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmark.machine.pages import keep_pages
+from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
 from benchmark.records.planner_cost import SceneCost
@@ -115,8 +115,7 @@ def work_in_worker(
     """
     key = content_key([(run.fingerprint, run.planner.model_dump(mode="json")) for run in runs])
     if key not in _in_this_process:
-        if any(run.planner.weights_sha256 is not None for run in runs):
-            keep_pages()
+        keep_pages_of(*(run.planner.weights_sha256 for run in runs))
         _in_this_process[key] = (reopen(), tuple(factory() for factory in factories))
     return work_here(runs, *_in_this_process[key], scene)
 

@@ -154,7 +154,8 @@ def mosaic(cells: Sequence[SheetCamera], views: Mapping[str, CameraView]) -> byt
         if cell.name in views:
             image = views[cell.name].load()
             smaller = cv2.resize(image, (cell.width, cell.height), interpolation=cv2.INTER_AREA)
-            canvas[cell.top : cell.top + cell.height, cell.left : cell.left + cell.width] = smaller[..., ::-1]
+            turned = cv2.cvtColor(smaller, cv2.COLOR_RGB2BGR)
+            canvas[cell.top : cell.top + cell.height, cell.left : cell.left + cell.width] = turned
     try:
         done, data = cv2.imencode(".webp", canvas, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
     except cv2.error:

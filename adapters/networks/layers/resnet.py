@@ -74,6 +74,7 @@ class ResNet(nn.Module):
     ) -> None:
         super().__init__()
         self.outputs = tuple(outputs)
+        self.deformable = bool(deformable_stages)
         self.conv1 = nn.Conv2d(3, width, 7, 2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
         self.stages: list[str] = []

@@ -174,7 +174,7 @@ def _embedded(split: str, out: Path, scenes: Sequence[str] | None, limit: int | 
         needed = town_bytes(settings.val_scenes, frames="keyframes")
         require_place(root, "CHALLENGER_BENCH_CACHE")
         require_room(root, needed, "the embedded data set", "CHALLENGER_BENCH_CACHE")
-        builds.append(f"the embedded data set in {root} (once, about half a minute, {gigabytes(needed)})")
+        builds.append(f"the embedded data set in {root} (once, about a minute, {gigabytes(needed)})")
     if split == "val":
         return Ahead(_chosen(recorded, split, scenes, limit), tuple(builds))
     if is_finished(made):

@@ -27,8 +27,8 @@ def check_files(root: Path, tables: CheckedTables, faults: FaultList) -> None:
     undrawn = _without_sweep_images(folders, tables)
     if undrawn:
         sentence = (
-            f"{undrawn[0]['filename']} is missing, and so is every other image between samples; films then play at 2 Hz "
-            "(of mini and demo, sheets --pictures all draws them)"
+            f"{undrawn[0]['filename']} is missing, and so is every other image between samples; films play at 2 Hz "
+            "without them (sheets --pictures all draws those of mini and demo)"
         )
         faults.add("no images between samples", "sample_data", undrawn[0]["token"], sentence, severity="warning")
     left_out = {row["token"] for row in undrawn}

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmark.machine import pages
+
 ROOT = Path(__file__).resolve().parents[3]
 FAULTS = """
 import resource, sys
@@ -36,3 +38,13 @@ def faults(how: str) -> int:
 
 def test_kept_pages_are_not_cleared_again() -> None:
     assert faults("keep") * 10 < faults("give back")
+
+
+def test_pages_are_kept_for_planners_that_have_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+    monkeypatch.setattr(pages, "keep_pages", lambda: asked.append(True))
+    pages.keep_pages_of()
+    pages.keep_pages_of(None, None)
+    assert not asked
+    pages.keep_pages_of(None, "0" * 64)
+    assert asked == [True]

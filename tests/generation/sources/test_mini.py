@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmark.datasets.integrity.check import check_tables
 from benchmark.datasets.roots import open_data
 from benchmark.errors import InputError
 from generation.sources.mini import TownSettings, build_town
@@ -49,3 +50,44 @@ def test_more_scenes_than_have_names_are_refused_before_they_are_listed(settings
     with pytest.raises(InputError, match=r"between 0 and \d+ (val|train) scenes"):
         build_town(tmp_path / "town", settings, workers=1)
     assert not (tmp_path / "town").exists()
+
+
+def files_of(root: Path) -> dict[str, bytes]:
+    """Everything that belongs to the data set, without what the writer remembers."""
+    paths = (path for path in root.rglob("*") if path.is_file() and ".challenger" not in path.parts)
+    return {str(path.relative_to(root)): path.read_bytes() for path in paths}
+
+
+def test_samples_are_drawn_first_and_the_rest_when_it_is_asked_for(tmp_path: Path) -> None:
+    whole = replace(ONE, frames="all", width=32, height=18)
+    first = replace(whole, pictures="keyframes")
+    assert first.folder_name("town") == whole.folder_name("town") and first.drawn_name("a") == whole.drawn_name("a")
+    build_town(tmp_path / "at-once", whole, workers=1)
+    at_once, root = files_of(tmp_path / "at-once"), tmp_path / "later"
+    build_town(root, first, workers=1)
+    before, identity = files_of(root), open_data(root).fingerprint()
+    sweeps = {name for name in at_once if name.startswith("sweeps/CAM")}
+    assert len(sweeps) == 6 * (240 - 40)
+    assert before == {name: content for name, content in at_once.items() if name not in sweeps}
+    # Poses between samples are there, and the check says in one sentence what is not.
+    assert len(open_data(root).scene(open_data(root).scene_names()[0]).timestamps_us) > 200
+    (fault,) = check_tables(root)
+    assert fault.severity == "warning" and "every other image between samples" in fault.sentence
+    samples = {path: path.stat().st_mtime_ns for path in root.glob("samples/CAM*/*.jpg")}
+    build_town(root, whole, workers=1)
+    assert files_of(root) == at_once and open_data(root).fingerprint() == identity
+    assert samples == {path: path.stat().st_mtime_ns for path in samples}
+    # Whoever asks for samples alone is content with more.
+    build_town(root, first, workers=1)
+    assert files_of(root) == at_once
+
+
+def test_an_image_that_is_lost_is_drawn_again_while_others_wait(tmp_path: Path) -> None:
+    settings = replace(ONE, frames="all", width=32, height=18, pictures="keyframes")
+    build_town(tmp_path, settings, workers=1)
+    before = files_of(tmp_path)
+    lost = sorted(tmp_path.glob("samples/CAM_FRONT/*.jpg"))[3]
+    lost.unlink()
+    (tmp_path / ".challenger" / "town.json").unlink()
+    build_town(tmp_path, settings, workers=1)
+    assert files_of(tmp_path) == before
