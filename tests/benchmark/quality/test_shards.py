@@ -66,8 +66,6 @@ def test_who_is_missing_or_damaged_is_named(root: Path, record: QualityRecord, n
 
 
 def test_two_devices_give_the_bytes_of_one(root: Path, record: QualityRecord, networks: Path, tmp_path: Path) -> None:
-    assert settings(networks, device="cpu,cpu", workers=0).processes == 2
-    assert settings(networks, device="cpu,cpu", workers=3).processes == 3
     with pytest.raises(InputError, match="leaves some of cpu,cpu without work"):
         finished(root, networks, tmp_path, device="cpu,cpu", workers=1)
     made = finished(root, networks, tmp_path, device="cpu,cpu", workers=0)
