@@ -28,6 +28,7 @@ from generation.build.shard_notes import drawing_folder, drawing_work, search_fo
 from generation.build.split import originals, ready_to_build, search_of, selected
 from generation.build.writing import WritingJob, unfinish_others, write_scenes
 from generation.nuscenes_writer import DataSetPlan
+from generation.nuscenes_writer.plan import require_own_root
 from generation.search.chains import search_chains
 from generation.search.definition import Search
 from generation.splits.building import frozen_jobs, ready_to_rebuild, said_of_frozen
@@ -192,6 +193,9 @@ def _draw(
 ) -> BuiltShard:
     folder = drawing_folder(plan.root)
     require_undivided(folder, DRAWING, shard)
+    # Before the first note: it would make the root of somebody else look like one of ours.
+    for variant in sorted({job.variant for job in mine}):
+        require_own_root(plan, variant)
     with only_writer(shard_folder(folder, shard)):
         unfinish_others(plan.root, files)
         write_scenes(plan, mine, source.scene, settings.where_rendered, timing=settings.timing / "rendering")

@@ -1,6 +1,7 @@
 """A build in shards has the bytes of one that was never cut; what is missing, damaged or of other options is named."""
 
 import multiprocessing
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +10,10 @@ import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
+from benchmark.machine.storage import only_writer
 from benchmark.machine.workspace import is_finished
 from benchmark.runs.kept_shards import DRAWING, SEARCH, waiting
-from benchmark.runs.shards import Shard
+from benchmark.runs.shards import Shard, shard_folder
 from generation.build import sharded
 from generation.build.settings import BuildSettings
 from generation.build.sharded import build_shard, draw_frozen_shard
@@ -140,9 +142,6 @@ def test_two_shards_at_once_do_not_disturb_each_other(source: DataSet, whole: Pa
 
 
 def test_the_same_shard_twice_at_once_is_refused(source: DataSet, tmp_path: Path) -> None:
-    from benchmark.machine.storage import only_writer
-    from benchmark.runs.shards import shard_folder
-
     settings = replace(CHEAP, out=tmp_path / "adv")
     with (
         only_writer(shard_folder(settings.out / SEARCH_FOLDER, Shard(1, 2))),
@@ -222,7 +221,7 @@ def test_shards_of_other_options_are_not_taken_for_these(source: DataSet, tmp_pa
     assert shards(source, replace(settings, frames="keyframes"), 2) == ["drawn"] * 2
     with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
         build_split(source, "adv", settings)
-    assert shards(source, settings, 2, numbers=[1]) == ["drawn"]
+    assert build_shard(source, "adv", settings, Shard(1, 2)).did == "drawn"
 
 
 def test_shards_that_find_nothing_end_as_a_build_does(source: DataSet, tmp_path: Path) -> None:
@@ -234,6 +233,15 @@ def test_shards_that_find_nothing_end_as_a_build_does(source: DataSet, tmp_path:
     with pytest.raises(NothingSurvivedError):
         build_split(source, "adv", nothing)
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def test_a_shard_draws_into_nobody_elses_data_set(source: DataSet, tmp_path: Path) -> None:
+    theirs = write_source(tmp_path / "theirs", recorded("scene-9909")).root
+    shutil.rmtree(theirs / ".challenger")
+    before = contents(theirs)
+    with pytest.raises(InputError, match="holds a data set that was not written here"):
+        build_shard(source, "val-r", replace(CHEAP, out=theirs), Shard(1, 2))
+    assert contents(theirs) == before and not (theirs / ".challenger").exists()
 
 
 def test_a_surrogate_needs_all_scenes_together(source: DataSet, tmp_path: Path) -> None:
