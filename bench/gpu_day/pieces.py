@@ -12,8 +12,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import read_kept_json, write_json
@@ -95,6 +93,9 @@ class Outcome:
 
 def machine_facts(setting: Setting) -> dict[str, Any]:
     """What figures depend on beside the code: processor, card, driver, torch, commit."""
+    # Light until here: a piece's process imports this module first.
+    import torch
+
     known = environment_facts()
     card = torch.cuda.get_device_name(setting.device) if setting.on_gpu else None
     return {
