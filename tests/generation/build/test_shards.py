@@ -1,5 +1,6 @@
 """A build in shards has the bytes of one that was never cut; what is missing, damaged or of other options is named."""
 
+import json
 import multiprocessing
 import shutil
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from generation.render.schematic import SchematicRenderer
 from generation.search.hyperparameters import HyperParameters
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit, frozen_split
+from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.planners import Factory
 from tests.generation.labels.recorded_roads import CHEAP as DEAR
 from tests.generation.labels.recorded_roads import contents, recorded, write_source
@@ -249,3 +251,22 @@ def test_a_surrogate_needs_all_scenes_together(source: DataSet, tmp_path: Path) 
     with pytest.raises(InputError, match="a surrogate judges all scenes together"):
         build_shard(source, "adv", settings, Shard(1, 2))
     assert not settings.out.exists()
+
+
+def test_the_command_searches_draws_and_finishes(source: DataSet, tmp_path: Path) -> None:
+    given = ("--data", source.root, "--workers", "1", "--out", tmp_path)
+    cheap = ("--renderer", "none", "--frames", "keyframes")
+    search = ("generate", *given, *cheap, "--limit", "1", "--vehicles", "1", "--candidates", "4", "--rounds", "0")
+    done = run_here(*search, "--device", "cpu", "--shard", "1/2", "--json")
+    assert done.code == 0 and [each["searched"] for each in json.loads(done.out)] == [1], done.err
+    originals = ("generate", "--split", "val-r", *given, *cheap)
+    drawn = run_here(*originals, "--shard", "1/2")
+    assert drawn.code == 0 and "shard 1/2, 2 of 3 scenes drawn" in drawn.out and "no --shard" in drawn.err
+    asked = run_here("merge", *given)
+    assert asked.code == 1 and "shard 2/2 of the search is missing" in asked.err
+    assert "shard 2/2 of the drawing is missing; run the same generate command with --shard 2/2" in asked.err
+    refused = run_here(*originals)
+    assert refused.code == 2 and "shard 2/2 of the drawing is missing" in refused.err
+    assert run_here(*originals, "--shard", "2/2").code == 0
+    assert run_here(*originals).code == 0
+    assert len(open_data(tmp_path / "data" / source.name / "val-r").scene_names("val-r")) == 3
