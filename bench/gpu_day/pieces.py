@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import shutil
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -15,6 +16,7 @@ from typing import Any, Final
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import read_kept_json, write_json
+from benchmark.machine.workers import end_with_parent
 
 PIECE_LIMIT_S: Final = 540.0
 """A piece is ended after this: whoever lends a GPU for ten minutes at a time gets whole pieces."""
@@ -176,6 +178,8 @@ def _answer(receiving: Connection) -> tuple[dict[str, Any] | None, str | None]:
 
 
 def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: Connection) -> None:
+    # Nobody would take its figures, and it would keep the GPU.
+    threading.Thread(target=end_with_parent, daemon=True).start()
     try:
         # Figures that are no JSON are a fault of the piece, and shall not end the day.
         sending.send((json.loads(json.dumps(work(setting), allow_nan=False)), None))

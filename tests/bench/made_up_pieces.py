@@ -1,9 +1,11 @@
 """Pieces that measure nothing, in a module that imports little: each runs in a process of its own."""
 
+import os
 import time
 from typing import Any
 
 from bench.gpu_day.pieces import Piece, Setting
+from benchmark.machine.storage import write_json
 
 
 def told(figures: dict[str, Any]) -> str:
@@ -23,6 +25,7 @@ def not_a_number(setting: Setting) -> dict[str, Any]:
 
 
 def sleeps(setting: Setting) -> dict[str, Any]:
+    write_json(setting.folder / "process.json", os.getpid())
     time.sleep(600)
     return {}
 

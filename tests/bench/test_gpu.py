@@ -1,6 +1,9 @@
 """A day with a GPU, tried on a processor: pieces measure, are kept, skipped, ended, gone on with, and listed."""
 
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -45,6 +48,23 @@ def test_a_piece_that_takes_too_long_is_ended_and_gone_on_with(tmp_path: Path, m
     run_piece(setting, WHOLE, 0.5)
     kept = kept_outcome(setting, WHOLE)
     assert kept is not None and not kept[0].finished
+
+
+def test_a_day_that_is_killed_leaves_no_piece_on_the_card(tmp_path: Path) -> None:
+    day = (
+        "import sys; from pathlib import Path; from bench.gpu_day.pieces import Setting, run_piece;"
+        "from tests.bench.made_up_pieces import WHOLE; run_piece(Setting(Path(sys.argv[1]), 'cpu'), WHOLE)"
+    )
+    running = subprocess.Popen([sys.executable, "-c", day, str(tmp_path)])
+    while not (tmp_path / "process.json").exists():
+        assert running.poll() is None
+        time.sleep(0.1)
+    running.kill()
+    running.wait()
+    piece = Path("/proc", (tmp_path / "process.json").read_text().strip())
+    # Nobody may be there to wait for it, so that it stays as a name.
+    while piece.exists() and " Z " not in (piece / "stat").read_text():
+        time.sleep(0.1)
 
 
 def test_time_that_is_up_begins_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
