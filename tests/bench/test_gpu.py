@@ -63,8 +63,11 @@ def test_a_day_that_is_killed_leaves_no_piece_on_the_card(tmp_path: Path) -> Non
     running.wait()
     piece = Path("/proc", (tmp_path / "process.json").read_text().strip())
     # Nobody may be there to wait for it, so that it stays as a name.
-    while piece.exists() and " Z " not in (piece / "stat").read_text():
+    for _ in range(600):
+        if not piece.exists() or " Z " in (piece / "stat").read_text():
+            return
         time.sleep(0.1)
+    pytest.fail("the piece runs on")
 
 
 def test_time_that_is_up_begins_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
