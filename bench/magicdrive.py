@@ -148,7 +148,7 @@ def measured(job: Job) -> Line:
     network = network.to(torch.bfloat16) if job.on_gpu else network
     conditions = random_conditions(job)
     if "compiled" in job.mode:
-        network.compile_blocks()
+        network.compile_blocks("eager" if job.tiny else "inductor")
     together, kept = "together" in job.mode, "kept" in job.mode
 
     def encoded() -> GuidedModel:

@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import shutil
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -12,11 +13,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-import torch
-
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import read_kept_json, write_json
+from benchmark.machine.workers import end_with_parent
 
 PIECE_LIMIT_S: Final = 540.0
 """A piece is ended after this: whoever lends a GPU for ten minutes at a time gets whole pieces."""
@@ -95,6 +95,9 @@ class Outcome:
 
 def machine_facts(setting: Setting) -> dict[str, Any]:
     """What figures depend on beside the code: processor, card, driver, torch, commit."""
+    # Light until here: a piece's process imports this module first.
+    import torch
+
     known = environment_facts()
     card = torch.cuda.get_device_name(setting.device) if setting.on_gpu else None
     return {
@@ -175,6 +178,8 @@ def _answer(receiving: Connection) -> tuple[dict[str, Any] | None, str | None]:
 
 
 def _work(work: Callable[[Setting], dict[str, Any]], setting: Setting, sending: Connection) -> None:
+    # Nobody would take its figures, and it would keep the GPU.
+    threading.Thread(target=end_with_parent, daemon=True).start()
     try:
         # Figures that are no JSON are a fault of the piece, and shall not end the day.
         sending.send((json.loads(json.dumps(work(setting), allow_nan=False)), None))

@@ -57,9 +57,7 @@ def prior_speed(setting: Setting) -> dict[str, Any]:
     step_s = _seconds_a_step(setting, train, few, many)
     parameters = sum(each.numel() for each in TrajectoryDenoiser(config.denoiser).parameters())
     return {
-        "step_ms": 1e3 * step_s,
-        "whole_s": step_s * config.steps,
-        "steps": config.steps,
+        **_spent(step_s, config.steps),
         "batch": config.batch,
         "parameters": parameters,
         "timed_steps": many - few,
@@ -100,17 +98,27 @@ def miniature_speed(setting: Setting) -> dict[str, Any]:
 
     few, many = (FEW_TINY, MANY_TINY) if setting.tiny else (FEW // 5, MANY // 5)
     step_s, steps = _seconds_a_step(setting, train, few, many), sum(phase.recipe.steps for phase in phases)
-    return {"step_ms": 1e3 * step_s, "whole_s": step_s * steps, "steps": steps, "timed_steps": many - few}
+    return {**_spent(step_s, steps), "timed_steps": many - few}
 
 
-def _seconds_a_step(setting: Setting, train: Callable[[int], None], few: int, many: int) -> float:
+def _spent(step_s: float | None, steps: int) -> dict[str, Any]:
+    known = {} if step_s is None else {"step_ms": 1e3 * step_s, "whole_s": step_s * steps}
+    return {**known, "steps": steps}
+
+
+def _seconds_a_step(setting: Setting, train: Callable[[int], None], few: int, many: int) -> float | None:
+    """Seconds of a step; ``None`` in a trial whose few steps are lost in the noise of reading and writing."""
     spent = []
     # The first run warms up; the second and third are compared.
     for steps in (few, few, many):
         begun = _clock(setting)
         train(steps)
         spent.append(_clock(setting) - begun)
-    return max(spent[2] - spent[1], 1e-9) / (many - few)
+    if spent[2] > spent[1]:
+        return (spent[2] - spent[1]) / (many - few)
+    if setting.tiny:
+        return None
+    raise ValueError("the steps cannot be told from reading and writing; run the piece again")
 
 
 def _clock(setting: Setting) -> float:
@@ -127,6 +135,8 @@ def _prior(setting: Setting) -> Path:
 def training_said(figures: dict[str, Any]) -> str:
     """For people."""
     whose = f", {figures['parameters']:,} parameters, batch {figures['batch']}" if "parameters" in figures else ""
+    if "step_ms" not in figures:
+        return f"too few steps to time{whose}"
     return (
         f"{figures['step_ms']:.1f} ms a step (of {figures['timed_steps']} steps){whose}; "
         f"{figures['steps']:,} steps: {figures['whole_s'] / 60:.1f} min"

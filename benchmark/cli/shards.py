@@ -60,6 +60,8 @@ def merge_command(
     others = unfinished_shards(out)
     if not others and not root.is_dir():
         raise InputError(f"there are no runs at {root}; plan shards first with: challenger-bench eval --shard 1/2")
+    for division in others:
+        typer.echo(division.sentence(), err=True)
     records = []
     if not others or sharded_runs(root):
         source = api.open_data(data, tables=tables, workers=workers, out=out)
@@ -74,8 +76,6 @@ def merge_command(
         )
     for table in () if json_output or not records else run_tables(source.name, records, None, allow_partial=True):
         typer.echo(table.plain(wide=wide))
-    for division in others:
-        typer.echo(division.sentence(), err=True)
     if any(division.missing for division in others):
         raise typer.Exit(1)
 

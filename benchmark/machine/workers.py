@@ -252,11 +252,11 @@ def _begin_worker(begun: "Synchronized[int]") -> None:
         begun.value += 1
     WATCH.silence()
     collect_rarely()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     single_threaded()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process when its parent is gone, killed perhaps: nobody would ever give it work or take its result."""
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -65,16 +65,6 @@ class QualitySettings:
         if self.workers < 0:
             raise InputError(f"--workers must be 0 or more, got {self.workers}")
 
-    def chosen(self, data: "DataSet", split: str) -> tuple[str, ...]:
-        """The scenes that are scored; raises `InputError` as for an evaluation."""
-        return EvalSettings(scenes=self.scenes, limit=self.limit).chosen(data, split)
-
-    @property
-    def processes(self) -> int:
-        """Number of processes, where 0 has been decided; raises `InputError` if a device would be without work."""
-        asked = workers_for(self.workers, None if self.device == "auto" else self.device)
-        return asked or _processes(device_of(device_names(self.device)[0]))
-
 
 @dataclass(frozen=True, slots=True)
 class _Job:
@@ -121,7 +111,7 @@ def measure_quality(
         InputError: If the split or a scene is unknown, weights or transformers are missing, images are missing or
             broken, or another command is writing the same record.
     """
-    chosen, every = settings.chosen(data, split), data.scene_names(split)
+    chosen, every = _chosen(settings, data, split), data.scene_names(split)
     job, used, libraries = _job_of(data, split, out, settings, chosen)
     described = {
         "data": {"name": data.name, "version": data.version, "fingerprint": data.fingerprint()},
@@ -138,7 +128,7 @@ def measure_quality(
     with only_writer(job.directory):
         require_shards(job.directory, SCORES, job.work)
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
-        rows = list(_scored(job, data, opener, settings.processes))
+        rows = list(_scored(job, data, opener, _processes(settings)))
         record = write_quality(job.directory, described, rows)
         _tidy(job)
         forget_shards(job.directory)
@@ -173,14 +163,14 @@ def measure_shard(
         InputError: As of `measure_quality`, and if another command scores the same shard, or other shards are of
             another division.
     """
-    chosen = settings.chosen(data, split)
+    chosen = _chosen(settings, data, split)
     job, _, _ = _job_of(data, split, out, settings, chosen)
     mine = shard.part(chosen)
     require_undivided(job.directory, SCORES, shard)
     with only_writer(shard_folder(job.directory, shard)):
         opener = reopen or partial(reopen_root, data.root, data.version, data.name)
         own = replace(job, keys={name: job.keys[name] for name in mine})
-        for _ in _scored(own, data, opener, settings.processes):
+        for _ in _scored(own, data, opener, _processes(settings)):
             pass
         note_done(job.directory, SCORES, shard, mine, job.work)
     return FinishedShard(job.directory, len(mine), len(chosen))
@@ -234,7 +224,7 @@ def plan_of(data: "DataSet", split: str, settings: QualitySettings) -> str:
         InputError: If the split or a scene is unknown.
     """
     definition = settings.definition
-    chosen = settings.chosen(data, split)
+    chosen = _chosen(settings, data, split)
     sweeps = definition.frames == "all"
     frames = sum(len(video) for name in chosen for video in data.videos(name, sweeps=sweeps).values())
     lines = [
@@ -295,7 +285,15 @@ def _first(job: _Job) -> torch.device:
     return device_of(device_names(job.device)[0])
 
 
-def _processes(device: torch.device) -> int:
+def _chosen(settings: QualitySettings, data: "DataSet", split: str) -> tuple[str, ...]:
+    return EvalSettings(scenes=settings.scenes, limit=settings.limit).chosen(data, split)
+
+
+def _processes(settings: QualitySettings) -> int:
+    """Number of processes, where 0 has been decided; raises `InputError` if a device would be without work."""
+    if asked := workers_for(settings.workers, settings.device):
+        return asked
+    device = device_of(device_names(settings.device)[0])
     if device.type != "cuda":
         return default_workers()
     return 1 if device.index is not None else torch.cuda.device_count()

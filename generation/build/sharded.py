@@ -7,7 +7,7 @@ finds all of them, so it has the bytes of one that was never cut.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
@@ -23,13 +23,15 @@ from benchmark.runs.kept_shards import (
     require_undivided,
 )
 from benchmark.runs.shards import Shard, shard_folder
+from benchmark.scene import Scene
 from generation.build.settings import BuildSettings
 from generation.build.shard_notes import drawing_folder, drawing_work, search_folder, search_work, work_of_jobs
 from generation.build.split import originals, ready_to_build, search_of, selected
 from generation.build.writing import WritingJob, unfinish_others, write_scenes
 from generation.nuscenes_writer import DataSetPlan
+from generation.nuscenes_writer.plan import require_own_root
 from generation.search.chains import search_chains
-from generation.search.definition import Search
+from generation.search.definition import Search, Unit
 from generation.splits.building import frozen_jobs, ready_to_rebuild, said_of_frozen
 from generation.splits.packaged import NamedSplit
 
@@ -192,6 +194,9 @@ def _draw(
 ) -> BuiltShard:
     folder = drawing_folder(plan.root)
     require_undivided(folder, DRAWING, shard)
+    # Before the first note: it would make the root of somebody else look like one of ours.
+    for variant in sorted({job.variant for job in mine}):
+        require_own_root(plan, variant)
     with only_writer(shard_folder(folder, shard)):
         unfinish_others(plan.root, files)
         write_scenes(plan, mine, source.scene, settings.where_rendered, timing=settings.timing / "rendering")
@@ -232,6 +237,6 @@ class _NothingLeft:
     ) -> Iterator[Result]:
         """Nothing; raises `InputError` if there is an item: the scene and unit of an attempt."""
         for item in items:
-            (_, unit), *_ = item  # type: ignore[misc]
+            _, unit = cast("Sequence[tuple[Scene, Unit]]", item)[0]
             raise self.gone(unit.scene_name)
         return iter(())

@@ -1,6 +1,8 @@
 """A build in shards has the bytes of one that was never cut; what is missing, damaged or of other options is named."""
 
+import json
 import multiprocessing
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +11,10 @@ import pytest
 
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
+from benchmark.machine.storage import only_writer
 from benchmark.machine.workspace import is_finished
 from benchmark.runs.kept_shards import DRAWING, SEARCH, waiting
-from benchmark.runs.shards import Shard
+from benchmark.runs.shards import Shard, shard_folder
 from generation.build import sharded
 from generation.build.settings import BuildSettings
 from generation.build.sharded import build_shard, draw_frozen_shard
@@ -22,6 +25,7 @@ from generation.render.schematic import SchematicRenderer
 from generation.search.hyperparameters import HyperParameters
 from generation.splits.building import build_frozen
 from generation.splits.packaged import NamedSplit, frozen_split
+from tests.benchmark.cli.in_process import run_here
 from tests.benchmark.planners import Factory
 from tests.generation.labels.recorded_roads import CHEAP as DEAR
 from tests.generation.labels.recorded_roads import contents, recorded, write_source
@@ -50,7 +54,8 @@ def shards(
     source: DataSet, settings: BuildSettings, of: int, split: str = "adv", numbers: Sequence[int] | None = None
 ) -> list[str]:
     """What each of the shards did; no two of them, nor one twice, write the same file."""
-    did, written = [], written_below(settings.out)
+    did: list[str] = []
+    written = written_below(settings.out)
     for number in numbers or range(1, of + 1):
         did.append(build_shard(source, split, settings, Shard(number, of)).did)
         now = written_below(settings.out)
@@ -109,17 +114,16 @@ def test_originals_are_drawn_in_shards_at_once(source: DataSet, tmp_path: Path) 
 
 def test_a_frozen_split_is_drawn_in_shards(source: DataSet, tmp_path: Path) -> None:
     file = tmp_path / "frozen.json"
-    build_split(source, "adv", replace(CHEAP, out=tmp_path / "searched", freeze=file))
+    build_split(source, "adv", replace(CHEAP, out=tmp_path / "searched", limit=2, freeze=file))
     split: NamedSplit = frozen_split(file)
-    build_frozen(source, split, replace(DRAWN, out=tmp_path / "whole"))
-    settings = replace(DRAWN, out=tmp_path / "cut")
-    draw_frozen_shard(source, split, settings, Shard(3, 3))
-    with pytest.raises(InputError, match=r"shard 1/3, 2/3 of the drawing is missing"):
+    build_frozen(source, split, replace(CHEAP, out=tmp_path / "whole"))
+    settings = replace(CHEAP, out=tmp_path / "cut")
+    draw_frozen_shard(source, split, settings, Shard(2, 2))
+    with pytest.raises(InputError, match=r"shard 1/2 of the drawing is missing"):
         build_frozen(source, split, settings)
-    for number in (1, 2):
-        draw_frozen_shard(source, split, settings, Shard(number, 3))
-    with pytest.raises(InputError, match="shard 1/3 of the drawing was done with other options"):
-        build_frozen(source, split, replace(settings, frames="all"))
+    draw_frozen_shard(source, split, settings, Shard(1, 2))
+    with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
+        build_frozen(source, split, replace(settings, frames="keyframes"))
     assert not is_finished(settings.out)
     build_frozen(source, split, settings)
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
@@ -140,9 +144,6 @@ def test_two_shards_at_once_do_not_disturb_each_other(source: DataSet, whole: Pa
 
 
 def test_the_same_shard_twice_at_once_is_refused(source: DataSet, tmp_path: Path) -> None:
-    from benchmark.machine.storage import only_writer
-    from benchmark.runs.shards import shard_folder
-
     settings = replace(CHEAP, out=tmp_path / "adv")
     with (
         only_writer(shard_folder(settings.out / SEARCH_FOLDER, Shard(1, 2))),
@@ -222,11 +223,11 @@ def test_shards_of_other_options_are_not_taken_for_these(source: DataSet, tmp_pa
     assert shards(source, replace(settings, frames="keyframes"), 2) == ["drawn"] * 2
     with pytest.raises(InputError, match="shard 1/2 of the drawing was done with other options"):
         build_split(source, "adv", settings)
-    assert shards(source, settings, 2, numbers=[1]) == ["drawn"]
+    assert build_shard(source, "adv", settings, Shard(1, 2)).did == "drawn"
 
 
 def test_shards_that_find_nothing_end_as_a_build_does(source: DataSet, tmp_path: Path) -> None:
-    nothing = replace(CHEAP, out=tmp_path / "cut", adversaries=3)
+    nothing = replace(CHEAP, out=tmp_path / "cut", hyper=replace(CHEAP.hyper, close_gap_m=0.0))
     with pytest.raises(NothingSurvivedError):
         build_split(source, "adv", replace(nothing, out=tmp_path / "whole"))
     assert shards(source, nothing, 2) == ["searched"] * 2
@@ -236,8 +237,36 @@ def test_shards_that_find_nothing_end_as_a_build_does(source: DataSet, tmp_path:
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
 
+def test_a_shard_draws_into_nobody_elses_data_set(source: DataSet, tmp_path: Path) -> None:
+    theirs = write_source(tmp_path / "theirs", recorded("scene-9909")).root
+    shutil.rmtree(theirs / ".challenger")
+    before = contents(theirs)
+    with pytest.raises(InputError, match="holds a data set that was not written here"):
+        build_shard(source, "val-r", replace(CHEAP, out=theirs), Shard(1, 2))
+    assert contents(theirs) == before and not (theirs / ".challenger").exists()
+
+
 def test_a_surrogate_needs_all_scenes_together(source: DataSet, tmp_path: Path) -> None:
     settings = replace(CHEAP, out=tmp_path / "adv", surrogate=PlannerUnderTest(Factory(), images=False))
     with pytest.raises(InputError, match="a surrogate judges all scenes together"):
         build_shard(source, "adv", settings, Shard(1, 2))
     assert not settings.out.exists()
+
+
+def test_the_command_searches_draws_and_finishes(source: DataSet, tmp_path: Path) -> None:
+    given = ("--data", source.root, "--workers", "1", "--out", tmp_path)
+    cheap = ("--renderer", "none", "--frames", "keyframes")
+    search = ("generate", *given, *cheap, "--limit", "1", "--vehicles", "1", "--candidates", "4", "--rounds", "0")
+    done = run_here(*search, "--device", "cpu", "--shard", "1/2", "--json")
+    assert done.code == 0 and [each["searched"] for each in json.loads(done.out)] == [1], done.err
+    originals = ("generate", "--split", "val-r", *given, *cheap)
+    drawn = run_here(*originals, "--shard", "1/2")
+    assert drawn.code == 0 and "shard 1/2, 2 of 3 scenes drawn" in drawn.out and "no --shard" in drawn.err
+    asked = run_here("merge", *given)
+    assert asked.code == 1 and "shard 2/2 of the search is missing" in asked.err
+    assert "shard 2/2 of the drawing is missing; run the same generate command with --shard 2/2" in asked.err
+    refused = run_here(*originals)
+    assert refused.code == 2 and "shard 2/2 of the drawing is missing" in refused.err
+    assert run_here(*originals, "--shard", "2/2").code == 0
+    assert run_here(*originals).code == 0
+    assert len(open_data(tmp_path / "data" / source.name / "val-r").scene_names("val-r")) == 3
