@@ -11,7 +11,9 @@ from generation.sources.mini import TownSettings, build_town
 
 def test_samples_are_enough_unless_somebody_asks_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
-    town = build_town(api.workspace(tmp_path).demonstrated("val"), TownSettings(val_scenes=1, images=False), workers=1)
+    town = build_town(
+        api.workspace(tmp_path).split_root("demo", "val"), TownSettings(val_scenes=1, images=False), workers=1
+    )
     asked: list[tuple[Path, TownSettings]] = []
 
     def noted(root: Path, settings: TownSettings, *, workers: int) -> Path:
