@@ -49,7 +49,9 @@ def channels_last(network: Module) -> Module:
     """
     for module in network.modules():
         if isinstance(module, ResNet) and not module.deformable:
-            module.to(memory_format=torch.channels_last)
+            for parameter in module.parameters():
+                if parameter.ndim == 4:
+                    parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
     return network
 
 
