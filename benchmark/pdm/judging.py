@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.pdm.comfort import disagreement, extended_comfort, states_between
 from benchmark.pdm.definition import DT_S
-from benchmark.pdm.motion import headed, tracked
+from benchmark.pdm.motion import all_headed, tracked
 from benchmark.pdm.recording import RecordedScene
 from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged
 from benchmark.planning import Plan
@@ -105,7 +105,7 @@ def judge_planners(
         return found
     ahead_m = float(scene.lidar.translation[0])
     samples = np.array([sample for _, sample in chosen], np.int64)
-    poses = np.stack([headed(_known(plans[planner][sample]), ahead_m) for planner, sample in chosen])
+    poses = all_headed([_known(plans[planner][sample]) for planner, sample in chosen], ahead_m)
     states: list[Floats] = []
     for start in range(0, len(samples), AT_ONCE):
         batch = slice(start, start + AT_ONCE)

@@ -26,6 +26,7 @@ from benchmark.scene import Scene
 from benchmark.severity.plans import plan_severities
 from benchmark.surroundings.circumstances import Circumstances
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -104,9 +105,7 @@ def judge_planners(
     ]
     happened, whole = [truths[at] for _, at in planned], [plan_of(rows_of[which][at]["plan"]) for which, at in planned]
     plans = [plan.judged for plan in whole]
-    in_lidar = np.array([plan.waypoints_in_lidar(truth.lidar_ahead_m) for plan, truth in zip(plans, happened)]).reshape(
-        -1, PLAN_STEPS, 2
-    )
+    in_lidar = _in_lidar(plans, happened)
     outcomes = {name: protocol(name).evaluate(happened, in_lidar) for name in dict.fromkeys(protocols)}
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
@@ -135,6 +134,16 @@ def judge_planners(
         [SampleRow(**row, **told, **found) for row, told, found in zip(rows, happening, own, strict=True)]
         for rows, own in zip(rows_of, findings, strict=True)
     ]
+
+
+def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
+    """(P, 6, 2) waypoints of the lidar origin of P plans, those of a frame at once."""
+    found = np.zeros((len(plans), PLAN_STEPS, 2))
+    for frame in dict.fromkeys(plan.frame for plan in plans):
+        those = [place for place, plan in enumerate(plans) if plan.frame is frame]
+        ahead_m = np.array([truths[place].lidar_ahead_m for place in those])
+        found[those] = waypoints_in_lidar(np.array([plans[place].waypoints for place in those]), frame, ahead_m)
+    return found
 
 
 def _by_planner(count: int, planned: Sequence[tuple[int, int]], plans: Sequence[Plan]) -> list[dict[int, Plan]]:
