@@ -49,7 +49,8 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
     Returns:
         (6, 3) x forward, y left of the rear axle now, metres; heading, radians.
     """
-    return all_headed([plan], lidar_ahead_m)[0]
+    poses: Floats = all_headed([plan], lidar_ahead_m)[0]
+    return poses
 
 
 def all_headed(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:

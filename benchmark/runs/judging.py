@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
-from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.diagnosis import diagnose
@@ -29,7 +28,6 @@ from benchmark.truth import SampleTruth
 from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
-    from benchmark.datasets.roots import DataSet
     from benchmark.runs.reading import SceneReading
 
 LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
@@ -191,22 +189,6 @@ def judge_all_plans(
     return found
 
 
-def scene_with_map(data: "DataSet", name: str) -> Scene | None:
-    """A scene for driving scores.
-
-    Args:
-        data: The data set.
-        name: Scene name.
-
-    Returns:
-        The scene, or ``None`` where the data set has no map of its place.
-
-    Raises:
-        InputError: If the scene is unknown or broken.
-    """
-    return data.scene(name) if data.has_map(name) else None
-
-
 def _driven(
     scene: Scene | None, recorded: RecordedScene | None, plans: Sequence[Mapping[int, Plan]], count: int
 ) -> list[list[dict[str, Any] | None]]:
@@ -215,23 +197,6 @@ def _driven(
         return [[None] * count for _ in plans]
     verdicts = judge_driving(scene, [[own.get(index) for index in range(count)] for own in plans], recorded)
     return [[None if verdict is None else verdict.as_json() for verdict in own] for own in verdicts]
-
-
-def longer_truth(data: "DataSet", scene: str, steps: int) -> tuple[SampleTruth, ...]:
-    """What really happened around each sample of a scene, for more steps than protocols need.
-
-    Args:
-        data: The data set.
-        scene: Scene name.
-        steps: How many.
-
-    Returns:
-        One truth a sample, in time order.
-
-    Raises:
-        InputError: If the scene is unknown or broken.
-    """
-    return truth_of_scene(data.scene(scene), [truth.sample_token for truth in data.truth(scene)], steps)
 
 
 def longer_verdicts(
