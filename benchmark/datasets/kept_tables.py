@@ -101,7 +101,7 @@ def _to_keep(tables: SceneTables) -> dict[str, NDArray[Any]]:
     found: dict[str, NDArray[Any]] = {}
     for table in GROWING_TABLES:
         stored, of_scenes = tables.stored[table], tables.rows_of_scenes[table]
-        values = {
+        values: dict[str, NDArray[Any]] = {
             "starts": stored.starts,
             "lengths": stored.lengths,
             "rows": np.concatenate([np.zeros(0, np.int32), *of_scenes]),
