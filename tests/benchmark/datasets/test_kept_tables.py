@@ -12,6 +12,7 @@ import pytest
 from benchmark.datasets import kept_digests, kept_tables
 from benchmark.datasets.kept_tables import kept_at
 from benchmark.datasets.nuscenes import NuScenesData
+from benchmark.datasets.scene_tables import read_scene_tables
 from benchmark.datasets.schema import FaultList
 from benchmark.errors import InputError
 from benchmark.machine import user_cache
@@ -41,11 +42,10 @@ def tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TinyRoot:
 def opened(tables: TinyRoot, monkeypatch: pytest.MonkeyPatch) -> Opened:
     """Opens the root; gives all that it says, and how often its tables were parsed."""
     parsed: list[Path] = []
-    as_it_is = kept_tables.read_scene_tables
 
     def counted(folder: Path, rates: FaultList) -> object:
         parsed.append(folder)
-        return as_it_is(folder, rates)
+        return read_scene_tables(folder, rates)
 
     monkeypatch.setattr(kept_tables, "read_scene_tables", counted)
 
