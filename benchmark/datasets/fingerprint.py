@@ -44,7 +44,7 @@ def fingerprint_of(root: Path, version: str, images: Iterable[str]) -> str:
 
 def _sizes(root: Path, names: Iterable[str]) -> dict[str, int]:
     """Size of each file in bytes, -1 where it is missing; of hundreds of thousands, so that no path is made of them."""
-    below = os.open(root, os.O_RDONLY)
+    below = os.open(root, getattr(os, "O_PATH", os.O_RDONLY))
     try:
         return {name: _size(name, below) for name in names}
     finally:

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any, Final, Self
 
-from benchmark.datasets.kept_tables import kept_at
+from benchmark.datasets.kept_tables import digests_beside, kept_at
 from benchmark.errors import InputError
 from benchmark.foreign.files import open_file
 from benchmark.foreign.limits import TABLE
@@ -39,7 +39,7 @@ class KeptDigests:
             folder: Version folder of the root.
         """
         beside = kept_at(folder)
-        place = None if beside is None else beside.with_suffix(".digests.json")
+        place = None if beside is None else digests_beside(beside)
         return cls(place, _sound(None if place is None or not place.is_file() else read_kept_json(place)))
 
     def sha256(self, path: Path) -> str:

@@ -4,6 +4,7 @@ The tables are not parsed again as long as each is the file that it was (`benchm
 checks are the same; rows themselves are always read from the tables. All processes share the memory of what is kept.
 """
 
+import contextlib
 import functools
 import json
 import time
@@ -76,6 +77,11 @@ def kept_at(folder: Path) -> Path | None:
     return root / _FOLDER / f"{content_key(str(folder.resolve()))[:32]}.arrays"
 
 
+def digests_beside(kept: Path) -> Path:
+    """Where the hashes of the same folder's files are kept."""
+    return kept.with_suffix(".digests.json")
+
+
 def _stamps(folder: Path) -> dict[str, Stamp]:
     """Of the tables that are there."""
     paths = {table: folder / f"{table}.json" for table in NUSCENES_TABLES}
@@ -95,7 +101,7 @@ def _to_keep(tables: SceneTables) -> dict[str, NDArray[Any]]:
     found: dict[str, NDArray[Any]] = {}
     for table in GROWING_TABLES:
         stored, of_scenes = tables.stored[table], tables.rows_of_scenes[table]
-        values = {
+        values: dict[str, NDArray[Any]] = {
             "starts": stored.starts,
             "lengths": stored.lengths,
             "rows": np.concatenate([np.zeros(0, np.int32), *of_scenes]),
@@ -134,8 +140,8 @@ def _forget_what_is_gone(kept: Path) -> None:
     """Remove what is kept of folders that are no longer there."""
     for path in kept.glob("*.arrays"):
         folder = (said_of(path) or {}).get("folder")
-        if not isinstance(folder, str) or not Path(folder).is_dir():
-            try:
-                path.unlink(missing_ok=True)
-            except OSError:
-                return
+        if isinstance(folder, str) and Path(folder).is_dir():
+            continue
+        for gone in (path, digests_beside(path)):
+            with contextlib.suppress(OSError):
+                gone.unlink()

@@ -54,7 +54,7 @@ JSON: Final = Limits("JSON file", 512 * MIB, values=12_000_000, line_bytes=64 * 
 TABLE: Final = replace(JSON, what="table", file_bytes=4 * GIB, values=150_000_000)
 """Tables that are read whole by their check; those of nuScenes have up to 2 GB."""
 KEPT_ARRAYS: Final = Limits("file of kept arrays", 4 * GIB)
-"""Of the user's own cache: where the rows of tables are, 130 MB for nuScenes trainval."""
+"""Of the user's own cache: where the rows of tables are, 120 MB for nuScenes trainval."""
 RECORD: Final = Limits("record", 512 * MIB, values=60_000_000)
 """Run records, manifests and lists of a submission."""
 PLANS: Final = Limits("plan file", 256 * MIB, values=1_000_000, line_bytes=64 * 1024, name_characters=256)

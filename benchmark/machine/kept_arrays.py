@@ -40,7 +40,7 @@ def write_arrays(path: Path, made_of: str, said: Mapping[str, Any], arrays: Mapp
     body: list[bytes | memoryview] = []
     hashed, counts = hashlib.sha256(), {}
     for name, values in arrays.items():
-        data = memoryview(np.ascontiguousarray(values)).cast("B") if len(values) else memoryview(b"")
+        data = np.ascontiguousarray(values).data.cast("B") if len(values) else memoryview(b"")
         body += [data, bytes(-len(data) % _ALIGNED)]
         counts[name] = len(values)
     for part in body:

@@ -213,7 +213,8 @@ def resampled(sums: Floats, names: tuple[str, ...], *, seed: int) -> Floats:
 def _adds_exactly(sums: Floats, scenes: int) -> Bools:
     """(C,) whether a column has whole numbers alone, so few that their totals are exact in any order."""
     with np.errstate(invalid="ignore"):
-        return (np.rint(sums) == sums).all(axis=0) & (np.abs(sums).max(axis=0, initial=0.0) * scenes < 2**53)
+        whole = (np.rint(sums) == sums).all(axis=0)
+        return np.asarray(whole & (np.abs(sums).max(axis=0, initial=0.0) * scenes < 2**53))
 
 
 def _in_order(drawn: Floats, sums: Floats, *, alone: bool = True) -> Floats:

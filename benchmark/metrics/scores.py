@@ -91,17 +91,16 @@ def scored(record: RunRecord, *, protocol: str = "exact") -> Scored:
     """
     name = protocol_of(record, protocol)
     require_current(record, name)
-    brief = record.columns.brief
-    planned = [brief[place] for place in record.columns.planned]
+    columns = record.columns
     outcomes = outcomes_of(record.rows, name)
     return Scored(
         record=record,
         protocol=name,
-        tokens=tuple(row.sample_token for row in planned),
-        scenes=tuple(row.scene for row in planned),
+        tokens=columns.planned_tokens,
+        scenes=columns.planned_scenes,
         values=with_average(PROTOCOLS[name].sample_values(outcomes)["collision"]).reshape(-1, len(HORIZONS)),
         counted=outcomes.counted,
-        failed=frozenset(row.sample_token for row in brief if row.status == "failed"),
+        failed=columns.failed_tokens,
     )
 
 

@@ -22,6 +22,7 @@ from benchmark.metrics.rates import HORIZONS, Estimate, SceneSums, all_ends, res
 from benchmark.metrics.scores import Scored, named, source_of_scenes
 
 Rows = NDArray[np.int64]
+Ends = tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +233,8 @@ def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: i
     enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
     rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0)) for side in sides]
     difference, increase = rates[1] - rates[0], _ratio(rates[1] - rates[0], rates[0])
-    differences = increases = [(None, None)] * len(HORIZONS)
+    differences: list[Ends] = [(None, None)] * len(HORIZONS)
+    increases = differences
     if enough:
         drawn = [_draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides]
         apart = drawn[1] - drawn[0]
@@ -267,13 +269,13 @@ def _draws(names: tuple[str, ...], seed: int, numerators: tuple[bytes, int], den
     return drawn
 
 
-def _intervals(draws: Floats, bounds: tuple[float, float]) -> list[tuple[float | None, float | None]]:
+def _intervals(draws: Floats, bounds: tuple[float, float]) -> list[Ends]:
     """An interval for each of (4, 2000) draws."""
     low, high = all_ends(draws, bounds)
     return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
-def _estimate(value: Floats, interval: tuple[float | None, float | None]) -> Estimate:
+def _estimate(value: Floats, interval: Ends) -> Estimate:
     """An estimate; empty where the value does not exist."""
     number = _number(value)
     return Estimate(None, None, None) if number is None else Estimate(number, *interval)

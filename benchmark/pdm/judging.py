@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.pdm.comfort import disagreement, extended_comfort, states_between
 from benchmark.pdm.definition import DT_S
-from benchmark.pdm.motion import headed, tracked
+from benchmark.pdm.motion import all_headed, tracked
 from benchmark.pdm.recording import RecordedScene
 from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged
 from benchmark.planning import Plan
 from benchmark.scene import Scene
 
-AT_ONCE: Final = 64
-"""Samples that are judged together: bounds the memory of a long scene."""
+There = TypeVar("There")
+AT_ONCE: Final = 256
+"""Plans that are judged together: bounds the memory of a long scene, or of many planners."""
 DECIMALS: Final = 6
 """Of stored numbers: far below them, processors differ in the last bits of a motion."""
 
@@ -75,47 +76,69 @@ def judge_scene(
         K verdicts; ``None`` where there is no plan, the recording ends within 3 s, or the map there has no
         road or no lanes.
     """
-    found: list[DrivenPlan | None] = [None] * len(plans)
+    return judge_planners(scene, [plans], recorded)[0]
+
+
+def judge_planners(
+    scene: Scene, plans: Sequence[Sequence[Plan | None]], recorded: RecordedScene | None = None
+) -> list[list[DrivenPlan | None]]:
+    """`judge_scene` of several planners together.
+
+    Args:
+        scene: The scene, with its map.
+        plans: Of each planner, one for each of the K samples.
+        recorded: As there.
+
+    Returns:
+        Of each planner K verdicts, the same as one by one.
+    """
+    found: list[list[DrivenPlan | None]] = [[None] * len(own) for own in plans]
     recorded = recorded or RecordedScene(scene)
-    samples = np.flatnonzero(recorded.complete & np.array([plan is not None for plan in plans], np.bool_))
+    chosen = [
+        (planner, sample)
+        for planner, own in enumerate(plans)
+        for sample, complete in zip(range(len(own)), recorded.complete.tolist(), strict=True)
+        if complete and own[sample] is not None
+    ]
     # Without lanes every plan would be on the wrong side of the road.
-    if not (recorded.road.drivable and recorded.road.lanes and len(samples)):
+    if not (recorded.road.drivable and recorded.road.lanes and chosen):
         return found
     ahead_m = float(scene.lidar.translation[0])
-    judged_plans = [plan for plan, sample in zip(plans, recorded.complete, strict=True) if sample and plan is not None]
-    poses = np.stack([headed(plan, ahead_m) for plan in judged_plans])
+    samples = np.array([sample for _, sample in chosen], np.int64)
+    poses = all_headed([_known(plans[planner][sample]) for planner, sample in chosen], ahead_m)
     states: list[Floats] = []
     for start in range(0, len(samples), AT_ONCE):
         batch = slice(start, start + AT_ONCE)
         motions, verdicts = _batch(recorded, samples[batch], poses[batch])
         states.append(motions)
-        for sample, verdict in zip(samples[batch].tolist(), verdicts, strict=True):
-            found[sample] = verdict
-    for sample, comfort in _between_plans(samples, recorded.seconds, np.concatenate(states)).items():
-        found[sample] = replace(_known(found[sample]), ec=comfort)
+        for (planner, sample), verdict in zip(chosen[batch], verdicts, strict=True):
+            found[planner][sample] = verdict
+    for row, comfort in _between_plans(chosen, recorded.seconds, np.concatenate(states)).items():
+        planner, sample = chosen[row]
+        found[planner][sample] = replace(_known(found[planner][sample]), ec=comfort)
     return found
 
 
 def _batch(recorded: RecordedScene, samples: NDArray[np.int64], poses: Floats) -> tuple[Floats, list[DrivenPlan]]:
-    """Motions and verdicts of some plans, less what needs the plan before."""
-    own = np.arange(len(samples))
-    around, references = _references(recorded, samples)
-    plans = judged(tracked(poses, around.now), own, around)
-    scores = beside(plans, references.course.progress_m, references.scores.multiplier)
+    """Motions and verdicts of some plans, less what needs the plan before; a sample may have several plans."""
+    at, own = np.unique(samples, return_inverse=True)
+    around, references = _references(recorded, at)
+    plans = judged(tracked(poses, around.now[own]), own, around)
+    scores = beside(plans, references.course.progress_m[own], references.scores.multiplier[own])
     forgiven = human_scores(references).zeros()
     verdicts = [
         DrivenPlan(
             **{name: float(getattr(scores, name)[row]) for name in ("nc", "dac", "ddc", "ttc", "lk")},
             ep=round(float(scores.ep[row]), DECIMALS),
-            hc=float(scores.hc[row]) if around.has_history[row] else None,
+            hc=float(scores.hc[row]) if around.has_history[of] else None,
             ec=None,
-            forgiven=tuple(name for name, zero in forgiven.items() if zero[row]),
+            forgiven=tuple(name for name, zero in forgiven.items() if zero[of]),
             progress_m=round(float(plans.course.progress_m[row]), DECIMALS),
-            recorded_progress_m=round(float(references.course.progress_m[row]), DECIMALS),
+            recorded_progress_m=round(float(references.course.progress_m[of]), DECIMALS),
             collision_s=_seconds(int(plans.collisions.step[row])),
             ttc_s=_seconds(int(plans.near_misses.step[row])),
         )
-        for row in own.tolist()
+        for row, of in enumerate(own.tolist())
     ]
     return plans.states, verdicts
 
@@ -131,20 +154,25 @@ def _references(recorded: RecordedScene, samples: NDArray[np.int64]) -> tuple[Su
     return found
 
 
-def _between_plans(samples: NDArray[np.int64], seconds: Floats, states: Floats) -> dict[int, float]:
-    """EC of each plan that follows another closely enough."""
-    found: dict[int, float] = {}
-    for row in range(1, len(samples)):
-        apart = states_between(float(seconds[samples[row]] - seconds[samples[row - 1]]))
+def _between_plans(chosen: Sequence[tuple[int, int]], seconds: Floats, states: Floats) -> dict[int, float]:
+    """EC of each row whose plan follows another one of the same planner closely enough."""
+    rows_apart: dict[int, list[int]] = {}
+    for row in range(1, len(chosen)):
+        (before, earlier), (planner, later) = chosen[row - 1 : row + 1]
+        apart = states_between(float(seconds[later] - seconds[earlier])) if planner == before else None
         if apart is not None:
-            differences = disagreement(states[row - 1 : row], states[row : row + 1], apart)
-            found[int(samples[row])] = float(extended_comfort(differences)[0])
+            rows_apart.setdefault(apart, []).append(row)
+    found: dict[int, float] = {}
+    for apart, rows in rows_apart.items():
+        here = np.array(rows)
+        comfort = extended_comfort(disagreement(states[here - 1], states[here], apart))
+        found |= dict(zip(rows, comfort.tolist(), strict=True))
     return found
 
 
-def _known(verdict: DrivenPlan | None) -> DrivenPlan:
-    assert verdict is not None
-    return verdict
+def _known(there: There | None) -> There:
+    assert there is not None
+    return there
 
 
 def _seconds(state: int) -> float | None:

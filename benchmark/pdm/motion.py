@@ -4,6 +4,7 @@ Tracker and bicycle are those of `benchmark.dynamics` in the units of NAVSIM: 0.
 but that of the steering angle. Differences to NAVSIM's own numbers are below 1e-9 (`challenger-bench verify pdm`).
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -48,12 +49,23 @@ def headed(plan: Plan, lidar_ahead_m: float) -> Floats:
     Returns:
         (6, 3) x forward, y left of the rear axle now, metres; heading, radians.
     """
-    waypoints = np.asarray(plan.waypoints, np.float64)[:PLAN_STEPS]
-    if plan.frame is PlanFrame.LIDAR:
-        along = chord_headings(waypoints, start_heading_rad=np.pi / 2) - np.pi / 2
-        behind = lidar_ahead_m * np.column_stack([np.cos(along), np.sin(along)])
-        waypoints = points_in_ego(waypoints, lidar_ahead_m) - behind
-    return np.column_stack([waypoints, chord_headings(waypoints, start_heading_rad=0.0)])
+    poses: Floats = all_headed([plan], lidar_ahead_m)[0]
+    return poses
+
+
+def all_headed(plans: Sequence[Plan], lidar_ahead_m: float) -> Floats:
+    """`headed` of B plans, those of a frame at once: (B, 6, 3)."""
+    found = np.zeros((len(plans), PLAN_STEPS, 3))
+    for frame in dict.fromkeys(plan.frame for plan in plans):
+        those = [place for place, plan in enumerate(plans) if plan.frame is frame]
+        waypoints = np.array([plans[place].waypoints[:PLAN_STEPS] for place in those], np.float64)
+        if frame is PlanFrame.LIDAR:
+            along = chord_headings(waypoints, start_heading_rad=np.pi / 2) - np.pi / 2
+            behind = lidar_ahead_m * np.stack([np.cos(along), np.sin(along)], axis=-1)
+            waypoints = points_in_ego(waypoints, lidar_ahead_m) - behind
+        headings = chord_headings(waypoints, start_heading_rad=0.0)
+        found[those] = np.concatenate([waypoints, headings[..., None]], axis=-1)
+    return found
 
 
 def interpolated(plans: Floats) -> Floats:

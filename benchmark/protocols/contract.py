@@ -49,12 +49,14 @@ class Outcomes:
 
     def as_rows(self) -> list[dict[str, Any]]:
         """One JSON object for each sample; a displacement that does not exist is null."""
+        collision, l2, valid = self.collision.tolist(), self.l2.tolist(), self.valid.tolist()
+        counted, steps = self.counted.tolist(), {name: column.tolist() for name, column in self.steps.items()}
         return [
             {
-                "collision": self.collision[index].tolist(),
-                "l2": [float(l2) if valid else None for l2, valid in zip(self.l2[index], self.valid[index])],
-                "counted": bool(self.counted[index]),
-                "steps": {name: column[index].tolist() for name, column in self.steps.items()},
+                "collision": collision[index],
+                "l2": [metres if there else None for metres, there in zip(l2[index], valid[index])],
+                "counted": counted[index],
+                "steps": {name: column[index] for name, column in steps.items()},
                 "facts": {name: column[index] for name, column in self.facts.items()},
             }
             for index in range(len(self))

@@ -1,7 +1,10 @@
 """Many samples as flat arrays: what the protocols compute on, without a loop over samples."""
 
+from collections import deque
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from operator import is_
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +36,7 @@ class StackedTruths:
         ahead_m: (S,) lidar origin ahead of the rear axle.
         keyframes_before: (S,) earlier keyframes of the scene.
         roads: S times the roads around, or ``None``.
+        kept: What was asked for of categories.
     """
 
     sample_of: NDArray[np.int64]
@@ -50,6 +54,7 @@ class StackedTruths:
     ahead_m: Floats
     keyframes_before: NDArray[np.int64]
     roads: tuple[Roads | None, ...]
+    kept: dict[frozenset[str], Bools] = field(default_factory=dict, repr=False, compare=False)
 
     def of_categories(self, names: Collection[str]) -> Bools:
         """Which objects are of certain categories.
@@ -60,7 +65,11 @@ class StackedTruths:
         Returns:
             (M,) verdicts.
         """
-        return np.fromiter((name in names for name in self.categories), np.bool_, count=len(self.categories))
+        key = frozenset(names)
+        if key not in self.kept:
+            self.kept[key] = np.fromiter((name in key for name in self.categories), np.bool_, len(self.categories))
+            self.kept[key].flags.writeable = False
+        return self.kept[key]
 
     @property
     def axle_future(self) -> Floats:
@@ -90,8 +99,24 @@ def stack(truths: Sequence[SampleTruth]) -> StackedTruths:
         truths: S samples.
 
     Returns:
-        Their arrays.
+        Their arrays, to which nobody may write: the samples of before are not stacked again for the next protocol.
     """
+    for known, stacked in _LAST:
+        if len(known) == len(truths) and all(map(is_, known, truths)):
+            return stacked
+    stacked = _stacked(truths)
+    for each in fields(stacked):
+        values = getattr(stacked, each.name)
+        if isinstance(values, np.ndarray):
+            values.flags.writeable = False
+    _LAST.append((tuple(truths), stacked))
+    return stacked
+
+
+_LAST: Final[deque[tuple[tuple[SampleTruth, ...], StackedTruths]]] = deque(maxlen=1)
+
+
+def _stacked(truths: Sequence[SampleTruth]) -> StackedTruths:
     counts = [len(truth.instances) for truth in truths]
     empty = np.zeros((0, _KEYFRAMES), dtype=np.bool_)
     return StackedTruths(

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmark.constants import LONGER_HORIZON_STEPS, PLAN_STEPS
-from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.metrics.diagnosis import diagnose
 from benchmark.metrics.disagreement import EXACT, disagreements
-from benchmark.pdm.judging import judge_scene
+from benchmark.pdm.judging import judge_planners as judge_driving
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Forecasts, Plan, PlanFrame
 from benchmark.protocols import Outcomes, protocol
@@ -26,13 +25,15 @@ from benchmark.scene import Scene
 from benchmark.severity.plans import plan_severities
 from benchmark.surroundings.circumstances import Circumstances
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
-    from benchmark.datasets.roots import DataSet
     from benchmark.runs.reading import SceneReading
 
 LONGEST_JUDGED: Final = max(LONGER_HORIZON_STEPS.values())
 """Steps of a plan that anything is said about."""
+PLANNERS_AT_ONCE: Final = 10
+"""Planners whose plans of a scene are judged together: bounds the memory."""
 
 
 def judge(
@@ -66,38 +67,89 @@ def judge(
         InputError: If a protocol is unknown or a plan cannot be read.
         ValueError: If rows and truths are not of the same samples.
     """
-    if [row["sample_token"] for row in rows] != [truth.sample_token for truth in truths]:
-        raise ValueError(f"plans and truth of {rows[0]['scene'] if rows else 'a scene'} do not have the same samples")
-    planned = [index for index, row in enumerate(rows) if row["plan"] is not None]
-    happened, whole = [truths[index] for index in planned], [plan_of(rows[index]["plan"]) for index in planned]
+    return judge_planners([rows], truths, protocols, scene=scene, around=around, longer=longer, recorded=recorded)[0]
+
+
+def judge_planners(
+    rows_of: Sequence[Sequence[Mapping[str, Any]]],
+    truths: Sequence[SampleTruth],
+    protocols: Sequence[str],
+    *,
+    scene: Scene | None = None,
+    around: Sequence[Circumstances] | None = None,
+    longer: Callable[[int], Sequence[SampleTruth]] | None = None,
+    recorded: RecordedScene | None = None,
+) -> list[list[SampleRow]]:
+    """`judge` of several planners together, each protocol asked once for all of them.
+
+    Args:
+        rows_of: Of each planner what `judge` takes of one; the other arguments are those of `judge`.
+
+    Returns:
+        Of each planner one row for each sample, the same as one by one.
+
+    Raises:
+        InputError: As `judge`, if any planner's plan cannot be read.
+        ValueError: As `judge`.
+    """
+    tokens = [truth.sample_token for truth in truths]
+    for rows in rows_of:
+        if [row["sample_token"] for row in rows] != tokens:
+            raise ValueError(
+                f"plans and truth of {rows[0]['scene'] if rows else 'a scene'} do not have the same samples"
+            )
+    planned = [
+        (which, at) for which, rows in enumerate(rows_of) for at, row in enumerate(rows) if row["plan"] is not None
+    ]
+    happened, whole = [truths[at] for _, at in planned], [plan_of(rows_of[which][at]["plan"]) for which, at in planned]
     plans = [plan.judged for plan in whole]
-    in_lidar = np.array([plan.waypoints_in_lidar(truth.lidar_ahead_m) for plan, truth in zip(plans, happened)]).reshape(
-        -1, PLAN_STEPS, 2
-    )
+    in_lidar = _in_lidar(plans, happened)
     outcomes = {name: protocol(name).evaluate(happened, in_lidar) for name in dict.fromkeys(protocols)}
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
-    findings: list[dict[str, Any]] = [{"outcomes": {}} for _ in rows]
     recorded = None if scene is None else recorded or RecordedScene(scene)
-    driven = _driven(scene, recorded, dict(zip(planned, plans)), len(rows))
+    judged = _by_planner(len(rows_of), planned, plans)
+    driven = _driven(scene, recorded, judged, len(truths))
     # A map without roads or lanes would blame the ego for every contact at its sides.
     known = recorded is not None and bool(recorded.road.drivable and recorded.road.lanes)
     severe = plan_severities(happened, in_lidar, recorded.road if recorded is not None and known else None)
-    beyond = longer_verdicts(dict(zip(planned, whole)), longer) if longer is not None and EXACT in outcomes else {}
-    for place, index in enumerate(planned):
-        findings[index] = {
-            "driving": driven[index],
-            "longer": beyond.get(index),
+    asked = longer if EXACT in outcomes else None
+    beyond = [{} if asked is None else longer_verdicts(own, asked) for own in _by_planner(len(rows_of), planned, whole)]
+    findings: list[list[dict[str, Any]]] = [[{"outcomes": {}} for _ in truths] for _ in rows_of]
+    for place, (which, at) in enumerate(planned):
+        findings[which][at] = {
+            "driving": driven[which][at],
+            "longer": beyond[which].get(at),
             "outcomes": {name: found[place] for name, found in verdicts.items()},
             "diagnosis": causes[place],
             "disagreements": differences[place],
             "severity": severe[place],
         }
-    where = repeat(None, len(rows)) if around is None else around
-    return [
-        SampleRow(**row, **_recorded(truth, at), **found)
-        for row, truth, at, found in zip(rows, truths, where, findings, strict=True)
+    happening = [
+        _recorded(truth, at) for truth, at in zip(truths, repeat(None, len(truths)) if around is None else around)
     ]
+    return [
+        [SampleRow(**row, **told, **found) for row, told, found in zip(rows, happening, own, strict=True)]
+        for rows, own in zip(rows_of, findings, strict=True)
+    ]
+
+
+def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
+    """(P, 6, 2) waypoints of the lidar origin of P plans, those of a frame at once."""
+    found = np.zeros((len(plans), PLAN_STEPS, 2))
+    for frame in dict.fromkeys(plan.frame for plan in plans):
+        those = [place for place, plan in enumerate(plans) if plan.frame is frame]
+        ahead_m = np.array([truths[place].lidar_ahead_m for place in those])
+        found[those] = waypoints_in_lidar(np.array([plans[place].waypoints for place in those]), frame, ahead_m)
+    return found
+
+
+def _by_planner(count: int, planned: Sequence[tuple[int, int]], plans: Sequence[Plan]) -> list[dict[int, Plan]]:
+    """Plans of each planner by number of the sample."""
+    found: list[dict[int, Plan]] = [{} for _ in range(count)]
+    for (which, at), plan in zip(planned, plans, strict=True):
+        found[which][at] = plan
+    return found
 
 
 def judge_scene_plans(
@@ -116,58 +168,35 @@ def judge_scene_plans(
     Raises:
         InputError: If the data is broken, a protocol is unknown or a plan cannot be read.
     """
-    return judge(
-        rows,
-        reading.truth,
-        protocols,
-        scene=reading.mapped,
-        around=reading.around,
-        longer=reading.longer,
-        recorded=reading.recorded,
-    )
+    return judge_all_plans([rows], reading, protocols)[0]
 
 
-def scene_with_map(data: "DataSet", name: str) -> Scene | None:
-    """A scene for driving scores.
-
-    Args:
-        data: The data set.
-        name: Scene name.
-
-    Returns:
-        The scene, or ``None`` where the data set has no map of its place.
-
-    Raises:
-        InputError: If the scene is unknown or broken.
-    """
-    return data.scene(name) if data.has_map(name) else None
+def judge_all_plans(
+    rows_of: Sequence[Sequence[Mapping[str, Any]]], reading: "SceneReading", protocols: Sequence[str]
+) -> list[list[SampleRow]]:
+    """`judge_scene_plans` of several planners together; arguments and errors as there, of any of them."""
+    found: list[list[SampleRow]] = []
+    for start in range(0, len(rows_of), PLANNERS_AT_ONCE):
+        found += judge_planners(
+            rows_of[start : start + PLANNERS_AT_ONCE],
+            reading.truth,
+            protocols,
+            scene=reading.mapped,
+            around=reading.around,
+            longer=reading.longer,
+            recorded=reading.recorded,
+        )
+    return found
 
 
 def _driven(
-    scene: Scene | None, recorded: RecordedScene | None, plans: Mapping[int, Plan], count: int
-) -> list[dict[str, Any] | None]:
-    """Driving scores of each sample, as rows hold them."""
+    scene: Scene | None, recorded: RecordedScene | None, plans: Sequence[Mapping[int, Plan]], count: int
+) -> list[list[dict[str, Any] | None]]:
+    """Of each planner the driving scores of each sample, as rows hold them."""
     if scene is None:
-        return [None] * count
-    verdicts = judge_scene(scene, [plans.get(index) for index in range(count)], recorded)
-    return [None if verdict is None else verdict.as_json() for verdict in verdicts]
-
-
-def longer_truth(data: "DataSet", scene: str, steps: int) -> tuple[SampleTruth, ...]:
-    """What really happened around each sample of a scene, for more steps than protocols need.
-
-    Args:
-        data: The data set.
-        scene: Scene name.
-        steps: How many.
-
-    Returns:
-        One truth a sample, in time order.
-
-    Raises:
-        InputError: If the scene is unknown or broken.
-    """
-    return truth_of_scene(data.scene(scene), [truth.sample_token for truth in data.truth(scene)], steps)
+        return [[None] * count for _ in plans]
+    verdicts = judge_driving(scene, [[own.get(index) for index in range(count)] for own in plans], recorded)
+    return [[None if verdict is None else verdict.as_json() for verdict in own] for own in verdicts]
 
 
 def longer_verdicts(

@@ -16,7 +16,7 @@ from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
 from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
-from benchmark.runs.judging import judge_scene_plans
+from benchmark.runs.judging import judge_all_plans, judge_scene_plans
 from benchmark.runs.reading import SceneReading
 
 if TYPE_CHECKING:
@@ -165,17 +165,44 @@ def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
     data_of = {id(each.data): each.data for each in waiting}
     for data_id, scene in wanted:
         reading = SceneReading(data_of[data_id], scene)
-        for each in [one for one in alive.values() if id(one.data) == data_id and scene in one.old.run.scenes]:
-            try:
-                each.rows.add(rows_judged_anew(each.old, reading, tuple(each.versions)))
-            except InputError as error:
+        here = [one for one in alive.values() if id(one.data) == data_id and scene in one.old.run.scenes]
+        for each, found in _judged_together(here, reading):
+            if isinstance(found, InputError):
                 del alive[each.old.directory]
-                yield Rescored(each.old.directory, str(error), failed=True)
+                yield Rescored(each.old.directory, str(found), failed=True)
+            else:
+                each.rows.add(found)
     for each in alive.values():
         try:
             yield Rescored(each.old.directory, _replaced(each)[1])
         except InputError as error:
             yield Rescored(each.old.directory, str(error), failed=True)
+
+
+def _judged_together(
+    records: Sequence[_Opened], reading: SceneReading
+) -> Iterator[tuple[_Opened, list[SampleRow] | InputError]]:
+    """Rows of a scene of each record, or why it has none: all records in one, those that cannot be apart."""
+    plans_of: list[list[dict[str, Any]]] = []
+    readable: list[_Opened] = []
+    for each in records:
+        try:
+            plans_of.append(stored_plans(each.old, reading))
+            readable.append(each)
+        except InputError as error:
+            yield each, error
+    if not readable:
+        return
+    # All of them are judged by those that the command names.
+    protocols = tuple(readable[0].versions)
+    try:
+        yield from zip(readable, judge_all_plans(plans_of, reading, protocols), strict=True)
+    except InputError:
+        for each, plans in zip(readable, plans_of, strict=True):
+            try:
+                yield each, judge_scene_plans(plans, reading, protocols)
+            except InputError as error:
+                yield each, error
 
 
 def record_directories(root: Path) -> list[Path]:
@@ -254,12 +281,28 @@ def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple
 
 def rows_judged_anew(record: RunRecord, reading: SceneReading, protocols: tuple[str, ...]) -> list[SampleRow]:
     """`judged_anew` where the scene is at hand; arguments and errors as there."""
+    return judge_scene_plans(stored_plans(record, reading), reading, protocols)
+
+
+def stored_plans(record: RunRecord, reading: SceneReading) -> list[dict[str, Any]]:
+    """What a record says of its planner's plans of a scene.
+
+    Args:
+        record: Holds the plans.
+        reading: The scene.
+
+    Returns:
+        One JSON object for each sample.
+
+    Raises:
+        InputError: If the record does not hold the samples of the scene.
+    """
     plans = [row.model_dump(mode="json", include=_OF_THE_PLAN) for row in record.rows_of(reading.name)]
     if [plan["sample_token"] for plan in plans] != [truth.sample_token for truth in reading.truth]:
         raise InputError(
             f"{record.directory} does not hold the samples of {reading.name}; run challenger-bench eval again"
         )
-    return judge_scene_plans(plans, reading, protocols)
+    return plans
 
 
 def _nothing_changes(record: RunRecord, facts: dict[str, Any], rows: Rows, versions: dict[str, int]) -> bool:

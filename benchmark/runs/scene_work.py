@@ -11,7 +11,7 @@ from benchmark.planning import Planner
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.run_schema import PlannerFacts
-from benchmark.runs.judging import judge_scene_plans
+from benchmark.runs.judging import judge_all_plans
 from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, rows_path, scene_key
 from benchmark.runs.reading import SceneReading
 
@@ -70,12 +70,33 @@ def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner],
     Raises:
         InputError: If the data is broken or rows cannot be written.
     """
-    reading, found = SceneReading(data, scene), []
+    reading, planned = SceneReading(data, scene), []
     for run, planner in zip(runs, planners, strict=True):
         key = scene_key(run.fingerprint, run.split, scene, run.planner)
-        planned = plan_scene(planner, reading, scene, rows_path(run.directory, scene), key, fresh=run.fresh)
-        found.append(judged_scene(run, reading, planned))
-    return found
+        planned.append(plan_scene(planner, reading, scene, rows_path(run.directory, scene), key, fresh=run.fresh))
+    return judged_scenes(runs, reading, planned)
+
+
+def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[PlannedScene]) -> list[SceneResult]:
+    """Judge the plans of a scene, those of runs with the same protocols together.
+
+    Args:
+        runs: The runs.
+        reading: The scene.
+        planned: Plans of each run.
+
+    Returns:
+        The rows of each run.
+
+    Raises:
+        InputError: If the data is broken.
+    """
+    found: dict[int, SceneResult] = {}
+    for protocols in dict.fromkeys(run.protocols for run in runs):
+        those = [place for place, run in enumerate(runs) if run.protocols == protocols]
+        rows_of = judge_all_plans([planned[place].rows for place in those], reading, protocols)
+        found |= {place: SceneResult(reading.name, rows, planned[place].cost) for place, rows in zip(those, rows_of)}
+    return [found[place] for place in range(len(runs))]
 
 
 def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> SceneResult:
@@ -92,7 +113,7 @@ def judged_scene(run: Run, reading: SceneReading, planned: PlannedScene) -> Scen
     Raises:
         InputError: If the data is broken.
     """
-    return SceneResult(reading.name, judge_scene_plans(planned.rows, reading, run.protocols), planned.cost)
+    return judged_scenes([run], reading, [planned])[0]
 
 
 _in_this_process: dict[str, tuple["DataSet", tuple[Planner, ...]]] = {}

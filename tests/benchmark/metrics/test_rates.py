@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from benchmark.metrics.rates import HORIZONS, RESAMPLES, ends, rates, ratios_over_scenes, sums_by_scene
+from benchmark.metrics.rates import HORIZONS, RESAMPLES, all_ends, ends, rates, ratios_over_scenes, sums_by_scene
 from benchmark.protocols import Outcomes
 from benchmark.protocols.exact import Exact
 
@@ -95,3 +96,47 @@ def test_sums_over_other_names_are_zero_where_there_was_nothing() -> None:
     assert sums.names == ("a", "b") and sums.numerators.tolist() == [[2.0], [5.0]]
     other = sums.over(["b", "c"])
     assert other.numerators.tolist() == [[5.0], [0.0]] and other.denominators.tolist() == [[2.0], [0.0]]
+
+
+def one_after_the_other(values: Floats, weights: Floats, scenes: list[str]) -> list[tuple[float | None, float | None]]:
+    """Intervals by the plainest way that adds in the same order: all columns in one product, a percentile each."""
+    sums = sums_by_scene(values, weights, scenes)
+    rng = np.random.default_rng(content_seed("scene bootstrap", list(sums.names), 0))
+    count = len(sums.names)
+    drawn = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES).astype(np.float64)
+    above, below = (np.einsum("rs,sc->rc", drawn, part) for part in (sums.numerators, sums.denominators))
+    found: list[tuple[float | None, float | None]] = []
+    for column in range(values.shape[1]):
+        there = below[:, column] > 0
+        if count < 2 or np.count_nonzero(sums.denominators[:, column]) < 2:
+            found.append((None, None))
+            continue
+        low, high = np.percentile(above[there, column] / below[there, column], (2.5, 97.5))
+        found.append((float(low), float(high)))
+    return found
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 9])
+@pytest.mark.parametrize("seed", range(3))
+def test_columns_that_are_alike_or_whole_give_the_bits_that_they_give_with_all_others(columns: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scenes = [f"scene-{number}" for number in rng.integers(0, 12, 150)]
+    kinds = [rng.random(150), rng.random(150) < 0.2, rng.integers(0, 4, 150) / 3.0]
+    values = np.stack([np.asarray(kinds[(column + seed) % 3], np.float64) for column in range(columns)], axis=1)
+    weights = (rng.random((150, columns)) < (0.05, 0.5, 1.0)[seed]).astype(np.float64)
+    found = ratios_over_scenes(values * weights, weights, scenes, seed=0)
+    expected = one_after_the_other(values * weights, weights, scenes)
+    assert [(rate.low, rate.high) for rate in found] == expected
+    # Asked once more, from what is remembered.
+    assert ratios_over_scenes(values * weights, weights, scenes, seed=0) == found
+
+
+def test_ends_of_several_numbers_are_those_of_each() -> None:
+    rng = np.random.default_rng(0)
+    draws = rng.random((4, RESAMPLES))
+    draws[1, ::3], draws[2, :], draws[3, :5] = np.nan, np.nan, np.inf
+    low, high = all_ends(draws, (-1.0, 1.0))
+    assert list(zip(low.tolist(), high.tolist())) == [ends(one, (-1.0, 1.0)) for one in draws]
+    whole = np.sort(draws[0])
+    assert (low[0], high[0]) == (whole[49], whole[1950])
+    assert (low[2], high[2]) == (-1.0, 1.0)

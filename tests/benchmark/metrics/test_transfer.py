@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.errors import InputError
+from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
-from benchmark.metrics.rates import RESAMPLES, Estimate
-from benchmark.metrics.transfer import transfer
+from benchmark.metrics.rates import RESAMPLES, Estimate, ends, resampled
+from benchmark.metrics.transfer import Failures, transfer
 from benchmark.records.run import RunRecord
 from tests.benchmark.records.hand_made_records import CLEAN, FAILED, HIT, hand_made
 
@@ -225,3 +226,58 @@ def test_native_takes_each_planners_own_verdicts_and_says_whose() -> None:
     assert matrix.cells[0][1].value == 1.0 and matrix.cells[1][0].value == 0.5
     with pytest.raises(InputError, match="not judged by protocol 'uniad'"):
         transfer([replace(second, run=second.run.model_copy(update={"protocols": {"exact": 1}}))], protocol="native")
+
+
+def slow_counts(first: Verdicts, second: Verdicts, sources: dict[str, str]) -> tuple[tuple[str, ...], Floats]:
+    """Scenes by recording that both, only the first, only the second and neither fail."""
+    shared = [scene for scene, failed in first.items() if failed is not None and second.get(scene) is not None]
+    names = tuple(sorted({sources[scene] for scene in shared}))
+    found = np.zeros((len(names), 4))
+    for scene in shared:
+        kinds = ((True, True), (True, False), (False, True), (False, False))
+        found[names.index(sources[scene]), kinds.index((bool(first[scene]), bool(second[scene])))] += 1
+    return names, found
+
+
+def phi_of_counts(counts: Floats) -> float:
+    both, first, second, neither = counts.tolist()
+    margins = (both + first) * (both + second) * (first + neither) * (second + neither)
+    return float((both * neither - first * second) / np.sqrt(margins)) if margins > 0 else math.nan
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_pairs_at_once_give_what_each_pair_gives_alone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scenes = [f"scene-{number}" for number in range(14)]
+    sources = {scene: f"recording-{number // 2}" for number, scene in enumerate(scenes)}
+    kinds: list[bool | None] = [True, False, None]
+    verdicts: list[Verdicts] = [
+        {scene: kinds[int(rng.choice(3, p=(0.4, 0.5, 0.1)))] for scene in scenes[: int(rng.integers(6, 15))]}
+        for _ in range(4)
+    ]
+    verdicts.append(dict.fromkeys(scenes, False))
+    failures = Failures.of(verdicts, sources)
+    names = [f"planner-{number}" for number in range(len(verdicts))]
+    for row, surrogate in enumerate(verdicts):
+        cells, agreements = failures.transferred(row, 0), failures.agreements(row, names, 0)
+        for column, victim in enumerate(verdicts):
+            units, counts = slow_counts(surrogate, victim, sources)
+            failed = counts[:, 0] + counts[:, 1]
+            assert (cells[column].numerator, cells[column].denominator) == (counts[:, 0].sum(), failed.sum())
+            interval: tuple[float | None, float | None] = (None, None)
+            if np.count_nonzero(failed) > 1:
+                drawn = resampled(np.stack([counts[:, 0], failed], axis=1), units, seed=0)
+                shares = [above / below if below > 0 else math.nan for above, below in drawn.tolist()]
+                interval = ends(np.array(shares), (0.0, 1.0))
+            assert (cells[column].low, cells[column].high) == interval
+            if column <= row:
+                continue
+            found, phi = agreements[column - row - 1], phi_of_counts(counts.sum(axis=0))
+            assert found.planners == (names[row], names[column])
+            told = (found.both, found.only_first, found.only_second, found.neither)
+            assert told == tuple(counts.sum(axis=0).tolist())
+            expected: Estimate = Estimate(None, None, None)
+            if not math.isnan(phi):
+                drawn = resampled(counts, units, seed=0)
+                expected = Estimate(phi, *ends(np.array([phi_of_counts(one) for one in drawn]), (-1.0, 1.0)))
+            assert found.phi == expected

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from benchmark.errors import InputError
 from benchmark.planning import Forecasts, Observation, Plan, PlanFrame
 from benchmark.protocols import PROTOCOLS
-from benchmark.runs.judging import judge, plan_of
+from benchmark.runs.judging import judge, judge_all_plans, judge_scene_plans, plan_of
 from benchmark.runs.plan_rows import plan_scene
+from benchmark.runs.reading import SceneReading
 from benchmark.truth import SampleTruth
 from tests.benchmark.fake_data import FakeData, town_of_two
 from tests.benchmark.planners import Failing, Straight
@@ -206,3 +207,35 @@ def test_other_samples_and_unknown_protocols_are_refused(
     with pytest.raises(InputError, match="unknown protocol"):
         judge(rows, truths, ("nonsense",))
     assert judge([], [], ALL) == []
+
+
+class Swerving(Straight):
+    """Leaves to the left, for 8 s."""
+
+    name = "swerving"
+
+    def plan(self, observation: Observation) -> Plan:
+        seconds = 0.5 * np.arange(1, 17)
+        return Plan(np.column_stack([6.0 * seconds, 0.4 * seconds**2]), PlanFrame.EGO)
+
+
+class InLidar(Straight):
+    """The same way as `Straight`, said of the lidar."""
+
+    name = "in-lidar"
+
+    def plan(self, observation: Observation) -> Plan:
+        waypoints = super().plan(observation).waypoints
+        return Plan(waypoints[:, ::-1] * [-1.0, 1.0], PlanFrame.LIDAR)
+
+
+def test_planners_that_are_judged_together_get_the_rows_that_they_get_alone(tmp_path: Any) -> None:
+    reading = SceneReading(DATA, SCENE)
+    planners = (Failing(), Foreseeing(), Swerving(), InLidar(), Straight())
+    rows_of = [planned(planner, tmp_path / planner.name) for planner in planners]
+    alone = [judge_scene_plans(rows, SceneReading(DATA, SCENE), ALL) for rows in rows_of]
+    assert any(row.driving is not None and row.driving.ec is not None for row in alone[1])
+    assert any(row.longer is not None for row in alone[2])
+    assert judge_all_plans(rows_of, reading, ALL) == alone
+    assert judge_all_plans(rows_of[::-1], reading, ALL) == alone[::-1]
+    assert judge_all_plans([], reading, ALL) == []
