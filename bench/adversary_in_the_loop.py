@@ -85,7 +85,8 @@ def said(rows: list[dict[str, Any]]) -> str:
     """What the rows of one world say together."""
     count = len(rows)
     fault = [bool(row["contact"] and row["contact"][3]) for row in rows]
-    words = [f"{count} encounters", f"at fault {sum(fault)}"]
+    pursued = sum(blamed and row["contact"][2] for blamed, row in zip(fault, rows, strict=True))
+    words = [f"{count} encounters", f"at fault {sum(fault)}, {pursued} of them with the adversary"]
     judged = [row for row in rows if "careful" in row]
     if judged:
         survives = [row["careful"][0] for row in judged]

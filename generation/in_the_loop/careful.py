@@ -144,8 +144,9 @@ class CarefulAhead:
         bodies = Bodies.of(self.way, center, sizes, (self.frame, self.frame + self.steps[-1]))
         return bodies.going_on(len(self.steps) - len(known))
 
+    @np.errstate(invalid="ignore")
     def hits(self, placed: Bodies) -> Bools:
-        """(B,) as `hit`, of B bodies."""
+        """(B,) as `hit`, of B bodies; one that is nowhere has no speed."""
         rear, front, beside, others = placed.rear, placed.front, placed.beside, self.others
         count, half = len(rear), 0.5 * self.way.length_m
         dt = EVERY_FRAMES / FRAME_HZ
@@ -201,8 +202,7 @@ careful_ahead: Final = LastMade[Scene, CarefulAhead](CarefulAhead.of, kept=2)
 def _unsafe(rear: Floats, front: Floats, beside: Floats, station: Floats, speed: Floats, half: float) -> Bools:
     """(..., B) whether a careful human has somebody in its way less than two seconds ahead."""
     gap = rear[:, 0] - station - half
-    with np.errstate(invalid="ignore"):
-        closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
+    closing = speed - (rear[:, 1] - rear[:, 0]) * (FRAME_HZ / EVERY_FRAMES)
     near = (gap <= 0.0) | ((closing > 0.0) & (gap <= CAREFUL_TIME_S * closing))
     return np.asarray((beside <= 0.0) & (front > station) & near)
 

@@ -6,7 +6,7 @@ or infinite ones) and ``chosen`` (x, y in turn of the one that was driven; null 
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from benchmark.drawing.overlays import candidates_by_score
 from benchmark.records.considered import ConsideredFrame
 from benchmark.records.scenes import Sheet
 from leaderboard.site.packing import DECIMETRE, packed_path
+
+_NOWHERE: Final = np.empty((0, 1, 2))
 
 
 def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dict[str, Any]]:
@@ -28,8 +30,8 @@ def considered_data(sheet: Sheet, frames: Sequence[ConsideredFrame]) -> list[dic
     """
     found = []
     for each in frames:
-        paths = np.array(each.candidates, np.float64).reshape(len(each.candidates), -1, 2) - np.array(sheet.origin_m)
-        shown = candidates_by_score(paths, each.scores, each.chosen)
+        points = np.array(each.candidates, np.float64) - np.array(sheet.origin_m) if each.candidates else _NOWHERE
+        shown = candidates_by_score(points, each.scores, each.chosen)
         found.append(
             {
                 "t": round((each.time_us - sheet.timestamps_us[0]) * 1e-6, 3),

@@ -152,10 +152,7 @@
       command ? `, command: ${command}` : "", protocol ? `; verdicts of ${protocol}` : ""].join("");
     if (scene.driven) {
       // Plans that were driven are not judged one by one: what came of them is what is seen.
-      const failed = models.map((model) => model.at(sample)?.failed).filter((why) => why !== undefined);
-      const did = scene.considered.findLast(({ t }) => t <= scene.samples[sample].t + 0.001)?.did;
-      return [element("p", { class: "cp-note" }, [`${caption}.`, ...(did ? [DID[did]] : []),
-        ...failed.map((why) => `The planner failed: ${why}`)].join(" "))];
+      return [element("p", { class: "cp-note" }, [`${caption}.`, ...driven(scene, models, sample)].join(" "))];
     }
     const notes = compare && models.length === 2 ? [difference(models, entries, sample)] : [];
     if (entries.some(({ cells }) => cells[0].words.endsWith("‡"))) {
@@ -167,6 +164,13 @@
       return [element("p", { class: "cp-note" }, `${caption}. ${why}`)];
     }
     return [element("div", { class: "cp-box" }, table(caption, models, entries, compare)), ...notes.filter(Boolean)];
+  }
+
+  /** @returns {string[]} What is said of an instant of a drive. */
+  function driven(scene, models, sample) {
+    const did = scene.considered.findLast(({ t }) => t <= scene.samples[sample].t + 0.001)?.did;
+    const failed = models.map((model) => model.at(sample)?.failed).filter((why) => why !== undefined);
+    return [...(did ? [DID[did]] : []), ...failed.map((why) => `The planner failed: ${why}`)];
   }
 
   /** What stands after the names of planners that see what no car sees, and of miniatures. @returns {(Node|null)[]} */
@@ -208,6 +212,7 @@
 
   /** @returns {string} The verdicts on one sample, for those who listen. */
   function sentence(scene, models, sample, protocol) {
+    if (scene.driven) return [`${seconds(scene, sample)}.`, ...driven(scene, models, sample)].join(" ");
     const judge = scene.protocols.indexOf(protocol);
     return [`${seconds(scene, sample)}.`, ...models.map((model) => entry(model, sample, judge).sentence)].join(" ");
   }
