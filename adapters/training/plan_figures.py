@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,7 @@ class Loss:
         return f"L2 at 3 s {self.l2_3s_m.said(2)} m, collisions {self.collisions_pt.said(1)} points"
 
     @classmethod
-    def from_log(cls, log: Mapping[str, Mapping[str, float | None]]) -> Self:
+    def from_log(cls, log: Mapping[str, Mapping[str, Any]]) -> Self:
         """Read what `dataclasses.asdict` made of one."""
         return cls(**{name: Difference(**values) for name, values in log.items()})
 
