@@ -22,18 +22,14 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np
-
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.checkpoints.cache import load_weights
 from adapters.checkpoints.importing import resolve_checkpoint
 from adapters.models import miniature, miniatures, resolve
-from adapters.training.plan_figures import Images, JudgedPlans, judged_plans
+from adapters.training.plan_figures import Images, JudgedPlans, Loss, judged_plans
 from benchmark.datasets.roots import DataSet, open_data
-from benchmark.geometry import Floats
 from benchmark.machine.workers import single_threaded
 from benchmark.machine.workspace import cache_root
-from benchmark.metrics.rates import Rate, ratios_over_scenes
 from generation.sources.mini import TownSettings, build_town
 
 
@@ -61,26 +57,6 @@ def forecasts_line(judged: JudgedPlans) -> str:
     )
 
 
-def l2_and_collisions(judged: JudgedPlans) -> Floats:
-    """(S, 2) for each sample its L2 at 3 s, metres, and whether its plan touches anything."""
-    outcomes = judged.outcomes()
-    return np.stack([outcomes.l2[:, -1], outcomes.collision.any(-1).astype(np.float64)], axis=-1)
-
-
-def more_than(own: JudgedPlans, other: JudgedPlans) -> str:
-    """How much more L2 and collisions there are, with intervals."""
-    difference = l2_and_collisions(other) - l2_and_collisions(own)
-    scenes = [truth.scene for truth in own.truths]
-    l2, collisions = ratios_over_scenes(difference * [1, 100], np.ones_like(difference), scenes, seed=0)
-    return f"L2 {more(l2, 2)} m, collisions {more(collisions, 1)} points"
-
-
-def more(rate: Rate, digits: int) -> str:
-    """A difference with its interval."""
-    shown = ["-" if each is None else f"{each:+.{digits}f}" for each in (rate.value, rate.low, rate.high)]
-    return f"{shown[0]} [{shown[1]}, {shown[2]}]"
-
-
 def measure(name: str, weights: Path | None, data: DataSet, scenes: Sequence[str]) -> None:
     """Print the figures of one miniature."""
     shown = {
@@ -90,10 +66,12 @@ def measure(name: str, weights: Path | None, data: DataSet, scenes: Sequence[str
     }
     own = shown.pop(Images.OWN)
     print(f"{name}: {forecasts_line(own)}")
-    l2, collisions = l2_and_collisions(own).mean(0)
-    print(f"  own images: L2 at 3 s {l2:.2f} m, collisions {collisions:.1%} of {len(own.truths)} samples")
+    found = own.figures()
+    print(
+        f"  own images: L2 at 3 s {found.l2_3s_m:.2f} m, collisions {found.collisions:.1%} of {found.samples} samples"
+    )
     for images, judged in shown.items():
-        print(f"  {images.value}: {more_than(own, judged)}", flush=True)
+        print(f"  {images.value}: {Loss.between(own, judged).said()}", flush=True)
 
 
 def main() -> None:

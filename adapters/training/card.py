@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from adapters.models import Model
+from adapters.training.plan_figures import Loss
 
 _TEXT: Final = """\
 # {name}
@@ -38,7 +39,7 @@ rows, so the rows below the first say how much of a plan comes from the images.
 |---|---|---|---|---|---|
 {rows}
 
-{forecasts}
+{lost}{forecasts}
 
 {seen}
 
@@ -54,6 +55,10 @@ Of the {vehicles:,} that are at least 40 % visible {recall:.0%} have a forecast 
 {precision:.0%} of the forecasts there are of something that is annotated. Mean error over 3 s of the matched ones:
 {least_error_m:.2f} m (best mode), {likeliest_error_m:.2f} m (most likely mode), {standing_error_m:.2f} m for
 standing still."""
+_LOST: Final = """\
+With {shown} images, against its own, with the 95 % interval of the paired difference over scenes: {said}.
+
+"""
 _STARTS: Final = {"image_encoder": "image encoder", "start_from": "weights"}
 _TITLES: Final = {
     "own": "its own images",
@@ -76,7 +81,7 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
     source = facts["source"]
     commit = source["commit"] or "unknown"
     started = ", ".join(f"{_STARTS[option]} `{key[:16]}`" for option, key in facts["started_from"].items())
-    measured = facts["figures"]
+    measured, lost = facts["figures"], facts.get("lost", {})
     rows = [
         f"| {title} | {row['samples']:.0f} | {row['l2_1s_m']:.2f} | {row['l2_2s_m']:.2f} | {row['l2_3s_m']:.2f} | "
         f"{row['collisions']:.1%} |"
@@ -103,5 +108,6 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
         judged=f"{len(facts['judged_on']['scenes'])} scenes of `{facts['judged_on']['data']}`",
         forecasts=_FORECASTS.format(**facts["forecasts"]) if facts["forecasts"] else "Forecasts: not measured.",
         seen=_SEEN.format(**facts["seen"]) if facts.get("seen") else "Forecasts of what is visible: not measured.",
+        lost="".join(_LOST.format(shown=name, said=Loss.from_log(each).said()) for name, each in lost.items()),
         rows="\n".join(rows) or "| not measured | | | | | |",
     )

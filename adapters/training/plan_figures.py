@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from adapters.training.forecast_figures import ForecastFigures, forecast_figures
 from benchmark.constants import HORIZON_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.errors import InputError
+from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.planning import CameraView, Observation, Plan, Planner, SceneInfo
 from benchmark.protocols import protocol
 from benchmark.protocols.contract import Outcomes
@@ -90,6 +91,59 @@ class JudgedPlans:
     def as_seen(self) -> ForecastFigures | None:
         """Figures of the forecasts of what can be seen; ``None`` as in `seen_figures`."""
         return seen_figures(self.truths, self.plans, self.visible)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A mean difference over paired samples, with its 95 % interval over scenes; ``None`` for fewer than two scenes."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+    @classmethod
+    def of(cls, rate: Rate) -> Self:
+        """From a mean with its interval, rounded."""
+        ends = (None if each is None else round(each, 4) for each in (rate.low, rate.high))
+        return cls(round(rate.value or 0.0, 4), *ends)
+
+    def said(self, digits: int) -> str:
+        """For readers."""
+        shown = ["-" if each is None else f"{each:+.{digits}f}" for each in (self.value, self.low, self.high)]
+        return f"{shown[0]} [{shown[1]}, {shown[2]}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What plans lose when a planner is shown something else than what its cameras saw.
+
+    Attributes:
+        l2_3s_m: More metres from the recorded position at 3 s.
+        collisions_pt: More plans that touch anything within 3 s, percentage points.
+    """
+
+    l2_3s_m: Difference
+    collisions_pt: Difference
+
+    @classmethod
+    def between(cls, own: JudgedPlans, other: JudgedPlans) -> Self:
+        """From the plans of the same samples with its own images and with others."""
+        pairs = [
+            np.stack([outcomes.l2[:, -1], 100.0 * outcomes.collision.any(-1)], axis=-1)
+            for outcomes in (own.outcomes(), other.outcomes())
+        ]
+        lost = pairs[1] - pairs[0]
+        scenes = [truth.scene for truth in own.truths]
+        return cls(*(Difference.of(rate) for rate in ratios_over_scenes(lost, np.ones_like(lost), scenes, seed=0)))
+
+    def said(self) -> str:
+        """For readers."""
+        return f"L2 at 3 s {self.l2_3s_m.said(2)} m, collisions {self.collisions_pt.said(1)} points"
+
+    @classmethod
+    def from_log(cls, log: Mapping[str, Mapping[str, Any]]) -> Self:
+        """Read what `dataclasses.asdict` made of one."""
+        return cls(**{name: Difference(**values) for name, values in log.items()})
 
 
 def plan_figures(

@@ -1,7 +1,7 @@
 """Training of a miniature from a data set to a weights file: what ``challenger-bench train planner`` runs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,12 +14,11 @@ from adapters.checkpoints.cache import Provenance, load_weights, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
 from adapters.models import Model, miniature, resolve
 from adapters.training.card import card_of
-from adapters.training.forecast_figures import ForecastFigures
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.training.mixture import ADVERSARIAL_SPLIT, Frames, MixedFrames, gathered, require_made_from
 from adapters.training.phases import Phase
-from adapters.training.plan_figures import Images, judged_plans, plan_figures
+from adapters.training.plan_figures import Images, JudgedPlans, Loss, judged_plans, plan_figures
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet, open_data
@@ -248,18 +247,19 @@ class _Checked:
         """Figures with all kinds of images, of constant velocity and of the forecasts; none without scenes."""
         place = {"data": self.data.root.resolve().name, "scenes": list(self.scenes)}
         if not self.scenes:
-            return {"figures": {}, "forecasts": None, "seen": None, "judged_on": place}
+            return {"figures": {}, "forecasts": None, "seen": None, "lost": {}, "judged_on": place}
         found = {"constant-velocity": plan_figures(ConstantVelocity(), self.data, self.scenes).as_log()}
-        forecasts: dict[str, ForecastFigures | None] = {}
+        shown: dict[Images, JudgedPlans] = {}
         for images in Images:
             if images is Images.SHUFFLED and len(self.scenes) < 2:
                 continue
-            judged = judged_plans(self._planner(weights), self.data, self.scenes, images=images)
+            judged = shown[images] = judged_plans(self._planner(weights), self.data, self.scenes, images=images)
             found[images.value] = judged.figures().as_log()
-            if images is Images.OWN:
-                forecasts = {"forecasts": judged.as_diagnosed(), "seen": judged.as_seen()}
+        own = shown.pop(Images.OWN)
+        forecasts = {"forecasts": own.as_diagnosed(), "seen": own.as_seen()}
         logged = {name: None if each is None else each.as_log() for name, each in forecasts.items()}
-        return {"figures": found, **logged, "judged_on": place}
+        lost = {images.value: asdict(Loss.between(own, other)) for images, other in shown.items()}
+        return {"figures": found, **logged, "lost": lost, "judged_on": place}
 
     def _planner(self, weights: Mapping[str, Tensor]) -> Any:
         network = self.small.build()

@@ -144,9 +144,11 @@ def stale_demo(to: Path = RESULTS) -> list[str]:
 
 
 def _results_from() -> dict[str, Any]:
-    """What the measured results depend on: weights, town, frozen split, renderer, search and protocols."""
+    """What the measured results depend on: miniatures, town, frozen split, renderer, search and protocols."""
+    from dataclasses import asdict
+
     from adapters.models import miniatures
-    from benchmark.machine.storage import file_sha256
+    from benchmark.machine.storage import content_key, file_sha256
     from benchmark.protocols import PROTOCOLS, STANDARD
     from generation.search.adversary import ALGORITHM_VERSION
     from generation.search.definition import PackagedPrior
@@ -157,6 +159,7 @@ def _results_from() -> dict[str, Any]:
     newest, renderer = newest_split("mini"), api.schematic_renderer()
     return {
         "weights": {name: file_sha256(each.packaged) for name, each in miniatures().items()},
+        "configurations": {name: content_key(asdict(each.configuration()))[:12] for name, each in miniatures().items()},
         "town": TownSettings().drawn_name("mini"),
         "frozen split": [newest.name, newest.frozen.content_id],
         "search": [ALGORITHM_VERSION, hyper_parameters().fingerprint, FULL_DEMO_VEHICLES],

@@ -1,12 +1,14 @@
 """Figures of plans, and what a planner is shown for them."""
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from adapters.baselines.constant_velocity import ConstantVelocity
-from adapters.training.plan_figures import Images, plan_figures, shown
+from adapters.training.plan_figures import Images, Loss, judged_plans, plan_figures, shown
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
@@ -50,6 +52,19 @@ def test_a_planner_sees_all_samples_where_some_are_judged(data: NuScenesData) ->
     planner = Late()
     figures = plan_figures(planner, data, SCENES, every=2)
     assert figures.samples == 2 * 2 and planner.asked == 2 * 10 and planner.resets == 2
+
+
+def test_what_is_lost_is_the_difference_of_the_figures_and_travels_through_a_file(data: NuScenesData) -> None:
+    own, other = (judged_plans(planner, data, SCENES) for planner in (ConstantVelocity(), Late()))
+    lost, (before, after) = Loss.between(own, other), (own.figures(), other.figures())
+    assert lost.l2_3s_m.value == pytest.approx(after.l2_3s_m - before.l2_3s_m, abs=1e-3)
+    assert lost.collisions_pt.value == pytest.approx(100 * (after.collisions - before.collisions), abs=1e-3)
+    assert lost.l2_3s_m.low is not None and lost.l2_3s_m.high is not None
+    assert 0 < lost.l2_3s_m.low <= lost.l2_3s_m.value <= lost.l2_3s_m.high
+    assert Loss.from_log(json.loads(json.dumps(asdict(lost)))) == lost
+    assert Loss.between(own, own).said() == "L2 at 3 s +0.00 [+0.00, +0.00] m, collisions +0.0 [+0.0, +0.0] points"
+    alone = [judged_plans(planner, data, SCENES[:1]) for planner in (ConstantVelocity(), Late())]
+    assert Loss.between(*alone).l2_3s_m.said(0) == "+24 [-, -]"
 
 
 def test_images_are_changed_and_nothing_else(data: NuScenesData) -> None:

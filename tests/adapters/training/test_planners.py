@@ -105,11 +105,12 @@ def test_a_file_can_be_judged_again_and_only_with_its_own_facts(town: Path, trai
     done = challenger_bench("train", "judge", tmp_path / "w.safetensors", "--data", town)
     facts = done.json
     assert facts == json.loads((tmp_path / "w.json").read_text())
-    assert {**facts, "figures": 0, "forecasts": 0, "seen": 0, "judged_on": 0} == {
+    assert {**facts, "figures": 0, "forecasts": 0, "seen": 0, "lost": 0, "judged_on": 0} == {
         **before,
         "figures": 0,
         "forecasts": 0,
         "seen": 0,
+        "lost": 0,
         "judged_on": 0,
     }
     assert len(facts["judged_on"]["scenes"]) >= len(before["judged_on"]["scenes"])

@@ -1,6 +1,7 @@
 """Weights of a miniature with one feature map of an image, for one with two."""
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -45,9 +46,8 @@ def test_cells_look_at_the_same_places_of_both_maps_and_at_each_with_half_the_we
     old = one_map()
     new = two_maps(old)
     cells = torch.randn(7, 64)
-    patterns = [
-        network.pts_bbox_head.transformer.encoder.layers[0].attentions[1].deformable_attention for network in (old, new)
-    ]
+    layers: list[Any] = [network.pts_bbox_head.transformer.encoder.layers[0] for network in (old, new)]
+    patterns = [layer.attentions[1].deformable_attention for layer in layers]
     with torch.no_grad():
         (offsets, weights), (offsets_of_two, weights_of_two) = [
             (pattern.offsets(cells), pattern.weights(cells)) for pattern in patterns
