@@ -77,9 +77,8 @@ class VADConfig(BEVConfig):
             perception_range_m=(-30.0, -32.0, -2.5, 30.0, 32.0, 0.5),
             encoder_layers=1,
             decoder_layers=2,
-            # Of a car 30 m away the coarser stage alone has a single cell.
-            backbone_outputs=(1, 2),
-            pyramid_levels=2,
+            backbone_outputs=(2,),
+            pyramid_levels=1,
             image_scale=0.14,
             image_size=(224, 128),
             channels=64,

@@ -46,9 +46,6 @@ PACE_STEP: Final = 1
 PACE_M: Final = 7.0
 PACE_SPREAD_M: Final = 4.0
 """Mean and spread of that distance in the embedded town, about."""
-ASIDE_STEP: Final = 3
-"""The planned step whose offset to the right the tokens have to know: 2 s."""
-ASIDE_SPREAD_M: Final = 2.0
 WEIGHTS: Final = {
     "class": 2.0,
     "box": 0.25,
@@ -59,11 +56,8 @@ WEIGHTS: Final = {
     "line_direction": 0.05,
     "dense": 1.0,
     "pace": 1.0,
-    "aside": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
-    # Half a metre aside counts for little among the metres ahead, and leads off the road.
-    "plan_aside": 1.0,
     "plan_agents": 0.2,
     "plan_boundary": 0.2,
     "plan_direction": 0.2,
@@ -160,8 +154,7 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
         **_agent_losses(network, predictions, frame),
         **_map_losses(network, predictions, frame),
         "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
-        "pace": _known_loss(predictions, frame, CHANNELS, PACE_STEP, 1, PACE_M, PACE_SPREAD_M),
-        "aside": _known_loss(predictions, frame, CHANNELS + 1, ASIDE_STEP, 0, 0.0, ASIDE_SPREAD_M),
+        "pace": _pace_loss(predictions, frame),
         **_plan_losses(predictions, frame),
     }
 
@@ -244,24 +237,16 @@ def _with_points(lines: Tensor, points: int) -> Tensor:
     return F.interpolate(lines.transpose(1, 2), points, mode="linear", align_corners=True).transpose(1, 2)
 
 
-def _known_loss(
-    predictions: VADPredictions,
-    frame: TrainingFrame,
-    channel: int,
-    step: int,
-    axis: int,
-    mean_m: float,
-    spread_m: float,
-) -> Tensor:
-    """How well cells, agents and map elements know where the ego drives, in one of their channels after the dense ones.
+def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
+    """How well every cell, agent and map element knows how far the ego drives, in its channel after the dense ones.
 
     The plan reads agents and map elements alone; what they do not know of the ego is lost to it.
     """
-    if not frame.ego_future_valid[step]:
+    if not frame.ego_future_valid[PACE_STEP]:
         return predictions.bev.sum() * 0
-    wanted = (frame.ego_future[step, axis] - mean_m) / spread_m
+    wanted = (frame.ego_future[PACE_STEP, 1] - PACE_M) / PACE_SPREAD_M
     read = (predictions.bev, predictions.agent_states[-1], predictions.map_states[-1])
-    return torch.stack([(tokens[:, channel] - wanted).abs().mean() for tokens in read]).sum()
+    return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
 
 
 def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
@@ -271,7 +256,6 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
     return {
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
         "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
-        "plan_aside": plan_loss(plan[:, :1], frame.ego_future[:, :1], frame.ego_future_valid),
         "plan_agents": agent_constraint(plan, frame),
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
