@@ -44,7 +44,7 @@ def considered_frame(
         A `ConsideredFrame` as JSON: candidates of the round that the driven one is from, else of the best round.
     """
     did: Did = "track" if as_made else "slowed" if picked is None else "searched"
-    shown = {"frame": frame, "time_us": int(scene.timestamps_us[frame]), "did": did}
+    shown: dict[str, Any] = {"frame": frame, "time_us": int(scene.timestamps_us[frame]), "did": did}
     if found is None:
         return ConsideredFrame.model_validate(shown).model_dump(mode="json")
     number, index = picked or (found.round, found.chosen)
