@@ -151,7 +151,7 @@ def test_candidates_are_those_of_the_planning_frame_in_force() -> None:
     assert candidates_overlay(scene, trace(), 5) is None
     assert candidates_overlay(scene, trace(), 19) is None
     overlay = candidates_overlay(scene, trace(), 18)
-    assert overlay is not None
+    assert overlay is not None and overlay.chosen is not None
     assert overlay.shares.tolist() == [1.0, 0.0] and overlay.chosen[0].tolist() == [0.0, 5.0]
     image = draw_birdseye(scene, 6, [overlay], size_px=SIZE, extent_m=EXTENT)
     assert at(image, 5.0, 5.0) == BEST

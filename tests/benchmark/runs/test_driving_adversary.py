@@ -179,7 +179,8 @@ def test_an_adversary_that_would_go_elsewhere_is_not_shown(records: list[DriveRe
 
 
 def test_only_who_plans_considers_anything(records: list[DriveRecord]) -> None:
-    for wrong in ({}, {"agents": "adversary", "adversary_tracks": records[0].directory}):
+    given: dict[str, Any] = {"agents": "adversary", "adversary_tracks": records[0].directory}
+    for wrong in ({}, given):
         with pytest.raises(InputError, match="--keep-considered"):
             api.drive_settings("val", keep_considered=True, **wrong)
     assert "--keep-considered" in refusal("drive", "--keep-considered")
