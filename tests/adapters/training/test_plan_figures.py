@@ -3,11 +3,13 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from adapters.baselines.constant_velocity import ConstantVelocity
+from adapters.models import Model, miniatures
 from adapters.training.plan_figures import Images, Loss, judged_plans, plan_figures, shown
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
@@ -15,6 +17,13 @@ from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
 SCENES = ("scene-9901", "scene-9902")
+
+
+def facts_of(small: Model) -> dict[str, Any]:
+    """What is measured of a packaged miniature."""
+    facts = json.loads(small.packaged.with_suffix(".json").read_text())
+    assert isinstance(facts, dict)
+    return facts
 
 
 class Late:
@@ -92,3 +101,13 @@ def test_what_cannot_be_measured_is_a_sentence(data: NuScenesData, tmp_path: Pat
     write_root(tmp_path, [short_scene("scene-9903", seconds=2.0)])
     with pytest.raises(InputError, match="none of the 1 scene has a sample"):
         plan_figures(Late(), NuScenesData.open(tmp_path), ["scene-9903"])
+
+
+@pytest.mark.parametrize("name", [name for name, small in miniatures().items() if "lost" in facts_of(small)])
+def test_the_packaged_miniatures_need_their_images(name: str) -> None:
+    """As measured for their cards: without its own images each is farther from where it was driven, beyond chance."""
+    lost = facts_of(miniatures()[name])["lost"]
+    assert set(lost) == {"blank", "shuffled"}
+    for each in lost.values():
+        further = Loss.from_log(each).l2_3s_m
+        assert further.low is not None and further.low > 0
