@@ -26,11 +26,10 @@ from benchmark.runs.shards import Shard, shard_folder
 from benchmark.scene import Scene
 from generation.build.settings import BuildSettings
 from generation.build.shard_notes import drawing_folder, drawing_work, search_folder, search_work, work_of_jobs
-from generation.build.split import originals, ready_to_build, search_of, selected
+from generation.build.split import originals, ready_to_build, search_of, searched, selected
 from generation.build.writing import WritingJob, unfinish_others, write_scenes
 from generation.nuscenes_writer import DataSetPlan
 from generation.nuscenes_writer.plan import require_own_root
-from generation.search.chains import search_chains
 from generation.search.definition import Search, Unit
 from generation.splits.building import frozen_jobs, ready_to_rebuild, said_of_frozen
 from generation.splits.packaged import NamedSplit
@@ -140,7 +139,7 @@ def _left_to_search(
         return _GoneError(scene)
 
     try:
-        _search_here(source, search, shard.part(names), replace(settings, executor=_NothingLeft(gone)), keep=False)
+        searched(source, search, shard.part(names), replace(settings, executor=_NothingLeft(gone)), keep=False)
     except _GoneError:
         return True
     return False
@@ -152,22 +151,9 @@ def _search(
     folder, mine = search_folder(settings.out), shard.part(names)
     require_undivided(folder, SEARCH, shard)
     with only_writer(shard_folder(folder, shard)):
-        _search_here(source, search, mine, settings, keep=True)
+        searched(source, search, mine, settings, keep=True)
         note_done(folder, SEARCH, shard, mine, work)
     return BuiltShard("searched", FinishedShard(settings.out, len(mine), len(names)))
-
-
-def _search_here(source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings, *, keep: bool) -> None:
-    search_chains(
-        search,
-        source,
-        names,
-        settings.executor,
-        adversaries=settings.adversaries,
-        together=settings.together,
-        keep_rounds=settings.keep_rounds,
-        keep=keep,
-    )
 
 
 def _drawn(

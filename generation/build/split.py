@@ -228,6 +228,22 @@ class Selected:
     files: dict[str, bytes]
 
 
+def searched(
+    source: DataSet, search: Search, names: Sequence[str], settings: BuildSettings, *, keep: bool = True
+) -> SearchResult:
+    """`search_chains` as the settings of a build say; arguments and errors as of `selected`."""
+    return search_chains(
+        search,
+        source,
+        names,
+        settings.executor,
+        adversaries=settings.adversaries,
+        together=settings.together,
+        keep_rounds=settings.keep_rounds,
+        keep=keep,
+    )
+
+
 def selected(
     source: DataSet,
     split: str,
@@ -253,16 +269,7 @@ def selected(
     Raises:
         InputError: As of `search_chains` and `select`.
     """
-    found = search_chains(
-        search,
-        source,
-        names,
-        settings.executor,
-        adversaries=settings.adversaries,
-        together=settings.together,
-        keep_rounds=settings.keep_rounds,
-        keep=keep,
-    )
+    found = searched(source, search, names, settings, keep=keep)
     plan = _plan(source, split, settings)
     chosen = select(source, plan, found, settings)
     said = None if chosen.judgement is None else chosen.judgement.as_json(settings.out)
