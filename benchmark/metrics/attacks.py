@@ -72,7 +72,8 @@ def has_adversaries(record: RunRecord) -> bool:
 
 def says_severity(record: RunRecord) -> bool:
     """Whether a record says of every plan how severe it is; older ones do not."""
-    return all(row.severity is not None for row in record.columns.brief if row.status == "ok")
+    said = record.columns.values("severity")
+    return all(said[place] is not None for place in record.columns.planned.tolist())
 
 
 def counted_rows(record: RunRecord) -> list[BriefRow]:
@@ -99,7 +100,9 @@ def scene_attacks(record: RunRecord) -> dict[str, SceneAttack]:
     survivors = {scene: careful_survives(record, scene) for scene in by_scene}
     for row in counted_rows(record):
         by_scene[row.scene].append(_attack(row, survivors[row.scene]))
-    missing = {row.scene for row in record.columns.brief if row.status == "failed" and row.complete}
+    columns = record.columns
+    lost = np.flatnonzero(columns.failed & columns.flags("complete")).tolist()
+    missing = {columns.values("scene")[place] for place in lost}
     return {
         scene: SceneAttack(
             tuple(found),

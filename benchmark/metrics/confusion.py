@@ -125,18 +125,17 @@ def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
 
 
 def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComparison:
-    brief = record.columns.brief
-    rows = [brief[place] for place in record.columns.planned]
     official = outcomes_of(record.rows, protocol)
     both = compared(exact, official)
     removed = (before_mask(official) & ~official.collision)[both]
     wrong = both & (any_contact(exact) != any_contact(official))
-    differing = [row for row, differs in zip(rows, wrong.tolist()) if differs]
-    known = all(protocol in row.disagreements for row in differing)
+    said = record.columns.values("disagreements")
+    differing = [said[place] for place in record.columns.planned[wrong].tolist()]
+    known = all(protocol in causes for causes in differing)
     return ProtocolComparison(
         samples=sample_confusion(exact, official),
         steps=step_confusion(exact, official),
         mask_removed_steps=int(removed.sum()),
         samples_with_removed_steps=int(removed.any(axis=1).sum()),
-        causes=Counter(row.disagreements[protocol] for row in differing) if known else None,
+        causes=Counter(causes[protocol] for causes in differing) if known else None,
     )

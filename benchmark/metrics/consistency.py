@@ -55,16 +55,17 @@ def consistency(record: RunRecord) -> Consistency:
         The distances.
     """
     sources, columns = source_of_scenes(record), record.columns
-    brief, place_of = columns.brief, {row: place for place, row in enumerate(columns.planned)}
+    scenes, place_of = columns.values("scene"), {row: place for place, row in enumerate(columns.planned.tolist())}
     pairs = [
         (at, at + 1)
-        for at, (first, second) in enumerate(pairwise(brief))
-        if first.scene == second.scene and second.index == first.index + 1
+        for at, (first, second) in enumerate(pairwise(zip(scenes, columns.values("index"))))
+        if first[0] == second[0] and second[1] == first[1] + 1
     ]
+    still = np.isnan(columns.moved[:, 0]).tolist()
     found = [
-        (place_of[first], place_of[second], sources[brief[first].scene])
+        (place_of[first], place_of[second], sources[scenes[first]])
         for first, second in pairs
-        if first in place_of and second in place_of and not np.isnan(columns.moved[place_of[first], 0])
+        if first in place_of and second in place_of and not still[place_of[first]]
     ]
     first, second = [one for one, _, _ in found], [other for _, other, _ in found]
     values = plans_apart(columns.in_lidar[first], columns.moved[first], columns.in_lidar[second])

@@ -28,7 +28,7 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
         InputError: If a protocol judged the record in another version than the present one, or is not known here.
     """
     said = ("scene", "sample_token", "index", "status", "place", "speed_m_s")
-    of_rows = [tuple(getattr(row, name) for name in said) for row in record.columns.brief]
+    of_rows = list(zip(*(record.columns.values(name) for name in said)))
     frame = pd.DataFrame(of_rows, columns=[name.removesuffix("_token") for name in said])
     planned = (frame["status"] == "ok").to_numpy()
     columns: dict[str, Floats] = {}

@@ -37,21 +37,21 @@ def longer_rates(record: RunRecord) -> LongerRates | None:
     """
     sources = source_of_scenes(record)
     nearest = min(LONGER_HORIZON_STEPS.values())
-    rows = [row for row in record.columns.brief if row.longer is not None and len(row.longer.collision) >= nearest]
+    all_of = zip(record.columns.values("scene"), record.columns.values("longer"))
+    rows = [(scene, longer) for scene, longer in all_of if longer is not None and len(longer.collision) >= nearest]
     if not rows:
         return None
     values = np.zeros((2, len(rows), len(HORIZONS)))
     counted = np.zeros((len(rows), len(HORIZONS)))
-    for place, row in enumerate(rows):
-        assert row.longer is not None
+    for place, (_, longer) in enumerate(rows):
         for column, steps in enumerate(LONGER_HORIZON_STEPS.values()):
-            metres = row.longer.l2[:steps]
+            metres = longer.l2[:steps]
             last = metres[-1]
             if len(metres) < steps or None in metres or last is None:
                 continue
             counted[place, column] = 1.0
-            values[:, place, column] = any(row.longer.collision[:steps]), last
-    scenes = [sources[row.scene] for row in rows]
+            values[:, place, column] = any(longer.collision[:steps]), last
+    scenes = [sources[scene] for scene, _ in rows]
     collision, l2 = (
         dict(zip(HORIZONS, ratios_over_scenes(part, counted, scenes, seed=record.run.seed), strict=True))
         for part in values

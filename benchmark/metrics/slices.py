@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import EXACT
@@ -142,7 +143,7 @@ def driving_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
         Slices with the ``mean`` of each column of `benchmark.records.driving`; empty where there are no scores.
     """
     parts = slicing(record, kind)
-    chosen = [place for place, row in enumerate(record.columns.brief) if row.driven]
+    chosen = np.flatnonzero(record.columns.flags("driven"))
     if parts is None or record.columns.driving is None or record.summary.driving is None:
         return []
     values, known = record.columns.driving
@@ -166,10 +167,10 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     """
     require_current(record, EXACT)
     parts = slicing(record, kind)
-    chosen = np.flatnonzero(record.columns.collides(EXACT)).tolist()
-    brief = record.columns.brief
-    causes = [None if (said := brief[place].diagnosis) is None else said.cause for place in chosen]
-    if parts is None or not chosen or None in causes:
+    chosen = np.flatnonzero(record.columns.collides(EXACT))
+    diagnoses = record.columns.values("diagnosis")
+    causes = [None if (said := diagnoses[place]) is None else said.cause for place in chosen.tolist()]
+    if parts is None or not causes or None in causes:
         return []
     values = np.array([[cause == one for one in CAUSES] for cause in causes], np.float64)
     keys = [("cause", cause) for cause in CAUSES]
@@ -179,16 +180,16 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
 def _slices(
     record: RunRecord,
     parts: Slicing,
-    chosen: Sequence[int],
+    chosen: NDArray[np.int64],
     counted: Bools,
     values: Floats,
     weights: Floats,
     keys: Sequence[tuple[str, str]],
 ) -> list[Slice]:
     """Ratios of S chosen rows with C values each, for every slice in which any of them counts."""
-    members, count = parts.members[list(chosen)], len(parts.names)
-    sources, brief = source_of_scenes(record), record.columns.brief
-    scenes = [brief[place].scene for place in chosen]
+    members, count = parts.members[chosen], len(parts.names)
+    sources = source_of_scenes(record)
+    scenes = list(map(record.columns.values("scene").__getitem__, chosen.tolist()))
     spread = (weights[:, None, :] * members[:, :, None]).reshape(len(chosen), count * len(keys))
     rates = ratios_over_scenes(
         np.tile(values, (1, count)) * spread, spread, [sources[scene] for scene in scenes], seed=record.run.seed
@@ -207,18 +208,18 @@ def _slices(
 
 def _labels(record: RunRecord, kind: SliceKind) -> list[tuple[str, ...]] | None:
     """Of each row the slices that it is in; ``None`` where the record does not say."""
-    rows = record.columns.brief
+    columns = record.columns
     if kind == "command":
-        return [(dict(enumerate(COMMANDS)).get(row.command, NOT_SAID),) for row in rows]
+        return [(dict(enumerate(COMMANDS)).get(command, NOT_SAID),) for command in columns.values("command")]
     if kind == "place":
-        places = [row.place for row in rows]
+        places = columns.values("place")
         return None if None in places else [(str(place),) for place in places]
     if kind == "speed":
-        speeds = [np.nan if row.speed_m_s is None else row.speed_m_s for row in rows]
+        speeds = [np.nan if speed is None else speed for speed in columns.values("speed_m_s")]
         edges = np.searchsorted(SPEED_EDGES_M_S, speeds, side="right").tolist()
         return None if np.isnan(speeds).any() else [(SPEEDS[place],) for place in edges]
     by_scene = _lights(record) if kind == "light" else _manoeuvres(record)
-    return None if by_scene is None else [by_scene[row.scene] for row in rows]
+    return None if by_scene is None else [by_scene[scene] for scene in columns.values("scene")]
 
 
 def _lights(record: RunRecord) -> dict[str, tuple[str, ...]] | None:

@@ -11,15 +11,20 @@ from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final, overload
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchmark.foreign.json_text import read_lines
 from benchmark.foreign.limits import RECORD
 from benchmark.machine.garbage import uncollected
 from benchmark.machine.storage import canonical_json
+from benchmark.records.column_arrays import CODES, Arrays, Name, arrays_of, coded, different_values
 from benchmark.records.columns import RowColumns
 from benchmark.records.row_schema import SampleRow
 
 _LINES_AT_ONCE: Final = 64
 """Lines that are looked at together before they are parsed one by one."""
+_BLOCKS: Final = "blocks"
 _QUICK: Final = 1
 """Level of compression: lines of a scene repeat each other, so that more effort gains little."""
 
@@ -31,7 +36,7 @@ class Rows(Sequence[SampleRow]):
         blocks: For each scene its name, how many rows it has, and their lines, compressed.
     """
 
-    def __init__(self, blocks: Iterable[tuple[str, int, bytes]] = ()) -> None:
+    def __init__(self, blocks: Iterable[tuple[str, int, bytes | memoryview]] = ()) -> None:
         self._blocks = list(blocks)
 
     @classmethod
@@ -83,8 +88,34 @@ class Rows(Sequence[SampleRow]):
                 rows, lines = zip(*scene)
                 made.add(rows, lines)
                 parsed += rows
-            vars(made)["columns"] = RowColumns(made, parsed)
+            vars(made)["columns"] = RowColumns(made, arrays_of(parsed))
         return made
+
+    @classmethod
+    def of_arrays(cls, arrays: Arrays) -> "Rows":
+        """Rows in the form that `arrays` gives; they stay where they are, in a file perhaps, until they are asked."""
+        scenes, packed = different_values(arrays, (_BLOCKS,)), memoryview(arrays[_BLOCKS, "packed"])
+        names = (scenes[code] for code in arrays[_BLOCKS, CODES].tolist())
+        counts, ends = arrays[_BLOCKS, "counts"].tolist(), arrays[_BLOCKS, "ends"].tolist()
+        starts = [0, *ends]
+        made = cls((name, count, packed[first:last]) for name, count, first, last in zip(names, counts, starts, ends))
+        vars(made)["columns"] = RowColumns(made, arrays)
+        return made
+
+    def arrays(self) -> dict[Name, NDArray[Any]]:
+        """All of them as arrays: their columns, and their lines compressed."""
+        names, counts, packed = [], [], []
+        for name, count, lines in self._blocks:
+            names.append(name)
+            counts.append(count)
+            packed.append(lines)
+        return {
+            **self.columns.arrays,
+            **coded((_BLOCKS,), names),
+            (_BLOCKS, "counts"): np.array(counts, np.int64),
+            (_BLOCKS, "ends"): np.cumsum([len(lines) for lines in packed], dtype=np.int64),
+            (_BLOCKS, "packed"): np.frombuffer(b"".join(packed), np.uint8),
+        }
 
     def in_order_of(self, scenes: Sequence[str]) -> "Rows":
         """The same rows with their scenes in another order.
@@ -109,7 +140,8 @@ class Rows(Sequence[SampleRow]):
 
     def of_failed_scenes(self) -> list[SampleRow]:
         """Rows of the scenes in which a sample has no plan."""
-        failed = {row.scene for row in self.columns.brief if row.status == "failed"}
+        columns = self.columns
+        failed = {columns.values("scene")[place] for place in np.flatnonzero(columns.failed).tolist()}
         return [row for scene, _, packed in self._blocks if scene in failed for row in _parsed(packed)]
 
     @cached_property
@@ -117,6 +149,10 @@ class Rows(Sequence[SampleRow]):
         """What tables read of them."""
         with uncollected():
             return RowColumns(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Columns are made again, and nobody else can read what lies in a file of ours.
+        return Rows, ([(scene, count, bytes(packed)) for scene, count, packed in self._blocks],)
 
     def __len__(self) -> int:
         return sum(count for _, count, _ in self._blocks)
@@ -178,7 +214,7 @@ def _checked(
         yield from zip(parse(some), (line for _, line in some), strict=True)
 
 
-def _parsed(packed: bytes) -> list[SampleRow]:
+def _parsed(packed: bytes | memoryview) -> list[SampleRow]:
     with uncollected():
         return [SampleRow.model_validate_json(line) for line in zlib.decompress(packed).split(b"\n")]
 

@@ -27,6 +27,7 @@ from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.columns import RowColumns
 from benchmark.records.driving import driving_summary
+from benchmark.records.kept_columns import keep_rows, kept_rows
 from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.rows import Rows, columns_of
@@ -185,11 +186,10 @@ def summarise(
         The summary.
     """
     columns = columns_of(rows)
-    planned = [columns.brief[place] for place in columns.planned]
-    known = scene_facts or {}
-    scenes = [known[row.scene].source if row.scene in known else row.scene for row in planned]
-    driven = [scene for row, scene in zip(planned, scenes) if row.driven]
-    told = all(row.scene in known and known[row.scene].adversaries is not None for row in planned)
+    planned, known = columns.planned_scenes, scene_facts or {}
+    scenes = [known[scene].source if scene in known else scene for scene in planned]
+    driven = [scene for scene, scored in zip(scenes, columns.flags("driven")[columns.planned].tolist()) if scored]
+    told = all(scene in known and known[scene].adversaries is not None for scene in set(planned))
     protocols = {}
     for name, version in versions.items():
         outcomes = columns.outcomes(name)
@@ -245,34 +245,36 @@ def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dic
     Raises:
         InputError: If the protocol is unknown or did not judge the rows.
     """
-    counts_incomplete = definition_of(protocol).counts_incomplete
+    definition_of(protocol)
     columns = columns_of(rows)
     if protocol not in columns.failures:
-        unjudged = next((columns.brief[at] for at in columns.planned if protocol not in columns.brief[at].judged), None)
+        judged = columns.values("judged")
+        unjudged = next((place for place in columns.planned.tolist() if protocol not in judged[place]), None)
         if unjudged is not None:
             raise InputError(
-                f"scene {unjudged.scene} was not judged by protocol {protocol!r}; run challenger-bench rescore"
+                f"scene {columns.brief[unjudged].scene} was not judged by protocol {protocol!r}; run challenger-bench "
+                "rescore"
             )
-        hits, counted, places = columns.collides(protocol), columns.counted(protocol), columns.places_of_scenes
+        hits, counted, unknown = columns.collides(protocol), columns.counted(protocol), _unknown(columns, protocol)
         columns.failures[protocol] = {
-            scene: _fails(
-                hits[places[scene]], counted[places[scene]], _unknown(columns, places[scene], counts_incomplete)
-            )
-            for scene in sorted(places)
+            scene: _fails(hits[places], counted[places], unknown[places])
+            for scene, places in sorted(columns.places_of_scenes.items())
         }
     return dict(columns.failures[protocol])
 
 
-def _fails(hits: Bools, counted: Bools, unknown: bool) -> bool | None:
+def _fails(hits: Bools, counted: Bools, unknown: Bools) -> bool | None:
     if hits.any():
         return True
-    return None if unknown or not counted.any() else False
+    return None if unknown.any() or not counted.any() else False
 
 
-def _unknown(columns: RowColumns, places: Sequence[int], counts_incomplete: bool) -> bool:
-    """Whether the planner raised on a sample of these that could have shown a contact."""
-    rows = (columns.brief[place] for place in places)
-    return any(row.status == "failed" and (row.complete or (counts_incomplete and row.recorded)) for row in rows)
+def _unknown(columns: RowColumns, protocol: str) -> Bools:
+    """(R,) whether the planner raised on a sample that could have shown a contact."""
+    could = columns.flags("complete")
+    if definition_of(protocol).counts_incomplete:
+        could = could | columns.flags("recorded")
+    return columns.failed & could
 
 
 def write_record(
@@ -315,6 +317,8 @@ def write_record(
         "".join(f"{line}\n" for line in rows.lines()).encode(),
         summary.model_dump(mode="json", by_alias=True),
     )
+    # Whoever reads the record next, the leaderboard above all, need not parse what is at hand here.
+    keep_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
     return RunRecord(directory, run.model_copy(update={"files": written}), rows, summary)
 
 
@@ -336,16 +340,20 @@ def load_record(directory: Path) -> RunRecord:
 
     head = stored_head(directory)
     if head["schema"] == SCHEMA:
-        rows = Rows.read(directory / ROWS_FILE, partial(_rows, directory, head))
+        kept = kept_rows(directory / ROWS_FILE, str(head["files"].get(ROWS_FILE)))
+        rows = Rows.read(directory / ROWS_FILE, partial(_rows, directory, head)) if kept is None else kept
         raw_run, raw_summary = head, read_json(directory / SUMMARY_FILE, RECORD)
-        require_own(directory, head)
+        require_own(directory, head, known=() if kept is None else (ROWS_FILE,))
     else:
         raw_run, raw_rows, raw_summary = read_files(directory)
-        rows = Rows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
+        kept = rows = Rows.of([read(SampleRow, ROWS_FILE, row) for row in raw_rows])
     run = read(RunFacts, RUN_FILE, raw_run)
     if list(rows.columns.places_of_scenes) != run.scenes:
         raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
-    return RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
+    record = RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
+    if kept is None:
+        keep_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
+    return record
 
 
 def _rows(directory: Path, head: dict[str, Any], lines: Sequence[tuple[int, str]]) -> list[SampleRow]:

@@ -5,7 +5,7 @@ renamed, ``run.json`` last again. A command that is killed before leaves the old
 between the renames leaves a pending ``run.json``, and `settle` finishes the renames.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -204,7 +204,13 @@ def read_own(directory: Path, head: dict[str, Any], names: FileNames, again: str
     return rows, summary
 
 
-def require_own(directory: Path, head: dict[str, Any], names: FileNames = RUN_FILES, again: str = "eval") -> None:
+def require_own(
+    directory: Path,
+    head: dict[str, Any],
+    names: FileNames = RUN_FILES,
+    again: str = "eval",
+    known: Collection[str] = (),
+) -> None:
     """Whether rows and summary are those that the head of a record names.
 
     Args:
@@ -212,12 +218,13 @@ def require_own(directory: Path, head: dict[str, Any], names: FileNames = RUN_FI
         head: Contents of its first file.
         names: What the files are called.
         again: The command that makes such records.
+        known: Names of files of which that is known already.
 
     Raises:
         InputError: If one of them is not.
     """
     for name in (names.rows, names.summary):
-        if file_sha256(directory / name) != head["files"].get(name):
+        if name not in known and file_sha256(directory / name) != head["files"].get(name):
             raise InputError(_does_not_belong(directory, name, names, again))
 
 

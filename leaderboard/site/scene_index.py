@@ -131,10 +131,11 @@ def _add_record(seen: dict[SceneName, _Seen], record: RunRecord) -> None:
             continue
         for scene, failed in scene_failures(record.rows, protocol).items():
             seen[data_name, split, scene].verdicts.setdefault(planner, {})[protocol] = failed
-    everywhere = all(EXACT in columns.brief[place].judged for place in columns.planned)
+    judged = columns.values("judged")
+    everywhere = all(EXACT in judged[place] for place in columns.planned.tolist())
     hits = columns.collides(EXACT) if everywhere else None
     for scene, places in rows_of.items():
-        rows = [columns.brief[place] for place in places]
+        rows = columns.brief.at(places.tolist())
         colliding = 0 if hits is None else int(hits[places].sum())
         _add_samples(seen[data_name, split, scene], planner, rows, colliding)
     for scene, severity in severity_entries(record).items():

@@ -177,7 +177,7 @@ def _missing(records: Sequence[RunRecord]) -> tuple[str, ...]:
         who = f"{record.planner} on {record.run.split}"
         if record.missing_protocols:
             notes.append(f"{who}: not judged by {', '.join(record.missing_protocols)}; run challenger-bench rescore.")
-        if any(row.place is None or row.speed_m_s is None for row in record.columns.brief):
+        if any(None in record.columns.values(field) for field in ("place", "speed_m_s")):
             notes.append(
                 f"{who}: the record does not say where its samples are, in what light and how fast, so that it is in "
                 "no table by place, light or speed; run challenger-bench rescore."

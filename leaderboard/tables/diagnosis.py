@@ -3,15 +3,14 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from benchmark.metrics.disagreement import EXACT
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
-from benchmark.records.columns import BriefRow
-from benchmark.records.row_schema import CAUSES
+from benchmark.records.row_schema import CAUSES, DiagnosisRow
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, origin_of
 from benchmark.report.table import Table, table_of
@@ -31,27 +30,28 @@ class _Run:
 
     Attributes:
         record: The record.
-        rows: Counted samples.
-        colliding: Those that collide.
+        rows: Of each counted sample its scene, and whether it collides.
+        colliding: Of those that collide the scene, and why.
     """
 
     record: RunRecord
-    rows: tuple[BriefRow, ...]
-    colliding: tuple[BriefRow, ...]
+    rows: tuple[tuple[str, bool], ...]
+    colliding: tuple[tuple[str, DiagnosisRow | None], ...]
 
     @classmethod
     def of(cls, record: RunRecord) -> "_Run":
-        brief, columns = record.columns.brief, record.columns
-        counted, colliding = (
-            tuple(brief[place] for place in np.flatnonzero(those).tolist())
-            for those in (columns.counted(EXACT), columns.collides(EXACT))
+        columns = record.columns
+        scenes, causes, hits = columns.values("scene"), columns.values("diagnosis"), columns.collides(EXACT)
+        return cls(
+            record,
+            tuple((scenes[place], bool(hits[place])) for place in np.flatnonzero(columns.counted(EXACT)).tolist()),
+            tuple((scenes[place], causes[place]) for place in np.flatnonzero(hits).tolist()),
         )
-        return cls(record, counted, colliding)
 
     @property
     def diagnosed(self) -> bool:
         """Whether its collisions were diagnosed: those of old records were not."""
-        return all(row.diagnosis is not None for row in self.colliding)
+        return all(diagnosis is not None for _, diagnosis in self.colliding)
 
     @property
     def label(self) -> tuple[Shown, str]:
@@ -70,24 +70,23 @@ class _Run:
 
     def of_scenes(self, scenes: set[str]) -> "_Run":
         """The same for some scenes."""
-        kept = (tuple(row for row in rows if row.scene in scenes) for rows in (self.rows, self.colliding))
-        return _Run(self.record, *kept)
+        rows = tuple(row for row in self.rows if row[0] in scenes)
+        return _Run(self.record, rows, tuple(row for row in self.colliding if row[0] in scenes))
 
-    def _sources(self, rows: Sequence[BriefRow]) -> list[str]:
+    def _sources(self, rows: Sequence[tuple[str, Any]]) -> list[str]:
         source_of = source_of_scenes(self.record)
-        return [source_of[row.scene] for row in rows]
+        return [source_of[scene] for scene, _ in rows]
 
     def shares(self) -> list[Rate]:
         """Share of each cause among the colliding samples."""
-        found = [[_cause(row) == cause for cause in CAUSES] for row in self.colliding]
+        found = [[_cause(diagnosis) == cause for cause in CAUSES] for _, diagnosis in self.colliding]
         values = np.array(found, dtype=np.float64).reshape(-1, len(CAUSES))
         scenes = self._sources(self.colliding)
         return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)
 
     def collision_rate(self) -> Rate:
         """Share of the counted samples that collide within 3 s."""
-        hit = {id(row) for row in self.colliding}
-        values = np.array([[id(row) in hit] for row in self.rows], dtype=np.float64).reshape(-1, 1)
+        values = np.array([[hit] for _, hit in self.rows], dtype=np.float64).reshape(-1, 1)
         scenes = self._sources(self.rows)
         return ratios_over_scenes(values, np.ones_like(values), scenes, seed=self.record.run.seed)[0]
 
@@ -132,7 +131,7 @@ def _cause_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -
 def _reason_table(data_name: str, runs: Sequence[_Run], notes: tuple[str, ...]) -> Table:
     rows: list[tuple[str | Shown, ...]] = []
     for run in runs:
-        cases = Counter((_cause(row), row.diagnosis.reason) for row in run.colliding if row.diagnosis is not None)
+        cases = Counter((_cause(said), said.reason) for _, said in run.colliding if said is not None)
         for (cause, reason), count in sorted(cases.items(), key=lambda case: (CAUSES.index(case[0][0]), case[0][1])):
             among = len(run.colliding)
             share = run.origin.cell(count / among, "%", among, "colliding samples", scale=100.0)
@@ -183,8 +182,8 @@ def _cause_cells(run: _Run) -> tuple[Shown, ...]:
     return tuple(shown for cell in cells for shown in (cell.shown(1), cell.interval()))
 
 
-def _cause(row: BriefRow) -> str:
-    return "" if row.diagnosis is None else row.diagnosis.cause
+def _cause(diagnosis: DiagnosisRow | None) -> str:
+    return "" if diagnosis is None else diagnosis.cause
 
 
 def _manoeuvres(run: _Run) -> dict[str, set[str]]:
