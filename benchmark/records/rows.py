@@ -94,7 +94,7 @@ class Rows(Sequence[SampleRow]):
     @classmethod
     def of_arrays(cls, arrays: Arrays) -> "Rows":
         """Rows in the form that `arrays` gives; they stay where they are, in a file perhaps, until they are asked."""
-        scenes, packed = different_values(arrays, (_BLOCKS,)), memoryview(arrays[_BLOCKS, "packed"])
+        scenes, packed = different_values(arrays, (_BLOCKS,)), arrays[_BLOCKS, "packed"].data
         names = (scenes[code] for code in arrays[_BLOCKS, CODES].tolist())
         counts, ends = arrays[_BLOCKS, "counts"].tolist(), arrays[_BLOCKS, "ends"].tolist()
         starts = [0, *ends]
