@@ -1,0 +1,166 @@
+"""What is kept of a record that was read before: the same record with it, without it, and whatever became of it."""
+
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.errors import InputError
+from benchmark.evaluation import evaluate
+from benchmark.records import kept_columns, run
+from benchmark.records.column_arrays import arrays_of
+from benchmark.records.columns import RowColumns
+from benchmark.records.kept_columns import kept_at
+from benchmark.records.rows import Rows
+from benchmark.records.run import RunRecord, load_record, scene_failures, write_record
+from tests.benchmark.fake_data import town_of_two
+from tests.benchmark.planners import Failing
+
+Loaded = Callable[[], tuple[RunRecord, int]]
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return evaluate(town_of_two(slow_leader=True), "val", Failing(), tmp_path_factory.mktemp("kept"))
+
+
+@pytest.fixture
+def record(real: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of a record of which nothing is kept yet, small as it is."""
+    monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept_columns, "WORTH_BYTES", 1)
+    kept_columns._forget_what_is_gone.cache_clear()
+    folder = tmp_path / "record"
+    folder.mkdir()
+    for name in ("samples.jsonl", "summary.json", "run.json"):
+        (folder / name).write_bytes((real.directory / name).read_bytes())
+    return folder
+
+
+@pytest.fixture
+def kept(record: Path) -> Path:
+    """The file in the cache."""
+    found = kept_at(record / "samples.jsonl")
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def loaded(record: Path, monkeypatch: pytest.MonkeyPatch) -> Loaded:
+    """Loads the record; gives it, and how many lines were parsed."""
+    parsed: list[int] = []
+    parse = run._row
+
+    def counted(*given: object, plain: bool) -> object:
+        parsed.append(1)
+        return parse(*given, plain=plain)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(run, "_row", counted)
+
+    def load() -> tuple[RunRecord, int]:
+        parsed.clear()
+        return load_record(record), len(parsed)
+
+    return load
+
+
+def test_the_second_reading_parses_nothing_and_says_the_same(loaded: Loaded, record: Path, real: RunRecord) -> None:
+    before = sorted(path.name for path in record.iterdir())
+    (first, parsed), (second, parsed_again) = loaded(), loaded()
+    assert (parsed, parsed_again) == (len(real.rows), 0)
+    assert first == second and list(second.rows) == list(real.rows) and first.content_id == second.content_id
+    assert list(Rows.of(second.rows).lines()) == list(Rows.of(real.rows).lines())
+    assert sorted(path.name for path in record.iterdir()) == before
+    plain = RowColumns(list(real.rows))
+    assert list(second.columns.brief) == list(plain.brief) == [plain.brief[at] for at in range(len(plain))]
+    for name in real.run.protocols:
+        assert second.columns.outcomes(name).as_rows() == plain.outcomes(name).as_rows()
+        assert scene_failures(second.rows, name) == scene_failures(real.rows, name)
+    assert second.rows_of(real.run.scenes[-1]) == real.rows_of(real.run.scenes[-1])
+    for name, values in arrays_of(list(real.rows)).items():
+        assert np.array_equal(second.columns.arrays[name], values, equal_nan=values.dtype.kind == "f"), name
+        assert second.columns.arrays[name].dtype == values.dtype
+        assert not second.columns.arrays[name].flags.writeable
+
+
+def test_writing_a_record_keeps_it_for_who_reads_it_next(loaded: Loaded, record: Path, real: RunRecord) -> None:
+    left_out = {"schema_version", "status", "protocols", "seed", "files"}
+    facts = {name: value for name, value in dict(real.run).items() if name not in left_out}
+    write_record(record, facts, list(real.rows), real.run.protocols, seed=real.run.seed)
+    again, parsed = loaded()
+    assert parsed == 0 and list(again.rows) == list(real.rows) and again.content_id == real.content_id
+
+
+def test_rows_that_were_edited_are_refused_as_without(loaded: Loaded, record: Path) -> None:
+    loaded()
+    path = record / "samples.jsonl"
+    path.write_text(path.read_text().replace('"command":', '"command": ', 1))
+    with pytest.raises(InputError, match="does not belong to the run"):
+        loaded()
+    path.unlink()
+    with pytest.raises(InputError, match="cannot read"):
+        loaded()
+
+
+def test_rows_that_took_the_place_of_others_are_read(loaded: Loaded, record: Path, real: RunRecord) -> None:
+    loaded()
+    rows = [row.model_copy(update={"command": 1 - min(row.command, 1)}) for row in real.rows]
+    assert rows != list(real.rows)
+    lines = "".join(f"{line}\n" for line in Rows.of(rows).lines())
+    (record / "samples.jsonl").write_text(lines)
+    head = json.loads((record / "run.json").read_text())
+    head["files"]["samples.jsonl"] = kept_columns.file_sha256(record / "samples.jsonl")
+    (record / "run.json").write_text(json.dumps(head))
+    (first, parsed), (second, parsed_again) = loaded(), loaded()
+    assert (parsed, parsed_again) == (len(rows), 0)
+    assert list(first.rows) == rows == list(second.rows)
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:-9], lambda data: data[:-9] + b"somewhere", lambda data: b""])
+def test_a_damaged_file_is_made_again(loaded: Loaded, kept: Path, damage: Callable[[bytes], bytes]) -> None:
+    loaded()
+    whole = kept.read_bytes()
+    kept.write_bytes(damage(whole))
+    (first, parsed), (second, parsed_again) = loaded(), loaded()
+    assert parsed == len(first.rows) and parsed_again == 0 and first == second
+    assert kept.read_bytes() == whole
+
+
+def test_other_code_reads_again(loaded: Loaded, monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded()
+    monkeypatch.setattr(kept_columns, "_checks", lambda: "those of another version")
+    again, parsed = loaded()
+    assert parsed == len(again.rows)
+
+
+def test_a_cache_that_cannot_be_written_to_is_done_without(loaded: Loaded, kept: Path) -> None:
+    kept.parent.parent.mkdir(exist_ok=True)
+    kept.parent.write_text("no folder")
+    for _ in range(2):
+        again, parsed = loaded()
+        assert parsed == len(again.rows)
+
+
+def test_small_records_are_not_kept(loaded: Loaded, kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept_columns, "WORTH_BYTES", 1 << 22)
+    loaded()
+    assert not kept.exists()
+
+
+def test_what_is_kept_of_records_that_are_gone_is_removed(loaded: Loaded, record: Path, kept: Path) -> None:
+    loaded()
+    moved = record.rename(record.parent / "moved")
+    assert kept.is_file()
+    kept_columns._forget_what_is_gone.cache_clear()
+    load_record(moved)
+    assert not kept.exists() and kept_at(moved / "samples.jsonl").is_file()  # type: ignore[union-attr]
+
+
+def test_a_kept_record_goes_to_another_process(loaded: Loaded, real: RunRecord) -> None:
+    loaded()
+    sent = pickle.loads(pickle.dumps(loaded()[0]))  # noqa: S301
+    assert list(sent.rows) == list(real.rows)
+    assert list(sent.columns.brief) == list(RowColumns(list(real.rows)).brief)
