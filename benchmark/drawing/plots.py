@@ -3,7 +3,7 @@
 import io
 import struct
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -85,20 +85,37 @@ def picture(draw: Callable[[], Figure], suffix: str, theme: Theme = LIGHT) -> by
     Returns:
         PNG or SVG.
     """
+    return pictures(draw, (suffix,), theme)[0]
+
+
+def pictures(draw: Callable[[], Figure], suffixes: Sequence[str], theme: Theme = LIGHT) -> list[bytes]:
+    """The same figure in several formats, as `picture` gives it in each; it is made once.
+
+    Args:
+        draw: As there.
+        suffixes: Of `FORMATS`.
+        theme: As there.
+
+    Returns:
+        PNG or SVG, for each that is asked for.
+    """
     # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
     settings: Any = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
     settings |= theme.settings()
     settings.pop("backend", None)
-    stream = io.BytesIO()
+    found = []
     with warnings.catch_warnings(), mpl.rc_context(settings):
         # A name in a script that the font lacks is drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph")
         figure = draw()
-        if suffix == ".png":
-            figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
-        else:
-            figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return stream.getvalue()
+        for suffix in suffixes:
+            stream = io.BytesIO()
+            if suffix == ".png":
+                figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+            else:
+                figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+            found.append(stream.getvalue())
+    return found
 
 
 def png_size(picture: bytes) -> tuple[int, int]:
