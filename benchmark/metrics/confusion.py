@@ -120,8 +120,12 @@ def comparisons(record: RunRecord) -> dict[str, ProtocolComparison]:
         By name of each other protocol that judged it, in the order of the names: the counts over the samples that have
         a plan and that both count.
     """
-    exact = outcomes_of(record.rows, EXACT)
-    return {name: _compared(record, name, exact) for name in sorted(record.run.protocols) if name != EXACT}
+    names = tuple(sorted(record.run.protocols))
+    kept = record.columns.kept
+    if (key := ("comparisons", names)) not in kept:
+        exact = outcomes_of(record.rows, EXACT)
+        kept[key] = {name: _compared(record, name, exact) for name in names if name != EXACT}
+    return dict(kept[key])
 
 
 def _compared(record: RunRecord, protocol: str, exact: Outcomes) -> ProtocolComparison:

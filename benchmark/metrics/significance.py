@@ -103,7 +103,9 @@ class PlannerComparison:
     unshared: tuple[str, ...]
 
 
-def compare_splits(baseline: Scored, other: Scored, *, seed: int = 0) -> SplitComparison:
+def compare_splits(
+    baseline: Scored, other: Scored, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
+) -> SplitComparison:
     """Compare a planner with itself on another split.
 
     Args:
@@ -111,6 +113,7 @@ def compare_splits(baseline: Scored, other: Scored, *, seed: int = 0) -> SplitCo
         other: The second one. Where its record does not say what a scene was made from, it is the baseline's scene
             with the longest name that is the same or ends there at a hyphen.
         seed: Seed of the intervals.
+        horizons: At which.
 
     Returns:
         The comparison.
@@ -132,8 +135,8 @@ def compare_splits(baseline: Scored, other: Scored, *, seed: int = 0) -> SplitCo
         protocol=baseline.protocol,
         baseline_split=first.run.split,
         split=second.run.split,
-        everything=_compared(*sums, sorted(known | set(source_of.values())), seed),
-        paired=_compared(*sums, sorted(shared), seed),
+        everything=_compared(*sums, sorted(known | set(source_of.values())), seed, horizons),
+        paired=_compared(*sums, sorted(shared), seed, horizons),
         sources=tuple(sorted(shared)),
         only_baseline=tuple(sorted(scene for scene, source in own.items() if source not in shared)),
         only_split=tuple(sorted(scene for scene, source in source_of.items() if source not in shared)),
@@ -141,13 +144,16 @@ def compare_splits(baseline: Scored, other: Scored, *, seed: int = 0) -> SplitCo
     )
 
 
-def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> PlannerComparison:
+def compare_planners(
+    first: Scored, second: Scored, *, seed: int = 0, horizons: Sequence[str] = HORIZONS
+) -> PlannerComparison:
     """Compare two planners on the samples that both planned.
 
     Args:
         first: One planner.
         second: The other one, on the same split.
         seed: Seed of the intervals.
+        horizons: At which.
 
     Returns:
         The comparison.
@@ -177,7 +183,7 @@ def compare_planners(first: Scored, second: Scored, *, seed: int = 0) -> Planner
         miniatures=(runs[0].planner.miniature, runs[1].planner.miniature),
         protocol=first.protocol,
         split=runs[0].split,
-        by_horizon=_compared(*sums, list(sums[0].names), seed),
+        by_horizon=_compared(*sums, list(sums[0].names), seed, horizons),
         samples=len(mine),
         failed=_failed_of_both(first, second),
         unshared=tuple(sorted(set(runs[0].scenes) ^ set(runs[1].scenes))),
@@ -226,17 +232,21 @@ def _resolved(source: str, known: set[str]) -> str:
     return shorter if shorter in known else source
 
 
-def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: int) -> dict[str, RateComparison]:
-    """Comparison at each horizon over the named recordings."""
+def _compared(
+    first: SceneSums, second: SceneSums, names: Sequence[str], seed: int, horizons: Sequence[str]
+) -> dict[str, RateComparison]:
+    """Comparison at each of H horizons over the named recordings."""
     sides = first.over(names), second.over(names)
     # One recording with counted samples has nothing to be drawn against.
     enough = all(np.count_nonzero(side.denominators[:, 0]) > 1 for side in sides)
-    rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0)) for side in sides]
+    asked = [HORIZONS.index(horizon) for horizon in horizons]
+    rates = [_ratio(side.numerators.sum(axis=0), side.denominators.sum(axis=0))[asked] for side in sides]
     difference, increase = rates[1] - rates[0], _ratio(rates[1] - rates[0], rates[0])
-    differences: list[Ends] = [(None, None)] * len(HORIZONS)
+    differences: list[Ends] = [(None, None)] * len(asked)
     increases = differences
     if enough:
-        drawn = [_draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides]
+        kept = [_draws(side.names, seed, *map(_frozen, (side.numerators, side.denominators))) for side in sides]
+        drawn = [draws[asked] for draws in kept]
         apart = drawn[1] - drawn[0]
         differences = _intervals(apart, (-1.0, 1.0))
         increases = _intervals(_ratio(apart, drawn[0]), (-1.0, np.inf))
@@ -247,7 +257,7 @@ def _compared(first: SceneSums, second: SceneSums, names: Sequence[str], seed: i
             difference=_estimate(difference[column], differences[column]),
             increase=_estimate(increase[column], increases[column]),
         )
-        for column, horizon in enumerate(HORIZONS)
+        for column, horizon in enumerate(horizons)
     }
 
 
@@ -270,7 +280,7 @@ def _draws(names: tuple[str, ...], seed: int, numerators: tuple[bytes, int], den
 
 
 def _intervals(draws: Floats, bounds: tuple[float, float]) -> list[Ends]:
-    """An interval for each of (4, 2000) draws."""
+    """An interval for each of (H, 2000) draws."""
     low, high = all_ends(draws, bounds)
     return list(zip(low.tolist(), high.tolist(), strict=True))
 

@@ -57,21 +57,27 @@ def kept_rows(rows: Path, sha256: str) -> Rows | None:
     return Rows.of_arrays(arrays) if own == sha256 else None
 
 
-def keep_rows(path: Path, sha256: str, rows: Rows) -> None:
+def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
     """Keep rows for the next who reads them, if they are worth it and there is room.
 
     Args:
         path: The file that they are in.
         sha256: Its hash.
         rows: The rows, checked.
+
+    Returns:
+        The same rows, in the file of the cache where they are kept: they need no memory of their own there.
     """
     place = kept_at(path)
     if place is None or path.stat().st_size < WORTH_BYTES:
-        return
+        return rows
     arrays = rows.arrays()
-    if all(values.dtype.name in _TYPES for values in arrays.values()):
-        _forget_what_is_gone(place.parent)
-        write_arrays(place, _made_of(sha256), {"rows": str(path.resolve())}, _put_together(arrays))
+    if not all(values.dtype.name in _TYPES for values in arrays.values()):
+        return rows
+    _forget_what_is_gone(place.parent)
+    if not write_arrays(place, _made_of(sha256), {"rows": str(path.resolve())}, _put_together(arrays)):
+        return rows
+    return kept_rows(path, sha256) or rows
 
 
 def kept_at(rows: Path) -> Path | None:

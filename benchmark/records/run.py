@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -51,6 +51,7 @@ NATIVE = "native"
 """What the planner's own protocol is called where a protocol is asked for."""
 NO_NATIVE = "exact"
 """Who judges planners that have no protocol of their own."""
+_CONTENT_ID: Final = "content id"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +100,13 @@ class RunRecord:
     @property
     def content_id(self) -> str:
         """Twelve hexadecimal digits made of what ran and what came out, whatever the machine and the folder."""
+        kept = self.columns.kept
+        # Tables ask for it with every number.
+        if (known := kept.get(_CONTENT_ID)) is None or known[0] is not self.run:
+            known = kept[_CONTENT_ID] = self.run, self._content_id()
+        return str(known[1])
+
+    def _content_id(self) -> str:
         run, planner = self.run, self.run.planner
         # Settings are a stranger's: as text they may hold any number.
         settings = json.dumps(planner.settings, sort_keys=True)
@@ -318,7 +326,7 @@ def write_record(
         summary.model_dump(mode="json", by_alias=True),
     )
     # Whoever reads the record next, the leaderboard above all, need not parse what is at hand here.
-    keep_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
+    rows = keep_rows(directory / ROWS_FILE, written[ROWS_FILE], rows)
     return RunRecord(directory, run.model_copy(update={"files": written}), rows, summary)
 
 
@@ -350,10 +358,10 @@ def load_record(directory: Path) -> RunRecord:
     run = read(RunFacts, RUN_FILE, raw_run)
     if list(rows.columns.places_of_scenes) != run.scenes:
         raise InputError(f"{directory / RUN_FILE} names other scenes than {ROWS_FILE} has rows of")
-    record = RunRecord(directory, run, rows, read(Summary, SUMMARY_FILE, raw_summary))
+    summary = read(Summary, SUMMARY_FILE, raw_summary)
     if kept is None:
-        keep_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
-    return record
+        rows = keep_rows(directory / ROWS_FILE, run.files[ROWS_FILE], rows)
+    return RunRecord(directory, run, rows, summary)
 
 
 def _rows(directory: Path, head: dict[str, Any], lines: Sequence[tuple[int, str]]) -> list[SampleRow]:

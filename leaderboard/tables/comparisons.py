@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TypeVar
 
 from benchmark.errors import InputError
@@ -114,7 +115,7 @@ def split_table(
     ]
     if not wanted:
         return None
-    found, refused = (verdicts or Verdicts()).compared(wanted, protocol, compare_splits)
+    found, refused = (verdicts or Verdicts()).compared(wanted, protocol, partial(compare_splits, horizons=(AVERAGE,)))
     who = "own protocol" if protocol == NATIVE else protocol
     return table_of(
         f"changes-{protocol}",
@@ -164,7 +165,7 @@ def planner_table(
     pairs = list(itertools.combinations([record for record in here if record.covers_split], 2))
     if not pairs:
         return None
-    found, refused = (verdicts or Verdicts()).compared(pairs, protocol, compare_planners)
+    found, refused = (verdicts or Verdicts()).compared(pairs, protocol, partial(compare_planners, horizons=(AVERAGE,)))
     by_name = {record.planner: record for record in here}
     return table_of(
         f"planners-{split}-{protocol}",

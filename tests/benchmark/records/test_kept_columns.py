@@ -10,6 +10,7 @@ import pytest
 
 from benchmark.errors import InputError
 from benchmark.evaluation import evaluate
+from benchmark.machine.storage import file_sha256
 from benchmark.records import kept_columns, run
 from benchmark.records.column_arrays import arrays_of
 from benchmark.records.columns import RowColumns
@@ -80,10 +81,10 @@ def test_the_second_reading_parses_nothing_and_says_the_same(loaded: Loaded, rec
         assert second.columns.outcomes(name).as_rows() == plain.outcomes(name).as_rows()
         assert scene_failures(second.rows, name) == scene_failures(real.rows, name)
     assert second.rows_of(real.run.scenes[-1]) == real.rows_of(real.run.scenes[-1])
-    for name, values in arrays_of(list(real.rows)).items():
-        assert np.array_equal(second.columns.arrays[name], values, equal_nan=values.dtype.kind == "f"), name
-        assert second.columns.arrays[name].dtype == values.dtype
-        assert not second.columns.arrays[name].flags.writeable
+    for column, values in arrays_of(list(real.rows)).items():
+        found = second.columns.arrays[column]
+        assert np.array_equal(found, values, equal_nan=values.dtype.kind == "f"), column
+        assert found.dtype == values.dtype and not found.flags.writeable
 
 
 def test_writing_a_record_keeps_it_for_who_reads_it_next(loaded: Loaded, record: Path, real: RunRecord) -> None:
@@ -112,7 +113,7 @@ def test_rows_that_took_the_place_of_others_are_read(loaded: Loaded, record: Pat
     lines = "".join(f"{line}\n" for line in Rows.of(rows).lines())
     (record / "samples.jsonl").write_text(lines)
     head = json.loads((record / "run.json").read_text())
-    head["files"]["samples.jsonl"] = kept_columns.file_sha256(record / "samples.jsonl")
+    head["files"]["samples.jsonl"] = file_sha256(record / "samples.jsonl")
     (record / "run.json").write_text(json.dumps(head))
     (first, parsed), (second, parsed_again) = loaded(), loaded()
     assert (parsed, parsed_again) == (len(rows), 0)
