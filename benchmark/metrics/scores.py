@@ -1,7 +1,10 @@
 """What the samples of a record add to its collision rates, for everything that compares records."""
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +14,10 @@ from benchmark.geometry import Bools, Floats
 from benchmark.metrics.rates import HORIZONS, SceneSums, sums_by_scene, with_average
 from benchmark.protocols import LEAVING_OUT, MAXIMA, PROTOCOLS
 from benchmark.records.run import RunRecord, outcomes_of, protocol_of
+
+_SOURCES: Final = "sources of scenes"
+_MOST_KEPT: Final = 16
+"""Sums that are remembered of one record: planners that fail on samples share other samples with each other one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +42,9 @@ class Scored:
     values: Floats
     counted: Bools
     failed: frozenset[str]
-    kept: dict[tuple[bytes, frozenset[tuple[str, str]]], SceneSums] = field(
-        default_factory=dict, repr=False, compare=False
-    )
+    kept: dict[bytes, tuple[Mapping[str, str], SceneSums]] = field(default_factory=dict, repr=False, compare=False)
 
-    def sums(self, unit_of: dict[str, str], only: Sequence[int] | NDArray[np.int64] | None = None) -> SceneSums:
+    def sums(self, unit_of: Mapping[str, str], only: Sequence[int] | NDArray[np.int64] | None = None) -> SceneSums:
         """Add the samples up.
 
         Args:
@@ -51,12 +56,14 @@ class Scored:
         """
         rows = np.arange(len(self.tokens)) if only is None else np.asarray(only, dtype=np.int64)
         # A planner is compared with all others, mostly on the same samples.
-        key = rows.tobytes(), frozenset(unit_of.items())
-        if key not in self.kept:
-            self.kept[key] = self._sums(unit_of, rows)
-        return self.kept[key]
+        key = hashlib.sha256(rows.tobytes()).digest()
+        if key not in self.kept or self.kept[key][0] != unit_of:
+            if len(self.kept) >= _MOST_KEPT:
+                self.kept.clear()
+            self.kept[key] = unit_of, self._sums(unit_of, rows)
+        return self.kept[key][1]
 
-    def _sums(self, unit_of: dict[str, str], rows: NDArray[np.int64]) -> SceneSums:
+    def _sums(self, unit_of: Mapping[str, str], rows: NDArray[np.int64]) -> SceneSums:
         weights = np.repeat(self.counted[rows, None].astype(float), len(HORIZONS), axis=1)
         return sums_by_scene(self.values[rows] * weights, weights, [unit_of[self.scenes[row]] for row in rows])
 
@@ -128,17 +135,23 @@ def require_current(record: RunRecord, protocol: str) -> None:
         )
 
 
-def source_of_scenes(record: RunRecord) -> dict[str, str]:
+def source_of_scenes(record: RunRecord) -> Mapping[str, str]:
     """The recording that each scene of a record was made from.
 
     Args:
         record: A record.
 
     Returns:
-        Scene name to name of the recorded scene; the scene itself where the record does not say.
+        Scene name to name of the recorded scene, which nobody may change; the scene itself where the record does not
+        say.
     """
-    facts = record.run.scene_facts
-    return {name: facts[name].source if name in facts else name for name in record.run.scenes}
+    kept, run = record.columns.kept, record.run
+    if (known := kept.get(_SOURCES)) is None or known[0] is not run:
+        facts = run.scene_facts
+        found = {name: facts[name].source if name in facts else name for name in run.scenes}
+        known = kept[_SOURCES] = run, MappingProxyType(found)
+    sources: Mapping[str, str] = known[1]
+    return sources
 
 
 def named(record: RunRecord) -> str:

@@ -100,7 +100,8 @@ def data_set_tables(data_name: str, records: Sequence[RunRecord]) -> DataSetTabl
     if any(record.summary.driving is not None for record in records):
         front.append(driving_table(data_name, records))
     front.append(cost_table(data_name, records))
-    others = {name: _tables_under(data_name, name, splits, records, verdicts) for name in sorted(protocols - {EXACT})}
+    # Verdicts of one protocol at a time are in memory.
+    others = {name: _tables_under(data_name, name, splits, records) for name in sorted(protocols - {EXACT})}
     tables = tuple(table for table in front if table is not None)
     slices = _slices(data_name, records, (*names, PDM, DIAGNOSIS))
     return DataSetTables(data_name, tables, slices, others, matrices, tuple(records), _missing(records))
@@ -125,8 +126,9 @@ def generation_tables(sheets: Sheets, ablations: Sequence[AblationReport]) -> di
 
 
 def _tables_under(
-    data_name: str, protocol: str, splits: Sequence[str], records: Sequence[RunRecord], verdicts: Verdicts
+    data_name: str, protocol: str, splits: Sequence[str], records: Sequence[RunRecord]
 ) -> tuple[Table, ...]:
+    verdicts = Verdicts()
     tables = [
         collision_table(data_name, protocol, records),
         further_table(data_name, protocol, records),
