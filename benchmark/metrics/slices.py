@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.rates import HORIZONS, Rate, ratios_over_scenes, with_average
+from benchmark.metrics.rates import HORIZONS, Rate, SceneSums, ratios_of_sums, sums_by_scene, with_average
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import PROTOCOLS
 from benchmark.records.driving import COLUMNS as DRIVING_COLUMNS
@@ -187,12 +187,10 @@ def _slices(
     keys: Sequence[tuple[str, str]],
 ) -> list[Slice]:
     """Ratios of S chosen rows with C values each, for every slice in which any of them counts."""
-    members, count = parts.members[chosen], len(parts.names)
-    sources = source_of_scenes(record)
+    members, sources = parts.members[chosen], source_of_scenes(record)
     scenes = list(map(record.columns.values("scene").__getitem__, chosen.tolist()))
-    spread = (weights[:, None, :] * members[:, :, None]).reshape(len(chosen), count * len(keys))
-    rates = ratios_over_scenes(
-        np.tile(values, (1, count)) * spread, spread, [sources[scene] for scene in scenes], seed=record.run.seed
+    rates = ratios_of_sums(
+        slice_sums(members, values, weights, [sources[scene] for scene in scenes]), seed=record.run.seed
     )
     found = []
     for place, name in enumerate(parts.names):
@@ -204,6 +202,33 @@ def _slices(
             columns.setdefault(column, {})[part] = rate
         found.append(Slice(name, len(inside), len({scenes[row] for row in inside}), columns))
     return found
+
+
+def slice_sums(members: Bools, values: Floats, weights: Floats, scenes: Sequence[str]) -> SceneSums:
+    """Sums by scene of S samples in K slices.
+
+    Args:
+        members: (S, K) which sample is in which.
+        values: (S, C) numbers.
+        weights: (S, C) how often each counts.
+        scenes: S names of what is drawn together.
+
+    Returns:
+        (N, K * C) sums, those of the first slice first.
+    """
+    if (members.sum(axis=1) > 1).any():
+        # In which order numbers are added depends on all slices that a sample is in.
+        spread = (weights[:, None, :] * members[:, :, None]).reshape(len(scenes), -1)
+        return sums_by_scene(np.tile(values, (1, members.shape[1])) * spread, spread, scenes)
+    names = tuple(sorted(set(scenes)))
+    found = []
+    for inside in members.T:
+        rows = np.flatnonzero(inside)
+        counting = weights[rows]
+        sums = sums_by_scene(values[rows] * counting, counting, [scenes[row] for row in rows.tolist()])
+        found.append(sums.over(names))
+    numerators, denominators = zip(*((sums.numerators, sums.denominators) for sums in found))
+    return SceneSums(names, np.concatenate(numerators, axis=1), np.concatenate(denominators, axis=1))
 
 
 def _labels(record: RunRecord, kind: SliceKind) -> list[tuple[str, ...]] | None:

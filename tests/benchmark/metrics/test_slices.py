@@ -9,7 +9,7 @@ import pytest
 
 from benchmark.cli.options import SliceName
 from benchmark.errors import InputError
-from benchmark.metrics.rates import HORIZONS, ratios_over_scenes
+from benchmark.metrics.rates import HORIZONS, ratios_over_scenes, sums_by_scene
 from benchmark.metrics.scores import scored, source_of_scenes
 from benchmark.metrics.slices import (
     KINDS,
@@ -20,6 +20,7 @@ from benchmark.metrics.slices import (
     driving_by,
     kinds_named,
     rates_by,
+    slice_sums,
     slicing,
 )
 from benchmark.records.driving import summarise_driving
@@ -212,3 +213,20 @@ def test_verdicts_of_another_version_are_refused() -> None:
         rates_by(stale, "place", "exact")
     with pytest.raises(InputError, match="not judged by protocol 'vad'"):
         rates_by(stale, "place", "vad")
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_sums_of_slices_are_those_of_all_slices_at_once(several: bool) -> None:
+    chance = np.random.default_rng(5)
+    members = np.eye(3, dtype=np.bool_)[chance.integers(0, 3, 400)]
+    members[7, 2] = several or members[7, 2]
+    members[9] = False
+    values, weights = chance.choice([0.0, 0.1, 0.7, 1e9, 1.0], (400, 4)), chance.integers(0, 2, (400, 4)).astype(float)
+    values[:, 1] = chance.random(400) * 30
+    scenes = [f"scene-{place}" for place in chance.integers(0, 20, 400).tolist()]
+    spread = (weights[:, None, :] * members[:, :, None]).reshape(400, 12)
+    slow = sums_by_scene(np.tile(values, (1, 3)) * spread, spread, scenes)
+    found = slice_sums(members, values, weights, scenes)
+    assert found.names == slow.names
+    assert found.numerators.tobytes() == slow.numerators.tobytes()
+    assert found.denominators.tobytes() == slow.denominators.tobytes()
