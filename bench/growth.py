@@ -1,8 +1,10 @@
 """How commands grow with samples and planners: processor seconds and most memory, of made-up records.
 
-Run as ``OMP_NUM_THREADS=1 python bench/growth.py``; ``--start WORKTREE`` runs the same in another tree, in turns, and
-prints ratios. Records are made from those of a baseline on the embedded data set: scenes are copied under other names,
-and each planner gets the verdicts of other scenes, so that planners differ. No planner runs at size.
+Run as ``OMP_NUM_THREADS=1 python bench/growth.py``. Each command runs with an empty cache (``first``) and then again,
+with what the first one kept there, which is what `eval` keeps as well (``again``); ``--start WORKTREE`` runs it in
+another tree too, with an empty cache, and prints ratios. ``--folder`` keeps the records for another call. Records are
+made from those of a baseline on the embedded data set: scenes are copied under other names, and each planner gets the
+verdicts of other scenes, so that planners differ. No planner runs at size.
 """
 
 import argparse
@@ -69,8 +71,8 @@ def make_records(pattern: RunRecord, folder: Path, planners: int, samples: int) 
             write_record(directory, described, rows, pattern.run.protocols, seed=0)
 
 
-def measured(tree: Path, command: Sequence[str]) -> tuple[float, float]:
-    """Processor seconds and most megabytes of a command of a tree and of its workers."""
+def measured(tree: Path, command: Sequence[str], cache: Path) -> tuple[float, float]:
+    """Processor seconds and most megabytes of a command of a tree and of its workers, with this cache."""
     program = (
         "import json, resource, sys\n"
         "from benchmark.cli.app import main\n"
@@ -81,7 +83,7 @@ def measured(tree: Path, command: Sequence[str]) -> tuple[float, float]:
         "    most = max(own.ru_maxrss, others.ru_maxrss) / 1024\n"
         "    print(json.dumps([end.code, spent, most]), file=sys.stderr)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1", "CHALLENGER_BENCH_CACHE": str(cache)}
     done = subprocess.run(
         [sys.executable, "-c", program, *command],
         cwd=tree,
@@ -102,22 +104,32 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="*", default=["10x400", "10x2000", "20x400"], help="planners x samples")
     parser.add_argument("--start", type=Path, help="worktree of another commit, to compare with")
     parser.add_argument("--site", action="store_true", help="with the site")
+    parser.add_argument("--folder", type=Path, help="where records are made, and found again by another call")
     arguments = parser.parse_args()
-    trees = {"here": ROOT} | ({} if arguments.start is None else {"start": arguments.start.resolve()})
     with tempfile.TemporaryDirectory() as scratch:
-        pattern = template(Path(scratch) / "pattern")
+        folder, caches = arguments.folder or Path(scratch), Path(scratch) / "caches"
+        missing = [size for size in arguments.sizes if not (folder / size / "runs").is_dir()]
+        if missing:
+            pattern = template(folder / "pattern")
+            os.environ["CHALLENGER_BENCH_CACHE"] = str(caches / "making")
         for size in arguments.sizes:
-            planners, samples = map(int, size.split("x"))
-            records, to = Path(scratch) / size / "runs", Path(scratch) / size / "board"
-            make_records(pattern, records, planners, samples)
-            command = ["leaderboard", "--records", str(records), "--to", str(to), "--out", str(Path(scratch) / size)]
+            records = (folder / size / "runs").resolve()
+            if size in missing:
+                planners, samples = map(int, size.split("x"))
+                make_records(pattern, records, planners, samples)
+            command = ["leaderboard", "--records", str(records), "--out", str(Path(scratch) / size)]
             command += [] if arguments.site else ["--no-site"]
-            found = {name: measured(tree, command) for name, tree in trees.items()}
-            for name, (spent_s, most_mb) in found.items():
-                print(f"leaderboard {size:>10} {name:<6}{spent_s:9.1f} s of processor time {most_mb:8.0f} MB at most")
-            if len(found) > 1:
-                seconds, memory = (found["start"][part] / found["here"][part] for part in (0, 1))
-                print(f"leaderboard {size:>10} start/here {seconds:5.2f} times the time, {memory:5.2f} the memory")
+            runs = {"first": ROOT, "again": ROOT}
+            runs |= {} if arguments.start is None else {"start": arguments.start.resolve()}
+            found: dict[str, tuple[float, float]] = {}
+            for name, tree in runs.items():
+                found[name] = spent_s, most_mb = measured(tree, command, caches / f"{size}-{tree == ROOT}")
+                print(
+                    f"leaderboard {size:>10} {name:<6}{spent_s:9.1f} s of processor time {most_mb:8.0f} MB", flush=True
+                )
+            for name in ("first", "again") if "start" in found else ():
+                seconds, memory = (found["start"][part] / found[name][part] for part in (0, 1))
+                print(f"leaderboard {size:>10} start/{name} {seconds:5.2f} times the time, {memory:5.2f} the memory")
 
 
 if __name__ == "__main__":
