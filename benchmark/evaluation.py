@@ -178,15 +178,18 @@ def evaluate_together(
     Raises:
         InputError: As for `evaluate`.
     """
-    records: list[RunRecord] = []
-    waiting: list[_Planned] = []
-    for planner, settings in planners:
-        planned = _planned(data, split, planner, out, settings)
-        if waiting and not all(planned.goes_with(other) for other in waiting):
-            records += _evaluated(data, split, waiting, out, reopen)
-            waiting = []
-        waiting.append(planned)
-    return [*records, *_evaluated(data, split, waiting, out, reopen)]
+    records: dict[int, RunRecord] = {}
+    waiting: dict[int, _Planned] = {}
+    # Networks last, whoever is named first: those that have none are then together, and a network is made when it is
+    # its turn, so that there is one at a time.
+    for place in sorted(range(len(planners)), key=lambda place: _has_weights(planners[place][0])):
+        planned = _planned(data, split, planners[place][0], out, planners[place][1])
+        if not all(planned.goes_with(other) for other in waiting.values()):
+            records |= zip(waiting, _evaluated(data, split, [*waiting.values()], out, reopen))
+            waiting = {}
+        waiting[place] = planned
+    records |= zip(waiting, _evaluated(data, split, [*waiting.values()], out, reopen))
+    return [records[place] for place in range(len(planners))]
 
 
 def runs_of(
@@ -237,6 +240,11 @@ class _Planned:
         """Whether both can be done scene by scene together."""
         same = (self.scenes, self.settings.workers) == (other.scenes, other.settings.workers)
         return same and self.light and other.light and self.run.directory != other.run.directory
+
+
+def _has_weights(planner: Planner | PlannerFactory) -> bool:
+    facts = facts_of(cast("Planner", planner)) if hasattr(planner, "plan") else planner.facts
+    return facts.weights_sha256 is not None
 
 
 def _planned(

@@ -1,10 +1,11 @@
 """What is measured along the route: wrong way (DDC), progress (EP) and lane keeping (LK)."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
 from benchmark.pdm.road import footprints
@@ -25,12 +26,12 @@ class Course:
     Attributes:
         wrong_way_m: (B,) longest distance against or off the route within 1.1 s.
         progress_m: (B,) along the route from the first to the last state, not negative.
-        offset_m: (B, 31) distance of the car's centre from the route.
+        beside: (B, 31) whether the car's centre is more than 0.5 m from the route.
     """
 
     wrong_way_m: Floats
     progress_m: Floats
-    offset_m: Floats
+    beside: Bools
 
 
 def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bools) -> Course:
@@ -57,8 +58,22 @@ def course(states: Floats, route: Floats, oncoming: Bools, in_intersection: Bool
     return Course(
         wrong_way_m=within.max(axis=1),
         progress_m=np.maximum(ends[:, 1] - ends[:, 0], 0.0),
-        offset_m=np.asarray(shapely.distance(line, points), np.float64),
+        beside=_beside(route, points),
     )
+
+
+def offsets(states: Floats, route: Floats) -> Floats:
+    """(B, 31) distance of the car's centre from the route, metres; arguments are those of `course`."""
+    points = shapely.points(footprints(states)[..., :2])
+    return np.asarray(shapely.distance(shapely.linestrings(route), points), np.float64)
+
+
+def _beside(route: Floats, points: NDArray[Any]) -> Bools:
+    """Whether points are off the lane: `offsets` from it, asked only of the pieces of the route that are near."""
+    pieces = shapely.STRtree(shapely.linestrings(np.stack([route[:-1], route[1:]], axis=1)))
+    found = np.ones(points.shape, np.bool_)
+    found.reshape(-1)[pieces.query(points.reshape(-1), predicate="dwithin", distance=OFF_LANE_M)[0]] = False
+    return found
 
 
 def direction_compliance(wrong_way_m: Floats) -> Floats:
@@ -73,20 +88,20 @@ def direction_compliance(wrong_way_m: Floats) -> Floats:
     return np.select([wrong_way_m < WRONG_WAY_M[0], wrong_way_m < WRONG_WAY_M[1]], [1.0, 0.5], 0.0)
 
 
-def lane_keeping(offset_m: Floats, in_intersection: Bools) -> Floats:
+def lane_keeping(off_lane: Bools, in_intersection: Bools) -> Floats:
     """LK: not more than 19 states in a row beside the route; states in an intersection are skipped, not forgiven.
 
     Args:
-        offset_m: (B, 31) distance of the car's centre from the route.
+        off_lane: (B, 31) whether the car's centre is more than 0.5 m from the route.
         in_intersection: (B, 31) where its centre is in an intersection.
 
     Returns:
         (B,) 0 or 1.
     """
-    beside = np.zeros(len(offset_m), np.int64)
+    beside = np.zeros(len(off_lane), np.int64)
     longest = beside.copy()
-    for state in range(offset_m.shape[1]):
-        counted = np.where(offset_m[:, state] > OFF_LANE_M, beside + 1, 0)
+    for state in range(off_lane.shape[1]):
+        counted = np.where(off_lane[:, state], beside + 1, 0)
         beside = np.where(in_intersection[:, state], beside, counted)
         longest = np.maximum(longest, beside)
     return (longest < OFF_LANE_STATES).astype(np.float64)

@@ -98,7 +98,7 @@ def judged(states: Floats, samples: NDArray[np.int64], around: Surroundings) -> 
         ddc=direction_compliance(along.wrong_way_m),
         ep=np.ones(len(states)),
         ttc=misses.score,
-        lk=lane_keeping(along.offset_m, where.center_in_intersection),
+        lk=lane_keeping(along.beside, where.center_in_intersection),
         hc=comfortable.astype(np.float64),
     )
     return Judged(states, where, contacts, misses, along, extremes, scores)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from benchmark.geometry import Floats
 from benchmark.pdm.comfort import comfort_checks, disagreement, extended_comfort, history_rows
 from benchmark.pdm.definition import STATES
+from benchmark.pdm.route import offsets
 from benchmark.pdm.scoring import Judged, Surroundings, beside, human_scores, judged, log_replay
 from benchmark.pdm.totals import FILTERED, SubScores
 from benchmark.pdm.traffic import KeyFrames, at_states
@@ -90,7 +91,8 @@ class ModeComparison:
         course = plans.course
         self._numbers("progress (m)", course.progress_m, self._official(sample, "progress_m"))
         self._numbers("wrong way (m)", course.wrong_way_m, self._official(sample, "ddc_max_m"))
-        self._numbers("distance from route (m)", course.offset_m, self._official(sample, "lk_offset_m", STATES))
+        apart = offsets(plans.states, self.scene.route)
+        self._numbers("distance from route (m)", apart, self._official(sample, "lk_offset_m", STATES))
 
     def _totals(self, sample: int, plans: Judged, ec: Floats) -> SubScores:
         shape, recorded = self.scene.count, self.scene.recorded
