@@ -59,13 +59,25 @@ def truncated(cells: Floats) -> Cells:
     return np.clip(np.trunc(cells), 0, CELLS - 1).astype(np.int64)
 
 
-def occupied(polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Sequence[Cells]) -> list[Bools]:
+def bounds_of(cells: Cells) -> tuple[Cells, Cells]:
+    """First and last row and column, (P, 2) each, of (P, C, 2) cells: C at a time, not two."""
+    apart = np.ascontiguousarray(np.moveaxis(cells, 1, 0))
+    return apart.min(axis=0), apart.max(axis=0)
+
+
+def occupied(
+    polygons: NDArray[np.int32],
+    place_of: NDArray[np.int64],
+    cells: Sequence[Cells],
+    bounds: Sequence[tuple[Cells, Cells]] | None = None,
+) -> list[Bools]:
     """Which cells are covered by the polygons of their place.
 
     Args:
         polygons: (N, 4, 2) corners, column first.
         place_of: (N,) which of P places (a sample at a step) a polygon belongs to.
         cells: Groups of cells to look at, each (P, C, 2), row first.
+        bounds: `bounds_of` each group, where they are at hand.
 
     Returns:
         For each group (P, C) verdicts.
@@ -73,8 +85,7 @@ def occupied(polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Se
     found = [np.zeros(group.shape[:2], dtype=np.bool_) for group in cells]
     low, high = polygons.min(axis=1)[:, ::-1], polygons.max(axis=1)[:, ::-1]
     near = np.zeros(len(polygons), dtype=np.bool_)
-    for group in cells:
-        first, last = group.min(axis=1), group.max(axis=1)
+    for first, last in map(bounds_of, cells) if bounds is None else bounds:
         near |= ((low <= last[place_of]) & (high >= first[place_of])).all(axis=-1)
     grid = np.zeros((CELLS, CELLS), np.uint8)
     for index in np.flatnonzero(near).tolist():
@@ -88,18 +99,19 @@ def occupied(polygons: NDArray[np.int32], place_of: NDArray[np.int64], cells: Se
     return found
 
 
-def _may_reach(boxes: Floats, place_of: NDArray[np.int64], cells: Sequence[Cells], rows: Floats) -> Bools:
+def _may_reach(
+    boxes: Floats, place_of: NDArray[np.int64], bounds: Sequence[tuple[Cells, Cells]], rows: Floats
+) -> Bools:
     """A cheap test that leaves few polygons to compute: whether each of (N, 5) boxes could cover any of the cells.
 
-    ``rows`` are those on which the boxes' centres lie, not rounded; the rest is as for `occupied`. True too often, but
-    never False where `occupied` finds a cell.
+    ``bounds`` are those of the cells (`bounds_of`), ``rows`` are those on which the boxes' centres lie, not rounded; the
+    rest is as for `occupied`. True too often, but never False where `occupied` finds a cell.
     """
     # Half the diagonal, and a cell for the roundings of corner and outline.
     reach = 0.5 * np.hypot(boxes[:, 2], boxes[:, 3]) / CELL_M + 1.0
     center = np.stack([rows, (boxes[:, 0] + EXTENT_M) / CELL_M], axis=-1)
     near = np.zeros(len(boxes), dtype=np.bool_)
-    for group in cells:
-        first, last = group.min(axis=1), group.max(axis=1)
+    for first, last in bounds:
         near |= ((center - reach[:, None] <= last[place_of]) & (center + reach[:, None] >= first[place_of])).all(
             axis=-1
         )
@@ -249,6 +261,7 @@ class RasterProtocol(ABC):
         boxes = self.drawn_boxes(truths, objects, steps)
         flat = [cells.reshape(-1, cells.shape[-2], 2) for cells in groups]
         rows = (EXTENT_M - boxes[:, 1] if self.first_row_ahead else boxes[:, 1] + EXTENT_M) / CELL_M
-        near = _may_reach(boxes, place_of, flat, rows)
-        found = occupied(self.drawn_polygons(boxes[near]), place_of[near], flat)
+        bounds = [bounds_of(cells) for cells in flat]
+        near = _may_reach(boxes, place_of, bounds, rows)
+        found = occupied(self.drawn_polygons(boxes[near]), place_of[near], flat, bounds)
         return [hit.any(axis=-1).reshape(-1, PLAN_STEPS) for hit in found]
