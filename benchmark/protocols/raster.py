@@ -104,8 +104,8 @@ def _may_reach(
 ) -> Bools:
     """A cheap test that leaves few polygons to compute: whether each of (N, 5) boxes could cover any of the cells.
 
-    ``bounds`` are those of the cells (`bounds_of`), ``rows`` are those on which the boxes' centres lie, not rounded; the
-    rest is as for `occupied`. True too often, but never False where `occupied` finds a cell.
+    ``bounds`` are those of the cells (`bounds_of`), ``rows`` are those on which the boxes' centres lie, not rounded.
+    The rest is as for `occupied`. True too often, but never False where `occupied` finds a cell.
     """
     # Half the diagonal, and a cell for the roundings of corner and outline.
     reach = 0.5 * np.hypot(boxes[:, 2], boxes[:, 3]) / CELL_M + 1.0
