@@ -99,7 +99,10 @@ def _checks() -> str:
     import pydantic
 
     own = ("column_arrays", "driving", "judgement", "kept_columns", "row_schema", "rows", "run", "stored")
-    others = ("foreign/json_text", "foreign/limits", "pdm/totals", "protocols/contract", "waypoints")
+    others = (
+        *("constants", "geometry", "waypoints", "foreign/json_text", "foreign/limits", "pdm/totals"),
+        "protocols/contract",
+    )
     here = Path(__file__).parent
     files = [*(here / f"{name}.py" for name in own), *(here.parent / f"{name}.py" for name in others)]
     return content_key(pydantic.VERSION, [(path.name, file_sha256(path)) for path in files])
