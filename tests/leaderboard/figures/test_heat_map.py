@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from benchmark.drawing.plots import DARK
 from benchmark.errors import InputError
 from benchmark.metrics.transfer import TransferMatrix, transfer
-from leaderboard.figures.heat_map import COLOURS, heat_map, relative_luminance, text_colour, write_heat_map
+from leaderboard.figures.heat_map import COLOURS, heat_map, heat_maps, relative_luminance, text_colour, write_heat_map
 from tests.benchmark.records.hand_made_records import CLEAN, HIT, hand_made
 
 
@@ -34,6 +35,11 @@ def test_the_same_matrix_gives_the_same_bytes_whatever_the_users_settings(suffix
         assert heat_map(matrix, suffix) == first
         assert dict(mpl.rcParams) == before
     assert heat_map(matrix_of("a", "c"), suffix) != first
+
+
+def test_pictures_made_together_are_those_one_by_one() -> None:
+    matrix = matrix_of("a", "b", "c")
+    assert heat_maps(matrix) == (heat_map(matrix, ".png"), heat_map(matrix, ".svg"), heat_map(matrix, ".svg", DARK))
 
 
 def test_text_stands_out_on_every_colour_and_lightness_alone_tells_the_order() -> None:
