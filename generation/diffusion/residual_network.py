@@ -7,6 +7,7 @@ from typing import Final
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from generation.diffusion.kinematics import STEP_S
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
@@ -55,15 +56,21 @@ class ResidualBlock(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.widen = nn.Linear(width, hidden)
         self.level = nn.Linear(LEVEL_FEATURES, hidden)
-        self.active = nn.Sequential(nn.SiLU(), nn.Dropout(dropout))
+        self.dropout = dropout
         self.narrow = nn.Linear(hidden, width)
         nn.init.zeros_(self.narrow.weight)
         nn.init.zeros_(self.narrow.bias)
 
-    def forward(self, features: Tensor, level: Tensor) -> Tensor:
-        """(B, width) and (1 or B, 64) to (B, width)."""
-        answer: Tensor = self.narrow(self.active(self.widen(self.norm(features)) + self.level(level)))
-        return features + answer
+    def forward(self, features: Tensor, shift: Tensor) -> Tensor:
+        """(B, width) and (1 or B, hidden) of `level` to (B, width)."""
+        # Functions in place of modules: at this size calling a module costs a tenth of what it computes.
+        norm, widen, narrow = self.norm, self.widen, self.narrow
+        normal = functional.layer_norm(features, norm.normalized_shape, norm.weight, norm.bias, norm.eps)
+        hidden = functional.linear(normal, widen.weight, widen.bias).add_(shift)
+        hidden = functional.silu(hidden, inplace=not torch.is_grad_enabled())
+        if self.training:
+            hidden = functional.dropout(hidden, self.dropout)
+        return functional.linear(hidden, narrow.weight, narrow.bias).add_(features)
 
 
 class ResidualNetwork(nn.Module):
@@ -97,12 +104,17 @@ class ResidualNetwork(nn.Module):
         nn.init.zeros_(self.decoder.weight)
         nn.init.zeros_(self.decoder.bias)
 
-    def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
+    def shifts(self, level: Tensor) -> tuple[Tensor, ...]:
+        """What the noise level adds in each block: (1,) or (B,) levels, in the unit of the sinusoid, to (1 or B, hidden)."""
+        features = self.level_encoder(level)
+        return tuple(block.level(features) for block in self.blocks)
+
+    def forward(self, noisy: Tensor, shifts: tuple[Tensor, ...], present: Tensor | None = None) -> Tensor:
         """Ask.
 
         Args:
             noisy: (B, 16, 3).
-            level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
+            shifts: Of the noise level (`shifts`).
             present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
 
         Returns:
@@ -112,8 +124,8 @@ class ResidualNetwork(nn.Module):
         if self.conditioned:
             said = noisy.new_zeros(1, PRESENT_FEATURES) if present is None else present
             known = torch.cat([known, said.expand(len(noisy), -1)], dim=1)
-        features, level = self.encoder(known), self.level_encoder(level)
-        for block in self.blocks:
-            features = block(features, level)
+        features = self.encoder(known)
+        for block, shift in zip(self.blocks, shifts, strict=True):
+            features = block(features, shift)
         answer: Tensor = self.decoder(features)
         return answer.view_as(noisy)
