@@ -245,7 +245,9 @@ class TrajectoryDenoiser(nn.Module):
         bias = config.far_logit_bias * far if config.far_logit_bias else None
         self.register_buffer("logit_bias", bias, persistent=False)
 
-    def forward(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
+    def forward(
+        self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None, step: Step | None = None
+    ) -> Tensor:
         """Predict the noise.
 
         Args:
@@ -253,23 +255,21 @@ class TrajectoryDenoiser(nn.Module):
             timesteps: (1,) or (B,) 0..99.
             present: (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
                 nothing.
+            step: What `step` gives for these timesteps and what is told, where it is known.
 
         Returns:
             (B, 16, 3) predicted standard normal noise.
         """
-        return self.predict(noisy, self.step(timesteps, present), present)
+        step = step or self.step(timesteps, present)
+        if step.shares is None:
+            return self._answer(noisy, step, present)
+        split = step.shares.split(noisy)
+        return split.join(self._answer(split.whitened, step, present))
 
     def step(self, timesteps: Tensor, present: Tensor | None = None) -> Step:
         """What `forward` knows without the actions, to use for many of them; arguments as there."""
         shares = None if self.preconditioner is None else self.preconditioner.shares(timesteps, present)
         return Step(timesteps, shares, None if self.config.attention else self._shifts(timesteps))
-
-    def predict(self, noisy: Tensor, step: Step, present: Tensor | None = None) -> Tensor:
-        """`forward` at a step that is ready; where it is one of several speeds, with the rows of `step`."""
-        if step.shares is None:
-            return self._answer(noisy, step, present)
-        split = step.shares.split(noisy)
-        return split.join(self._answer(split.whitened, step, present))
 
     def network(self, tokens_in: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
         """The network without its preconditioner: (B, 16, 3) to (B, 16, 3)."""
@@ -284,8 +284,7 @@ class TrajectoryDenoiser(nn.Module):
 
     def _answer(self, tokens_in: Tensor, step: Step, present: Tensor | None) -> Tensor:
         if step.shifts is not None:
-            answer: Tensor = self.residual_network(tokens_in, step.shifts, present)
-            return answer
+            return self.residual_network.answer(tokens_in, step.shifts, present)
         tokens: Tensor = self.trajectory_encoder(tokens_in)
         kinds = [1] * WAYPOINTS
         if self.config.history_tokens:

@@ -73,8 +73,9 @@ class NetworkCalls:
 
     def told(self, present: Tensor | None) -> Denoise:
         """The network with what it is told (`present`): predicts the noise in the rows of all requests."""
-        alone = self.device.type == "cpu" and self.denoiser.preconditioner is not None
-        kind = self.denoiser.preconditioner.kind(present) if alone else None
+        preconditioner = self.denoiser.preconditioner
+        # Elsewhere than on a processor, asking which timestep it is would wait for all that is under way.
+        kind = None if preconditioner is None or self.device.type != "cpu" else preconditioner.kind(present)
         return functools.partial(self._predict, present=present, kind=kind)
 
     @contextlib.contextmanager
@@ -90,17 +91,13 @@ class NetworkCalls:
         count, size = len(noisy), self.block or PROCESSOR_ROWS
         if self.block is not None:
             noisy, present = _filled(noisy, size), None if present is None else _filled(present, size)
-        if kind is not None:
-            step = self._step(timestep, present, kind)
-            blocks = [self.denoiser.predict(block, step, present) for block in torch.split(noisy, size)]
-            return (blocks[0] if len(blocks) == 1 else torch.cat(blocks))[:count]
+        step = None if kind is None else self._step(timestep, present, kind)
         blocks = torch.split(noisy, size)
         # One row speaks for all.
         alone = present is None or len(present) == 1
-        moving = [present] * len(blocks) if present is None or alone else torch.split(present, size)
-        return torch.cat([self.denoiser(block, timestep, known) for block, known in zip(blocks, moving, strict=True)])[
-            :count
-        ]
+        moving = [present] * len(blocks) if present is None or alone else list(torch.split(present, size))
+        answers = [self.denoiser(block, timestep, known, step) for block, known in zip(blocks, moving, strict=True)]
+        return (answers[0] if len(answers) == 1 else torch.cat(answers))[:count]
 
     def _step(self, timestep: Tensor, present: Tensor | None, kind: int) -> Step:
         """What the network knows without the actions; the same in every request at this timestep and of this kind."""

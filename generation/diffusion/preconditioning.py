@@ -189,7 +189,7 @@ class GaussianPreconditioner(nn.Module):
         )
 
     def kind(self, present: Tensor | None) -> int | None:
-        """Which Gaussian speaks for all rows: a number that two calls with the same one share, ``None`` if several do."""
+        """Which Gaussian speaks for all rows, as a number; ``None`` where rows may have several."""
         if present is None or not self.conditioned:
             return -1
         if len(present) > 1:

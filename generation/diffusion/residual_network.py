@@ -3,7 +3,8 @@
 Forty-eight numbers need no attention. At the packaged size a call costs a tenth of the packaged-size transformer's.
 """
 
-from typing import Final
+from collections.abc import Iterable
+from typing import Final, cast
 
 import torch
 from torch import Tensor, nn
@@ -105,21 +106,25 @@ class ResidualNetwork(nn.Module):
         nn.init.zeros_(self.decoder.bias)
 
     def shifts(self, level: Tensor) -> tuple[Tensor, ...]:
-        """What the noise level adds in each block: (1,) or (B,) levels, in the unit of the sinusoid, to (1 or B, hidden)."""
+        """What noise levels (1,) or (B,), in the unit the sinusoid expects, add in each block: (1 or B, hidden)."""
         features = self.level_encoder(level)
-        return tuple(block.level(features) for block in self.blocks)
+        return tuple(block.level(features) for block in cast("Iterable[ResidualBlock]", self.blocks))
 
-    def forward(self, noisy: Tensor, shifts: tuple[Tensor, ...], present: Tensor | None = None) -> Tensor:
+    def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
         """Ask.
 
         Args:
             noisy: (B, 16, 3).
-            shifts: Of the noise level (`shifts`).
+            level: (1,) or (B,) noise levels, in the unit the sinusoid expects.
             present: (1, 4) or (B, 4) `present_features`; ``None`` says nothing of how the vehicles move now.
 
         Returns:
             (B, 16, 3) of order one; zero before training.
         """
+        return self.answer(noisy, self.shifts(level), present)
+
+    def answer(self, noisy: Tensor, shifts: tuple[Tensor, ...], present: Tensor | None = None) -> Tensor:
+        """`forward` where the `shifts` of the noise level are known."""
         known = noisy.flatten(1)
         if self.conditioned:
             said = noisy.new_zeros(1, PRESENT_FEATURES) if present is None else present
