@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from benchmark.drawing.plots import DARK, page_size
+from benchmark.drawing.plots import page_size
 from benchmark.errors import InputError
 from benchmark.machine.storage import file_name, is_left_over, write_bytes, writing_to
 from benchmark.records.ablation import AblationReport
@@ -19,7 +19,7 @@ from benchmark.records.scenes import NO_SHEETS, Sheets
 from benchmark.report.table import Table, escape_markdown
 from leaderboard.figures.attacks import attack_figures, nothing_drawn
 from leaderboard.figures.charts import NamedFigure, data_set_figures
-from leaderboard.figures.heat_map import heat_map
+from leaderboard.figures.heat_map import heat_maps
 from leaderboard.figures.pressure import pressure_figures
 from leaderboard.figures.refinement import refinement_figures
 from leaderboard.paper.contents import paper_tables
@@ -194,8 +194,7 @@ def _add_data_set(made: _Made, data_set: DataSetTables, sheets: Sheets, every_re
         ).encode()
     titles = {table.name: table.title for table in data_set.front}
     for table_name, matrix in data_set.matrices.items():
-        drawn = (heat_map(matrix, ".png"), heat_map(matrix, ".svg"), heat_map(matrix, ".svg", DARK))
-        made.draw(name, NamedFigure(table_name, titles[table_name], *drawn))
+        made.draw(name, NamedFigure(table_name, titles[table_name], *heat_maps(matrix)))
     charts = (*data_set_figures(name, data_set.records), *attack_figures(name, every_record))
     figures = (*charts, *refinement_figures(name, sheets))
     for figure in figures:

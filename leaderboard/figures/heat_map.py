@@ -1,6 +1,7 @@
 """The transfer matrix as a picture: who else fails (column) the scenes that a planner fails (row)."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import FORMATS, LIGHT, Theme, new_figure, picture
+from benchmark.drawing.plots import FORMATS, LIGHT, Theme, for_pages, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_bytes
 from benchmark.metrics.rates import Rate
@@ -52,7 +53,12 @@ def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
         Share and counts in every cell, and the victims' failure rates over all scenes below; cells without a number,
         and the diagonal, are hatched.
     """
-    return picture(lambda: _figure(matrix, theme), suffix, theme)
+    return picture(partial(_figure, matrix), suffix, theme)
+
+
+def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
+    """`heat_map` as a site shows it: PNG and SVG for light pages, SVG for dark ones."""
+    return for_pages(partial(_figure, matrix))
 
 
 def text_colour(background: Sequence[float]) -> str:
