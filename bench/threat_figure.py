@@ -6,7 +6,6 @@ with; the share of scenes whose adversary has no fault stands in for it, as in t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -64,7 +63,7 @@ def points(rows: Sequence[dict[str, Any]]) -> list[Point]:
 
 def write_figure(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Draw the points of rows of one data set to a PNG or SVG file."""
-    path.write_bytes(picture(partial(_figure, points(rows)), path.suffix))
+    path.write_bytes(picture(lambda _: _figure(points(rows)), path.suffix))
 
 
 def _figure(shown: Sequence[Point]) -> Figure:

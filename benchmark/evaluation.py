@@ -23,7 +23,7 @@ from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.progress import Count, progress
 from benchmark.machine.storage import only_writer
-from benchmark.machine.workers import LocalProcesses, map_ordered
+from benchmark.machine.workers import LocalProcesses, map_ordered, workers_at_hand
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.protocols import STANDARD, protocol
 from benchmark.records.planner_cost import SceneCost, cost_path, note_cost
@@ -292,7 +292,9 @@ def _evaluated(
             )
         else:
             here = partial(work_here, runs, data, [each.ready for each in planned])
-            found = _results(scenes, here, elsewhere, workers, label)
+            # A network takes longer than a worker needs to begin, if what it is copied from is there.
+            sure = workers_at_hand() and len(scenes) > 1 and not all(each.light for each in planned)
+            found = _results(scenes, here, elsewhere, workers, label, sure=sure)
         rows: list[Rows] = [Rows() for _ in runs]
         costs: list[dict[str, SceneCost | None]] = [{} for _ in runs]
         for results in progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)):
@@ -360,8 +362,16 @@ def _results(
     elsewhere: Callable[[str], list[SceneResult]] | None,
     workers: int,
     label: str,
+    *,
+    sure: bool,
 ) -> Iterator[list[SceneResult]]:
-    """Results in the order of the scenes; the first scene is done here and tells whether more processes pay."""
+    """Results in the order of the scenes.
+
+    The first scene is done here and tells whether more processes pay, unless that is ``sure``.
+    """
+    if elsewhere is not None and sure:
+        yield from map_ordered(elsewhere, scenes, workers=workers, label=label)
+        return
     started = time.perf_counter()
     yield from map_ordered(here, scenes[:1], workers=1, label=label)
     left_s = (time.perf_counter() - started) * (len(scenes) - 1)

@@ -2,14 +2,21 @@
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiPolygon, Polygon
 
-from benchmark.geometry import Bools, Floats, to_global
+from benchmark.geometry import Bools, Floats, to_global, to_local
+
+BLOCK: Final = 8
+"""Nodes along the side of a block of a raster: where no border passes, all are what one of them is."""
+BORDER_STEP_M: Final = 1.0
+"""Farthest apart that points stand for the border."""
+SLACK: Final = 1e-3
+"""Nodes; far above rounding."""
 
 
 class DividerKind(StrEnum):
@@ -196,14 +203,13 @@ class DrivableRaster:
         """
         count = round(2 * half_extent_m / resolution_m)
         steps = (np.arange(count) * resolution_m) - half_extent_m
-        right, forward = np.meshgrid(steps, steps, indexing="ij")
-        nodes = to_global(np.stack([forward, -right], axis=-1), np.asarray(pose, np.float64))
+        pose = np.asarray(pose, np.float64)
         reach = half_extent_m * np.sqrt(2.0) + resolution_m
         x, y = float(pose[0]), float(pose[1])
         window = shapely.box(x - reach, y - reach, x + reach, y + reach)
         local = RoadMap(road_map.location, as_multipolygon(road_map.drivable_area.intersection(window)))
         shapely.prepare(local.drivable_area)
-        return cls(local.is_drivable(nodes), np.asarray(pose, np.float64), resolution_m)
+        return cls(_drivable_nodes(local, steps, pose, resolution_m), pose, resolution_m)
 
     def look_up(self, points: Floats) -> Bools:
         """Whether points are drivable.
@@ -235,3 +241,47 @@ class DrivableRaster:
         place = np.fmin(np.fmax(np.rint(place), -1.0), float(count))
         place += 1.0
         return place.astype(np.int64)
+
+
+def _drivable_nodes(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
+    """`RoadMap.is_drivable` of a grid, (n, n) nodes at some metres to the right of a pose and ahead of it.
+
+    One node speaks for its block where the border is elsewhere; in the other blocks each is asked.
+    """
+    firsts = np.arange(0, len(steps), BLOCK)
+    right, forward = np.meshgrid(firsts, firsts, indexing="ij")
+    verdicts = area.is_drivable(_nodes(steps, pose, right, forward))
+    drivable, asked = (
+        each.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: len(steps), : len(steps)]
+        for each in (verdicts, _with_border(area, steps, pose, spacing_m))
+    )
+    right, forward = np.nonzero(asked)
+    drivable[right, forward] = area.is_drivable(_nodes(steps, pose, right, forward))
+    return drivable
+
+
+def _nodes(steps: Floats, pose: Floats, right: NDArray[np.int64], forward: NDArray[np.int64]) -> Floats:
+    """(..., 2) nodes of a grid by their indices, global."""
+    return to_global(np.stack([steps[forward], -steps[right]], axis=-1), pose)
+
+
+def _with_border(area: RoadMap, steps: Floats, pose: Floats, spacing_m: float) -> NDArray[np.bool_]:
+    """Which blocks of a grid have the border between their nodes; a few more, and none less."""
+    count = -(-len(steps) // BLOCK)
+    found = np.zeros((count, count), np.bool_)
+    border = shapely.get_coordinates(shapely.segmentize(area.drivable_area.boundary, BORDER_STEP_M))
+    local = to_local(border, pose)
+    places = (np.stack([-local[:, 1], local[:, 0]]) - steps[0]) / spacing_m
+    reach = 0.5 * BORDER_STEP_M / spacing_m + SLACK
+    first, last = np.ceil((places - (BLOCK - 1) - reach) / BLOCK), np.floor((places + reach) / BLOCK)
+    for right in _between(first[0], last[0]):
+        for forward in _between(first[1], last[1]):
+            inside = (right >= 0) & (right < count) & (forward >= 0) & (forward < count)
+            found[right[inside], forward[inside]] = True
+    return found
+
+
+def _between(first: Floats, last: Floats) -> list[NDArray[np.int64]]:
+    """Whole numbers from first to last of each row, one after the other; the last again where there are less."""
+    most = int((last - first).max(initial=0.0))
+    return [np.minimum(first + number, last).astype(np.int64) for number in range(most + 1)]

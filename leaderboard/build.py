@@ -30,6 +30,7 @@ from leaderboard.site.index_data import PlacedFigure, PlacedTable
 from leaderboard.site.site import INDEX_PATH, site_files
 from leaderboard.tables.challenges import CHALLENGES, challenge_tables
 from leaderboard.tables.contents import DataSetTables, data_set_tables, generation_tables
+from leaderboard.tables.cost import drive_cost_table
 from leaderboard.tables.drives import drive_tables
 from leaderboard.tables.loops import DISAGREEMENTS, loop_tables
 from leaderboard.tables.pages import CLOSED_LOOP, TABLES_FOLDER, group_of, page_path, page_text, table_files
@@ -355,6 +356,8 @@ def _add_closed_loop(made: _Made, drives: Sequence[DriveRecord]) -> list[str]:
     for name in sorted({record.facts.data.name for record in drives}):
         own = [record for record in drives if record.facts.data.name == name]
         tables = [*drive_tables(own), *loop_tables(own, made.records), *pressure_tables(own)]
+        cost = drive_cost_table(name, own)
+        tables += [] if cost is None else [cost]
         made.place(name, CLOSED_LOOP, tables)
         page, path = f"{escape_markdown(name)}: {CLOSED_LOOP}", page_path(file_name(name), "closed-loop")
         made.files[path] = page_text(page, tables).encode()

@@ -8,7 +8,7 @@ import torch
 
 from adapters.models import resolve
 from adapters.verification.models import verify_model
-from bench.gpu_day.pieces import Piece, Setting
+from bench.gpu_day.pieces import Piece, Setting, with_random_weights
 from bench.models import MEASURED_FRAMES, few_tracks, measured, model_measured, on_device
 from benchmark.machine.devices import single_precision
 
@@ -23,13 +23,7 @@ def speed(setting: Setting, *, name: str, mode: str) -> dict[str, Any]:
     frames = 2 if setting.tiny else MEASURED_FRAMES[kind]
     line = measured(name, setting.device, mode, frames, parts=False, tiny=setting.tiny)
     seconds = line.seconds if setting.on_gpu else line.processor_seconds
-    return {
-        "frames_per_s": 1 / seconds,
-        "ms": 1e3 * seconds,
-        "peak_gib": line.peak_gib,
-        "frames": frames,
-        "weights": "random",
-    }
+    return with_random_weights(line.peak_gib, frames, frames_per_s=1 / seconds, ms=1e3 * seconds)
 
 
 def speed_said(figures: dict[str, Any]) -> str:

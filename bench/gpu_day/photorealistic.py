@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Any, Final
 
-from bench.gpu_day.pieces import Piece, Setting
+from bench.gpu_day.pieces import Piece, Setting, with_random_weights
 from bench.magicdrive import PUBLISHED_SECONDS, STEPS, Job, measured
 
 SIZES: Final = {"224x400": (224, 400), "424x800": (424, 800)}
@@ -19,16 +19,15 @@ def cost(setting: Setting, *, mode: str, size: str) -> dict[str, Any]:
     frames = 9 if setting.tiny else FRAMES
     job = Job(setting.device, mode, frames, height, width, BOXES, WORDS, 1 if setting.tiny else 3, setting.tiny)
     line = measured(job)
-    decoder = mode == "decoder"
-    return {
-        "scene_s": VIEWS * line.seconds if decoder else STEPS * line.seconds + line.encoding,
-        "step_s": line.seconds,
-        "encoders_s": line.encoding,
-        "peak_gib": line.peak_gib,
-        "size": f"{height}x{width}",
-        "frames": frames,
-        "weights": "random",
-    }
+    scene_s = VIEWS * line.seconds if mode == "decoder" else STEPS * line.seconds + line.encoding
+    return with_random_weights(
+        line.peak_gib,
+        frames,
+        scene_s=scene_s,
+        step_s=line.seconds,
+        encoders_s=line.encoding,
+        size=f"{height}x{width}",
+    )
 
 
 def cost_said(figures: dict[str, Any]) -> str:

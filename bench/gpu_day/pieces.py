@@ -71,6 +71,11 @@ class Piece:
     so_far: Callable[[Setting], dict[str, Any]] | None = None
 
 
+def with_random_weights(peak_gib: float | None, frames: int, **figures: Any) -> dict[str, Any]:
+    """Figures of a network that nothing was learned by: those of the piece, and what all such pieces say."""
+    return {**figures, "peak_gib": peak_gib, "frames": frames, "weights": "random"}
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What came of a piece.

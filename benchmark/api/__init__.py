@@ -436,7 +436,7 @@ def _shown(
     """What a leaderboard is made from; without run records it may be made from the rest."""
     from benchmark.records.ablation import find_ablations
     from benchmark.records.drives import find_drives
-    from benchmark.records.record_costs import with_cost
+    from benchmark.records.record_costs import with_cost, with_drive_cost
     from benchmark.records.quality import find_quality
     from benchmark.records.reproduction import find_reproductions, with_reproductions
     from benchmark.records.run import find_records
@@ -446,7 +446,7 @@ def _shown(
     quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
     ablations = find_ablations(space.ablation_root())
     own = [space.drive_root()] if space.drive_root().is_dir() else []
-    drives = find_drives(*(folders or own))
+    drives = [with_drive_cost(each, folders or own, space.timings_of) for each in find_drives(*(folders or own))]
     scored = any(space.challenge_root().glob("scores-*.json"))
     others = bool(quality or sheets.splits or ablations or drives or scored)
     no_runs = others and folders is None and not space.run_root().exists()

@@ -243,6 +243,7 @@ def drive_command(
         seed=seed,
     )
     root = api.workspace(out).drive_root()
+    how = replace(how, timings=api.workspace(out).timings_of(root))
     if dry_run:
         from benchmark.runs.drive_estimate import estimate
 

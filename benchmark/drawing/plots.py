@@ -3,7 +3,7 @@
 import io
 import struct
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -74,48 +74,49 @@ DARK: Final = Theme(
 )
 
 
-def picture(draw: Callable[[], Figure], suffix: str, theme: Theme = LIGHT) -> bytes:
+Sketch = Callable[[Theme], Figure]
+"""Makes a figure (`new_figure`) in the colours of a page."""
+
+
+def picture(sketch: Sketch, suffix: str, theme: Theme = LIGHT) -> bytes:
     """A figure's bytes, whatever settings of matplotlib the user has.
 
     Args:
-        draw: Makes the figure (`new_figure`).
+        sketch: Makes the figure.
         suffix: One of `FORMATS`.
         theme: Colours of letters, axes and paper.
 
     Returns:
         PNG or SVG.
     """
-    return pictures(draw, (suffix,), theme)[0]
+    return _saved(sketch, (suffix,), theme)[0]
 
 
-def pictures(draw: Callable[[], Figure], suffixes: Sequence[str], theme: Theme = LIGHT) -> list[bytes]:
-    """The same figure in several formats, as `picture` gives it in each; it is made once.
+def for_pages(sketch: Sketch) -> tuple[bytes, bytes, bytes]:
+    """A figure for a site: PNG and SVG for light pages, SVG for dark ones; each the same bytes as of `picture`."""
+    png, svg = _saved(sketch, (".png", ".svg"), LIGHT)
+    return png, svg, picture(sketch, ".svg", DARK)
 
-    Args:
-        draw: As there.
-        suffixes: Of `FORMATS`.
-        theme: As there.
 
-    Returns:
-        PNG or SVG, for each that is asked for.
-    """
+def _saved(sketch: Sketch, suffixes: tuple[str, ...], theme: Theme) -> tuple[bytes, ...]:
+    """One figure in several formats: making it takes as long as saving it."""
     # Without a fixed salt the identifiers inside an SVG are random; the rest undoes a user's own matplotlibrc.
     settings: Any = {**mpl.rcParamsDefault, "svg.hashsalt": "challenger-bench", "font.family": ["DejaVu Sans"]}
     settings |= theme.settings()
     settings.pop("backend", None)
-    found = []
+    saved = []
     with warnings.catch_warnings(), mpl.rc_context(settings):
         # A name in a script that the font lacks is drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph")
-        figure = draw()
+        figure = sketch(theme)
         for suffix in suffixes:
             stream = io.BytesIO()
             if suffix == ".png":
                 figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
             else:
                 figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-            found.append(stream.getvalue())
-    return found
+            saved.append(stream.getvalue())
+    return tuple(saved)
 
 
 def png_size(picture: bytes) -> tuple[int, int]:

@@ -36,6 +36,7 @@ MOST_WORKERS: Final = 10_000
 _SLOW_TO_IMPORT: Final = ("cv2", "shapely", "benchmark.datasets.nuscenes")
 
 _number = 0
+_started = False
 
 
 class Executor(Protocol):
@@ -128,10 +129,12 @@ class LocalProcesses:
         label: str,
         count: Count,
     ) -> Iterator[Result]:
+        global _started
         workers, before = min(self.workers, total), set(multiprocessing.active_children())
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(_imported_before_the_first(function))
         begun = context.Value("i", 0)
+        _started = True
         with (
             ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(begun,)) as pool,
             WATCH.work(label, total, count) as work,
@@ -236,6 +239,11 @@ def _imported_before_the_first(function: Callable[..., Any]) -> list[str]:
     # The process is started once; work that builds data is followed by work that plans with a network.
     needs_torch = "torch" in sys.modules or any(name.partition(".")[0] == "generation" for name in module)
     return [*(["torch"] if needs_torch else []), *_SLOW_TO_IMPORT, *module]
+
+
+def workers_at_hand() -> bool:
+    """Whether this process had workers before: what they are copied from is there, and the next ones begin at once."""
+    return _started
 
 
 def worker_number() -> int:

@@ -6,7 +6,7 @@ are replaced together (`benchmark.records.store`); everything is the same bytes 
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
@@ -19,6 +19,7 @@ from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import ratios_over_scenes
 from benchmark.records.drive_schema import SCHEMA, DriveFacts, DriveRow, DriveSummary, Measured
 from benchmark.records.neuroncap_table import published_table
+from benchmark.records.planner_cost import PlannerCost
 from benchmark.records.run_schema import RateRow, SceneFacts
 from benchmark.records.store import FileNames, read_each, read_own, replace_files, validated
 from benchmark.records.stored import Stored
@@ -38,12 +39,14 @@ class DriveRecord:
         facts: What ran.
         rows: One for each drive, by scene and run.
         summary: What they say together.
+        cost: What planning took (`benchmark.records.planner_cost`); no part of what makes two records equal.
     """
 
     directory: Path
     facts: DriveFacts
     rows: tuple[DriveRow, ...]
     summary: DriveSummary
+    cost: PlannerCost | None = field(default=None, compare=False)
 
     @property
     def planner(self) -> str:

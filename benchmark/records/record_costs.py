@@ -1,11 +1,13 @@
-"""Run records that know what their plans cost."""
+"""Records that know what their plans cost."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmark.records.planner_cost import cost_of, cost_path
+from benchmark.records.drives import DriveRecord
+from benchmark.records.planner_cost import PlannerCost, cost_of, cost_path
 from benchmark.records.run import RunRecord
+from benchmark.records.run_schema import PlannerFacts
 
 
 def with_cost(record: RunRecord, roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> RunRecord:
@@ -22,8 +24,19 @@ def with_cost(record: RunRecord, roots: Sequence[Path], timings_of: Callable[[Pa
     Raises:
         InputError: If a note is damaged.
     """
-    for root in roots:
-        if record.directory.is_relative_to(root):
-            found = cost_of(cost_path(timings_of(root), root, record.directory), record.run.planner)
-            return record if found is None else replace(record, cost=found)
-    return record
+    found = _noted(record.directory, record.run.planner, roots, timings_of)
+    return record if found is None else replace(record, cost=found)
+
+
+def with_drive_cost(record: DriveRecord, roots: Sequence[Path], timings_of: Callable[[Path], Path]) -> DriveRecord:
+    """`with_cost` of a record of drives."""
+    found = _noted(record.directory, record.facts.planner, roots, timings_of)
+    return record if found is None else replace(record, cost=found)
+
+
+def _noted(
+    directory: Path, planner: PlannerFacts, roots: Sequence[Path], timings_of: Callable[[Path], Path]
+) -> PlannerCost | None:
+    """What was noted of the planner of a record below one of the folders."""
+    root = next((root for root in roots if directory.is_relative_to(root)), None)
+    return None if root is None else cost_of(cost_path(timings_of(root), root, directory), planner)

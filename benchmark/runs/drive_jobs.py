@@ -45,6 +45,7 @@ class Job:
         factory: Builds the planner; ``None`` where there is one object alone.
         ladder: Reference drivers that drive the same encounters.
         keep_considered: Whether what an adversary considered is kept beside the record.
+        costs: File of what its planner takes (`benchmark.records.planner_cost.cost_path`); ``None`` notes nothing.
     """
 
     directory: Path
@@ -58,6 +59,7 @@ class Job:
     factory: PlannerFactory | None = None
     ladder: tuple[str, ...] = ()
     keep_considered: bool = False
+    costs: Path | None = None
 
     def key(self, unit: Unit) -> str:
         """Content key of a unit. No score is part of it: kept drives are scored again."""

@@ -18,16 +18,18 @@ from benchmark.closed_loop.drives.driving import Drive, Stage, drive, drive_toge
 from benchmark.closed_loop.drives.riding import RecordedCan
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
 from benchmark.errors import InputError
+from benchmark.machine.metering import Meter
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.storage import content_key, content_seed, read_json, write_json
 from benchmark.planning import Planner, SupervisedPlanner
 from benchmark.records.considered import read_considered, write_considered
 from benchmark.records.drive_schema import DriveRow
+from benchmark.records.planner_cost import SceneCost
 from benchmark.runs.beginning_again import begun_again
 from benchmark.runs.drive_jobs import Job, Task, Unit
 from benchmark.runs.drive_rows import considered_of, row_of
 from benchmark.runs.ladders import ladder_rows
-from benchmark.runs.plan_rows import seed_everything
+from benchmark.runs.plan_rows import cost_so_far, seed_everything
 from benchmark.runs.redriving import can_of, considered_again, driven_again
 
 if TYPE_CHECKING:
@@ -45,11 +47,13 @@ class UnitResult:
         unit: Which.
         row: Of the record.
         seconds: How long it took with those beside it, or ``None`` where it was kept from before.
+        cost: What its planner took, likewise.
     """
 
     unit: Unit
     row: DriveRow
     seconds: float | None
+    cost: SceneCost | None
 
 
 def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> list[UnitResult]:
@@ -79,16 +83,17 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
             row = driven_again(job.maker, data.scene(unit.scene), data, row)
             write_kept(job.path(unit), key, row)
         _keep_considered(data, job, row)
-        found[place] = UnitResult(unit, row, None)
+        found[place] = UnitResult(unit, row, None, None)
     started = time.perf_counter()
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
-    for place, row, track in driven:
+    for place, row, track, spent in driven:
         job, unit = tasks[place]
         if job.keep_considered and track is not None:
             write_considered(job.directory, row, considered_of(track))
         if row.failure is None or row.failure.reason not in _TRIED_AGAIN:
             write_kept(job.path(unit), left[place], row)
-        found[place] = UnitResult(unit, row, time.perf_counter() - started)
+        seconds = time.perf_counter() - started
+        found[place] = UnitResult(unit, row, seconds, spent(seconds))
     results = [found[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
 
@@ -98,6 +103,21 @@ def _keep_considered(data: "DataSet", job: Job, row: DriveRow) -> None:
     if job.keep_considered and row.adversary is not None and read_considered(job.directory, row) is None:
         track = considered_again(job.maker, data.scene(row.scene), data, row)
         write_considered(job.directory, row, considered_of(track))
+
+
+def costs_of(job: Job, results: Sequence[UnitResult], workers: int) -> dict[str, SceneCost | None]:
+    """What a planner took in each drive of a job.
+
+    Args:
+        job: The job.
+        results: Of its units.
+        workers: How many processes drove at the same time.
+
+    Returns:
+        By the name of the drive's file; ``None`` for those that were kept from before.
+    """
+    beside = {"workers": workers}
+    return {job.path(each.unit).stem: each.cost and each.cost.model_copy(update=beside) for each in results}
 
 
 def with_ladder(data: "DataSet", task: Task, result: UnitResult) -> UnitResult:
@@ -182,8 +202,11 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
 
 def _driven(
     data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
-) -> Iterator[tuple[int, DriveRow, AdversaryTrack | None]]:
-    """Rows of tasks by their places, as their drives end, and adversaries; what cannot be driven is raised at last."""
+) -> Iterator[tuple[int, DriveRow, AdversaryTrack | None, Callable[[float], SceneCost]]]:
+    """Rows of tasks by their places, as their drives end, with adversaries and what planners took in some seconds.
+
+    What cannot be driven is raised at last.
+    """
     seed = content_seed(*keys)
     seed_everything(seed)
     stages: dict[int, Stage] = {}
@@ -202,7 +225,9 @@ def _driven(
     for number, found in _drives([*stages.values()], ready):
         stage = stages[places[number]]
         scores = None if found.failure is not None else score_drive(stage.scene, found)
-        yield places[number], row_of(stage, found, scores), found.adversary
+        assert stage.meter is not None
+        spent = partial(cost_so_far, ready[number], stage.meter)
+        yield places[number], row_of(stage, found, scores), found.adversary, spent
     if broken:
         raise broken[0]
 
@@ -220,4 +245,5 @@ def _stage(data: "DataSet", task: Task, cans: dict[str, RecordedCan]) -> Stage:
     scene = data.scene(unit.scene)
     if unit.scene not in cans:
         cans[unit.scene] = can_of(data, unit.scene)
-    return Stage(scene, cans[unit.scene], unit.run, job.maker, job.sensor, job.timeout_s, unit.family)
+    can = cans[unit.scene]
+    return Stage(scene, can, unit.run, job.maker, job.sensor, job.timeout_s, unit.family, meter=Meter())

@@ -31,11 +31,13 @@ from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
 from benchmark.records.considered import FOLDER as CONSIDERED
 from benchmark.records.drive_schema import MOST_RUNS, Measured
 from benchmark.records.drives import DriveRecord, write_drives
+from benchmark.records.planner_cost import cost_path, gather_costs, note_cost, shard_cost_path
+from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
-from benchmark.runs.drive_work import Planners, UnitResult, kept_drive, work_here, work_in_worker
+from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive, work_here, work_in_worker
 from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
@@ -62,6 +64,7 @@ class DriveSettings:
         ladder: Reference drivers that drive every encounter with an adversary too, by name.
         keep_considered: Whether what an adversary considered is kept beside the record, for films and the site; no
             byte of the record depends on it. Its maker keeps it too.
+        timings: Folder for notes on what planners take, one file a record; without it none are kept.
         sensor: What cameras see.
         runs: Runs of each scene; one where the engine draws nothing.
         latency_ms: So much later does a plan take effect.
@@ -92,6 +95,12 @@ class DriveSettings:
     together: int = 1
     ladder: tuple[str, ...] = tuple(driver.value for driver in LADDER)
     keep_considered: bool = False
+    timings: Path | None = None
+
+    @property
+    def processes(self) -> int:
+        """How many of this machine drive at the same time, as far as is known."""
+        return self.executor.workers if isinstance(self.executor, LocalProcesses) else 1
 
     @property
     def measured(self) -> Measured:
@@ -271,9 +280,12 @@ def drive_shard(
         for job in jobs:
             writing.enter_context(only_writer(shard_folder(job.directory, shard)))
         here = partial(work_here, data, Planners())
-        for _ in _results(settings.groups(tasks), here, elsewhere, settings, label) if tasks else ():
-            pass
-        for job in jobs:
+        groups = settings.groups(tasks)
+        results = list(_results(groups, here, elsewhere, settings, label)) if tasks else []
+        for place, job in enumerate(jobs):
+            if job.costs is not None:
+                part = shard_cost_path(job.costs, shard.number, shard.of)
+                note_cost(part, job.planner, costs_of(job, results[place :: len(jobs)], settings.processes))
             note_done(job.directory, DRIVES, shard, mine)
     return [FinishedShard(job.directory, len(mine), len(scenes)) for job in jobs]
 
@@ -317,13 +329,18 @@ def _records(
     with ExitStack() as writing:
         for job in jobs:
             writing.enter_context(only_writer(job.directory))
-            require_shards(job.directory, DRIVES)
+            division = require_shards(job.directory, DRIVES)
+            if division is not None and job.costs is not None:
+                gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
         for place, job in enumerate(jobs):
             described = _described(data, split, job, scenes, settings)
-            rows = [result.row for result in results[place :: len(jobs)]]
+            own = results[place :: len(jobs)]
+            rows = [result.row for result in own]
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
+            if job.costs is not None:
+                note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))
             _tidy(job, units)
             forget_shards(job.directory)
     return records
@@ -345,6 +362,8 @@ def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings
     scenes = settings.chosen(data, split)
     part = () if len(scenes) == len(data.scene_names(split)) else scenes
     directory = drives_directory(out, data.name, split, facts, settings.measured, part)
+    # Looking plans up in a file says nothing of how fast their planner was.
+    timings = None if PLANS_SHA256 in facts.settings else settings.timings
     return Job(
         directory=directory,
         fingerprint=data.fingerprint(),
@@ -356,6 +375,7 @@ def job_of(data: "DataSet", split: str, facts: PlannerFacts, out: Path, settings
         fresh=settings.fresh,
         ladder=settings.ladder if settings.agents == ADVERSARY else (),
         keep_considered=settings.keep_considered,
+        costs=None if timings is None else cost_path(timings, out, directory),
     )
 
 

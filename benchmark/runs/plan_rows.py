@@ -154,14 +154,23 @@ def plan_scene(planner: Planner, source: SceneSource, name: str, path: Path, key
     # Stdout belongs to the command (--json); what a planner prints goes to stderr.
     with contextlib.redirect_stdout(sys.stderr):
         rows, lost = begun_again(partial(_rows, planner, scene, observations, meter), planner)
-    cost = _cost(planner, meter, time.perf_counter() - started)
+    cost = cost_so_far(planner, meter, time.perf_counter() - started)
     if not lost:
         write_json_lines(path, [_header(key, rows), *rows])
     return PlannedScene(rows, cost)
 
 
-def _cost(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
-    """What a scene took; of a planner elsewhere only the time is known."""
+def cost_so_far(planner: Planner, meter: Meter, planning_s: float) -> SceneCost:
+    """What a scene took; of a planner elsewhere only the time is known.
+
+    Args:
+        planner: Who planned.
+        meter: Made before, in this process.
+        planning_s: By the clock.
+
+    Returns:
+        The cost, as of one process.
+    """
     elsewhere = isinstance(planner, RemotePlanner)
     pid = planner.pid if isinstance(planner, SupervisedPlanner) else None
     return SceneCost(

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmark.errors import InputError
-from generation.diffusion.preconditioning import GaussianPreconditioner
+from generation.diffusion.preconditioning import GaussianPreconditioner, Shares
 from generation.diffusion.residual_network import LEVEL_FEATURES, ResidualNetwork
 from generation.diffusion.schedule import STEPS
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
@@ -188,6 +188,21 @@ class DenoiserLayer(nn.Module):
         return normed
 
 
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What of a prediction does not depend on the noisy actions.
+
+    Attributes:
+        timesteps: (1,) or (B,) 0..99.
+        shares: Of the preconditioner, where there is one.
+        shifts: Of the residual network, if it is one.
+    """
+
+    timesteps: Tensor
+    shares: Shares | None
+    shifts: tuple[Tensor, ...] | None
+
+
 class TrajectoryDenoiser(nn.Module):
     """Predicts the noise in standardised actions (paper, Diffusion Trajectory Generator).
 
@@ -230,7 +245,9 @@ class TrajectoryDenoiser(nn.Module):
         bias = config.far_logit_bias * far if config.far_logit_bias else None
         self.register_buffer("logit_bias", bias, persistent=False)
 
-    def forward(self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
+    def forward(
+        self, noisy: Tensor, timesteps: Tensor, present: Tensor | None = None, step: Step | None = None
+    ) -> Tensor:
         """Predict the noise.
 
         Args:
@@ -238,21 +255,36 @@ class TrajectoryDenoiser(nn.Module):
             timesteps: (1,) or (B,) 0..99.
             present: (1, 4) or (B, 4) `present_features`, which a network that cannot be told ignores; ``None`` says
                 nothing.
+            step: What `step` gives for these timesteps and what is told, where it is known.
 
         Returns:
             (B, 16, 3) predicted standard normal noise.
         """
-        if self.preconditioner is None:
-            return self.network(noisy, timesteps, present)
-        split = self.preconditioner.split(noisy, timesteps, present)
-        return split.join(self.network(split.whitened, timesteps, present))
+        step = step or self.step(timesteps, present)
+        if step.shares is None:
+            return self._answer(noisy, step, present)
+        split = step.shares.split(noisy)
+        return split.join(self._answer(split.whitened, step, present))
+
+    def step(self, timesteps: Tensor, present: Tensor | None = None) -> Step:
+        """What `forward` knows without the actions, to use for many of them; arguments as there."""
+        shares = None if self.preconditioner is None else self.preconditioner.shares(timesteps, present)
+        return Step(timesteps, shares, None if self.config.attention else self._shifts(timesteps))
 
     def network(self, tokens_in: Tensor, timesteps: Tensor, present: Tensor | None = None) -> Tensor:
         """The network without its preconditioner: (B, 16, 3) to (B, 16, 3)."""
-        levels = timesteps.to(tokens_in.dtype) * (self.config.noise_level_scale / STEPS)
-        if not self.config.attention:
-            answer: Tensor = self.residual_network(tokens_in, levels, present)
-            return answer
+        shifts = None if self.config.attention else self._shifts(timesteps)
+        return self._answer(tokens_in, Step(timesteps, None, shifts), present)
+
+    def _levels(self, timesteps: Tensor, dtype: torch.dtype) -> Tensor:
+        return timesteps.to(dtype) * (self.config.noise_level_scale / STEPS)
+
+    def _shifts(self, timesteps: Tensor) -> tuple[Tensor, ...]:
+        return self.residual_network.shifts(self._levels(timesteps, self.residual_network.encoder.weight.dtype))
+
+    def _answer(self, tokens_in: Tensor, step: Step, present: Tensor | None) -> Tensor:
+        if step.shifts is not None:
+            return self.residual_network.answer(tokens_in, step.shifts, present)
         tokens: Tensor = self.trajectory_encoder(tokens_in)
         kinds = [1] * WAYPOINTS
         if self.config.history_tokens:
@@ -261,7 +293,7 @@ class TrajectoryDenoiser(nn.Module):
             tokens = torch.cat([history, tokens], dim=1)
             kinds = [0] * self.config.history_tokens + kinds
         types = self.type_embedding.weight[kinds]
-        sigma = self.sigma_encoder(levels)
+        sigma = self.sigma_encoder(self._levels(step.timesteps, tokens_in.dtype))
         width, weight = self.config.feature_dim, self.sigma_proj_layer.weight
         level = functional.linear(sigma, weight[:, width:], self.sigma_proj_layer.bias)
         tokens = functional.linear(tokens, weight[:, :width]) + level[:, None, :]

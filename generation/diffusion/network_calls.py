@@ -11,7 +11,7 @@ from torch import Tensor
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from generation.diffusion.denoiser import TrajectoryDenoiser
+from generation.diffusion.denoiser import Step, TrajectoryDenoiser
 from generation.diffusion.residual_network import present_features
 from generation.diffusion.schedule import Denoise
 
@@ -47,6 +47,7 @@ class NetworkCalls:
         self.device, self.block = device, block
         self._conditioned = conditioned and denoiser.config.conditioned
         self._dropout = dropout
+        self._steps: dict[tuple[float, int], Step] = {}
 
     def put(self, parts: Sequence[Tensor]) -> Tensor:
         """(B, ...) rows of all requests on the device."""
@@ -72,7 +73,10 @@ class NetworkCalls:
 
     def told(self, present: Tensor | None) -> Denoise:
         """The network with what it is told (`present`): predicts the noise in the rows of all requests."""
-        return functools.partial(self._predict, present=present)
+        preconditioner = self.denoiser.preconditioner
+        # Elsewhere than on a processor, asking which timestep it is would wait for all that is under way.
+        kind = None if preconditioner is None or self.device.type != "cpu" else preconditioner.kind(present)
+        return functools.partial(self._predict, present=present, kind=kind)
 
     @contextlib.contextmanager
     def asking(self, rngs: Sequence[np.random.Generator]) -> Iterator[None]:
@@ -82,18 +86,25 @@ class NetworkCalls:
                 torch.manual_seed(int(rngs[0].integers(2**62)))
             yield
 
-    def _predict(self, noisy: Tensor, timestep: Tensor, *, present: Tensor | None) -> Tensor:
+    def _predict(self, noisy: Tensor, timestep: Tensor, *, present: Tensor | None, kind: int | None) -> Tensor:
         """The network's answer, in blocks."""
         count, size = len(noisy), self.block or PROCESSOR_ROWS
         if self.block is not None:
             noisy, present = _filled(noisy, size), None if present is None else _filled(present, size)
+        step = None if kind is None else self._step(timestep, present, kind)
         blocks = torch.split(noisy, size)
         # One row speaks for all.
         alone = present is None or len(present) == 1
-        moving = [present] * len(blocks) if present is None or alone else torch.split(present, size)
-        return torch.cat([self.denoiser(block, timestep, known) for block, known in zip(blocks, moving, strict=True)])[
-            :count
-        ]
+        moving = [present] * len(blocks) if present is None or alone else list(torch.split(present, size))
+        answers = [self.denoiser(block, timestep, known, step) for block, known in zip(blocks, moving, strict=True)]
+        return (answers[0] if len(answers) == 1 else torch.cat(answers))[:count]
+
+    def _step(self, timestep: Tensor, present: Tensor | None, kind: int) -> Step:
+        """What the network knows without the actions; the same in every request at this timestep and of this kind."""
+        key = (float(timestep), kind)
+        if key not in self._steps:
+            self._steps[key] = self.denoiser.step(timestep, present)
+        return self._steps[key]
 
 
 def device_of(name: str) -> torch.device:

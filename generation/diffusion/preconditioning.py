@@ -69,6 +69,33 @@ class Split:
         return self.gaussian.along(answer.flatten(1))
 
 
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """What is known at one noise level, whatever the actions: (1 or B, 48) each.
+
+    Attributes:
+        gaussian: Whose axes they are.
+        offset: Mean action as it stands there.
+        whitening: What scales components to unit variance.
+        spread: Standard deviation of the noise.
+        variance: Of the noisy actions along each axis.
+        left: Standard deviation left to explain along each axis.
+    """
+
+    gaussian: _Gaussian
+    offset: Tensor
+    whitening: Tensor
+    spread: Tensor
+    variance: Tensor
+    left: Tensor
+
+    def split(self, noisy: Tensor) -> Split:
+        """Take (B, 16, 3) noisy actions apart."""
+        along = self.gaussian.along(noisy.flatten(1) - self.offset)
+        whitened = self.gaussian.back(along * self.whitening)
+        return Split(whitened.view_as(noisy), self.spread * along / self.variance, self.left, self.gaussian)
+
+
 class GaussianPreconditioner(nn.Module):
     """Input, skip and output scaling of a noise predictor, per principal axis of the data.
 
@@ -146,13 +173,29 @@ class GaussianPreconditioner(nn.Module):
         Returns:
             Input of the network and what puts its answer together.
         """
+        return self.shares(timesteps, present).split(noisy)
+
+    def shares(self, timesteps: Tensor, present: Tensor | None = None) -> Shares:
+        """What `split` knows without the actions; arguments as there."""
         gaussian, alpha_bar = self._gaussian(present), self.alpha_bars[timesteps.long()][:, None]
         variance = alpha_bar * gaussian.variances + (1.0 - alpha_bar)
-        along = gaussian.along(noisy.flatten(1) - alpha_bar.sqrt() * gaussian.mean)
-        whitened = gaussian.back(along * variance.rsqrt())
-        guess = (1.0 - alpha_bar).sqrt() * along / variance
-        left = (alpha_bar * gaussian.variances / variance).sqrt()
-        return Split(whitened.view_as(noisy), guess, left, gaussian)
+        return Shares(
+            gaussian,
+            offset=alpha_bar.sqrt() * gaussian.mean,
+            whitening=variance.rsqrt(),
+            spread=(1.0 - alpha_bar).sqrt(),
+            variance=variance,
+            left=(alpha_bar * gaussian.variances / variance).sqrt(),
+        )
+
+    def kind(self, present: Tensor | None) -> int | None:
+        """Which Gaussian speaks for all rows, as a number; ``None`` where rows may have several."""
+        if present is None or not self.conditioned:
+            return -1
+        if len(present) > 1:
+            return None
+        speed, known = known_speed(present)
+        return int(torch.bucketize(speed, self.edges, right=True)) if bool(known) else -1
 
     def start(self, noise: Tensor, present: Tensor | None = None) -> Tensor:
         """Draw of the last forward step's distribution, which keeps signal and is far from standard normal.

@@ -3,10 +3,12 @@
 Forty-eight numbers need no attention. At the packaged size a call costs a tenth of the packaged-size transformer's.
 """
 
-from typing import Final
+from collections.abc import Iterable
+from typing import Final, cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from generation.diffusion.kinematics import STEP_S
 from generation.diffusion.standardiser import CHANNELS, WAYPOINTS
@@ -55,15 +57,21 @@ class ResidualBlock(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.widen = nn.Linear(width, hidden)
         self.level = nn.Linear(LEVEL_FEATURES, hidden)
-        self.active = nn.Sequential(nn.SiLU(), nn.Dropout(dropout))
+        self.dropout = dropout
         self.narrow = nn.Linear(hidden, width)
         nn.init.zeros_(self.narrow.weight)
         nn.init.zeros_(self.narrow.bias)
 
-    def forward(self, features: Tensor, level: Tensor) -> Tensor:
-        """(B, width) and (1 or B, 64) to (B, width)."""
-        answer: Tensor = self.narrow(self.active(self.widen(self.norm(features)) + self.level(level)))
-        return features + answer
+    def forward(self, features: Tensor, shift: Tensor) -> Tensor:
+        """(B, width) and (1 or B, hidden) of `level` to (B, width)."""
+        # Functions in place of modules: at this size calling a module costs a tenth of what it computes.
+        norm, widen, narrow = self.norm, self.widen, self.narrow
+        normal = functional.layer_norm(features, norm.normalized_shape, norm.weight, norm.bias, norm.eps)
+        hidden = functional.linear(normal, widen.weight, widen.bias).add_(shift)
+        hidden = functional.silu(hidden, inplace=not torch.is_grad_enabled())
+        if self.training:
+            hidden = functional.dropout(hidden, self.dropout)
+        return functional.linear(hidden, narrow.weight, narrow.bias).add_(features)
 
 
 class ResidualNetwork(nn.Module):
@@ -97,6 +105,11 @@ class ResidualNetwork(nn.Module):
         nn.init.zeros_(self.decoder.weight)
         nn.init.zeros_(self.decoder.bias)
 
+    def shifts(self, level: Tensor) -> tuple[Tensor, ...]:
+        """What noise levels (1,) or (B,), in the unit the sinusoid expects, add in each block: (1 or B, hidden)."""
+        features = self.level_encoder(level)
+        return tuple(block.level(features) for block in cast("Iterable[ResidualBlock]", self.blocks))
+
     def forward(self, noisy: Tensor, level: Tensor, present: Tensor | None = None) -> Tensor:
         """Ask.
 
@@ -108,12 +121,16 @@ class ResidualNetwork(nn.Module):
         Returns:
             (B, 16, 3) of order one; zero before training.
         """
+        return self.answer(noisy, self.shifts(level), present)
+
+    def answer(self, noisy: Tensor, shifts: tuple[Tensor, ...], present: Tensor | None = None) -> Tensor:
+        """`forward` where the `shifts` of the noise level are known."""
         known = noisy.flatten(1)
         if self.conditioned:
             said = noisy.new_zeros(1, PRESENT_FEATURES) if present is None else present
             known = torch.cat([known, said.expand(len(noisy), -1)], dim=1)
-        features, level = self.encoder(known), self.level_encoder(level)
-        for block in self.blocks:
-            features = block(features, level)
+        features = self.encoder(known)
+        for block, shift in zip(self.blocks, shifts, strict=True):
+            features = block(features, shift)
         answer: Tensor = self.decoder(features)
         return answer.view_as(noisy)

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
+from benchmark.machine.pages import keep_pages
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import canonical_json, content_key, read_kept_json, write_bytes, write_json
 from benchmark.machine.workers import Executor
@@ -182,6 +183,8 @@ def attempts(
 
 def _attempted(search: Search, keep_rounds: bool, work: Sequence[tuple[Scene, Unit]]) -> list[StoredAttempt]:
     """Compute and keep a few attempts; runs in a worker."""
+    # Batches of candidates are just large enough for each of a thousand arrays to be given back and cleared anew.
+    keep_pages()
     vehicles = [(scene, unit.agent) for scene, unit in work]
     results = attempts_together(
         vehicles,

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
+from benchmark.drawing.plots import Theme, for_pages, new_figure
 from benchmark.metrics.attacks import attack_rates, has_adversaries, says_severity
 from benchmark.metrics.judgements import split_ladders
 from benchmark.metrics.rates import Rate
@@ -93,8 +93,7 @@ def attack_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[NamedF
     settings = generator_settings(records)
     if not any(setting.data_name == data_name for setting in settings):
         return ()
-    draw = partial(_drawn, data_name, settings)
-    return (NamedFigure(NAME, TITLE, draw(".png", LIGHT), draw(".svg", LIGHT), draw(".svg", DARK)),)
+    return (NamedFigure(NAME, TITLE, *for_pages(partial(_figure, data_name, settings))),)
 
 
 def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
@@ -105,10 +104,6 @@ def nothing_drawn(data_name: str, records: Sequence[RunRecord]) -> str | None:
     if not any(map(says_severity, own)):
         return "No figure of attack success against realism: no record says how severe its plans are."
     return "No figure of attack success against realism: nobody said of any scene who survives it."
-
-
-def _drawn(data_name: str, settings: Sequence[Setting], suffix: str, theme: Theme) -> bytes:
-    return picture(lambda: _figure(data_name, settings, theme), suffix, theme)
 
 
 def _figure(data_name: str, settings: Sequence[Setting], theme: Theme) -> Figure:

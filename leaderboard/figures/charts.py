@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from benchmark.constants import HORIZON_STEPS
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
+from benchmark.drawing.plots import Sketch, Theme, for_pages, new_figure
 from benchmark.metrics.confusion import comparisons
 from benchmark.metrics.disagreement import EXACT
 from benchmark.records.run import NATIVE, RunRecord, protocol_of, scene_failures
@@ -65,80 +65,67 @@ def data_set_figures(data_name: str, records: Sequence[RunRecord]) -> tuple[Name
         (
             f"rates-{judge}",
             f"Collision rate over the horizon, {judges(judge)}",
-            partial(rates_over_horizon, data_name, judge, records),
+            rates_over_horizon(data_name, judge, records),
         )
         for judge in (EXACT, *((NATIVE,) if own else ()))
     ]
     title = "Adversarial scenes failed by manoeuvre, protocol exact"
-    drawn.append(("manoeuvres-exact", title, partial(manoeuvre_figure, data_name, EXACT, records)))
+    drawn.append(("manoeuvres-exact", title, manoeuvre_figure(data_name, EXACT, records)))
     for split in splits_of(records):
         title = f"Protocols against exact, split {split}"
-        drawn.append((f"disagreement-{split}", title, partial(disagreement_figure, data_name, split, records)))
+        drawn.append((f"disagreement-{split}", title, disagreement_figure(data_name, split, records)))
     found = []
-    for name, title, draw in drawn:
-        png, svg, dark = draw(".png"), draw(".svg"), draw(".svg", theme=DARK)
-        if png is not None and svg is not None and dark is not None:
-            found.append(NamedFigure(name, title, png, svg, dark))
+    for name, title, sketch in drawn:
+        if sketch is not None:
+            found.append(NamedFigure(name, title, *for_pages(sketch)))
     return tuple(found)
 
 
-def rates_over_horizon(
-    data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str, theme: Theme = LIGHT
-) -> bytes | None:
+def rates_over_horizon(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Sketch | None:
     """Collision rate at 1, 2 and 3 s of every planner, a panel a split, with 95 % bands.
 
     Args:
         data_name: Name of the data set, for the title.
         protocol: Whose verdicts, or ``native``.
         records: Runs on this data set.
-        suffix: ``.png`` or ``.svg``.
-        theme: Its colours.
 
     Returns:
-        The picture, or ``None`` where no record has verdicts of the protocol.
+        What draws it, or ``None`` where no record has verdicts of the protocol.
     """
     runs = [run for run in in_table_order(records) if protocol_of(run, protocol) in run.summary.protocols]
     if not runs:
         return None
-    return picture(lambda: _horizon_figure(data_name, protocol, runs, theme), suffix, theme)
+    return partial(_horizon_figure, data_name, protocol, runs)
 
 
-def disagreement_figure(
-    data_name: str, split: str, records: Sequence[RunRecord], suffix: str, theme: Theme = LIGHT
-) -> bytes | None:
+def disagreement_figure(data_name: str, split: str, records: Sequence[RunRecord]) -> Sketch | None:
     """How much of what ``exact`` sees each protocol misses, and how much of what it reports is false.
 
     Args:
         data_name: Name of the data set, for the title.
         split: The split.
         records: Runs on this data set.
-        suffix: ``.png`` or ``.svg``.
-        theme: Its colours.
 
     Returns:
-        The picture, or ``None`` where no record of the split was judged by ``exact`` and another protocol.
+        What draws it, or ``None`` where no record of the split was judged by ``exact`` and another protocol.
     """
     runs = [run for run in in_table_order(records) if run.run.split == split and EXACT in run.run.protocols]
     found = [(run, comparisons(run)) for run in runs]
     if not any(compared for _, compared in found):
         return None
-    return picture(lambda: _disagreement(data_name, split, found, theme), suffix, theme)
+    return partial(_disagreement, data_name, split, found)
 
 
-def manoeuvre_figure(
-    data_name: str, protocol: str, records: Sequence[RunRecord], suffix: str, theme: Theme = LIGHT
-) -> bytes | None:
+def manoeuvre_figure(data_name: str, protocol: str, records: Sequence[RunRecord]) -> Sketch | None:
     """How many adversarial scenes there are of each manoeuvre, and how many of them each planner fails.
 
     Args:
         data_name: Name of the data set, for the title.
         protocol: Whose verdicts, or ``native``.
         records: Runs on this data set; those of split ``adv`` whose records say what the adversaries do are drawn.
-        suffix: ``.png`` or ``.svg``.
-        theme: Its colours.
 
     Returns:
-        The picture, or ``None`` where there is no such record.
+        What draws it, or ``None`` where there is no such record.
     """
     runs = [
         run
@@ -147,7 +134,7 @@ def manoeuvre_figure(
     ]
     if not runs:
         return None
-    return picture(lambda: _manoeuvre_panels(data_name, protocol, runs, theme), suffix, theme)
+    return partial(_manoeuvre_panels, data_name, protocol, runs)
 
 
 def _horizon_figure(data_name: str, protocol: str, runs: Sequence[RunRecord], theme: Theme) -> Figure:

@@ -1,17 +1,17 @@
 """The transfer matrix as a picture: who else fails (column) the scenes that a planner fails (row)."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import DARK, FORMATS, LIGHT, Theme, new_figure, picture, pictures
+from benchmark.drawing.plots import FORMATS, LIGHT, Theme, for_pages, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_bytes
 from benchmark.metrics.rates import Rate
@@ -53,13 +53,12 @@ def heat_map(matrix: TransferMatrix, suffix: str, theme: Theme = LIGHT) -> bytes
         Share and counts in every cell, and the victims' failure rates over all scenes below; cells without a number,
         and the diagonal, are hatched.
     """
-    return picture(lambda: _figure(matrix, theme), suffix, theme)
+    return picture(partial(_figure, matrix), suffix, theme)
 
 
 def heat_maps(matrix: TransferMatrix) -> tuple[bytes, bytes, bytes]:
-    """`heat_map` as PNG, as SVG, and as SVG for dark pages."""
-    png, svg = pictures(lambda: _figure(matrix, LIGHT), FORMATS)
-    return png, svg, heat_map(matrix, ".svg", DARK)
+    """`heat_map` as a site shows it: PNG and SVG for light pages, SVG for dark ones."""
+    return for_pages(partial(_figure, matrix))
 
 
 def text_colour(background: Sequence[float]) -> str:
@@ -87,12 +86,11 @@ def _figure(matrix: TransferMatrix, theme: Theme) -> Figure:
     base_row = count + 0.4
     names = [drawable(name) for name in planner_names(matrix)]
     figure, axes = _canvas(count, base_row + 1.0, longest_name=max(len(name) for name in names))
-    colours = mpl.colormaps[COLOURS]
     for row, cells in enumerate(matrix.cells):
         for column, rate in enumerate(cells):
-            _draw_cell(axes, column, row, None if row == column else rate, theme, colours)
+            _draw_cell(axes, column, row, None if row == column else rate, theme)
     for column, rate in enumerate(matrix.base_rates):
-        _draw_cell(axes, column, base_row, rate, theme, colours)
+        _draw_cell(axes, column, base_row, rate, theme)
     failed = [round(cells[own].numerator) for own, cells in enumerate(matrix.cells)]
     surrogates = [f"{name}\nfails {number}" for name, number in zip(names, failed)]
     axes.set_xlim(-0.5, count - 0.5)
@@ -121,20 +119,17 @@ def _canvas(columns: float, rows: float, *, longest_name: int) -> tuple[Figure, 
     return figure, figure.add_axes((left / size[0], 0.1 / size[1], width / size[0], height / size[1]))
 
 
-def _draw_cell(axes: Axes, column: float, row: float, rate: Rate | None, theme: Theme, colours: Colormap) -> None:
-    """One square: a share with its counts, or hatched.
-
-    Limits of the axes are known: added as patches, squares would be asked for theirs.
-    """
+def _draw_cell(axes: Axes, column: float, row: float, rate: Rate | None, theme: Theme) -> None:
+    """One square: a share with its counts, or hatched."""
     corner = (column - 0.5, row - 0.5)
     if rate is None or rate.value is None:
-        axes.add_artist(Rectangle(corner, 1, 1, facecolor=theme.empty, edgecolor=_HATCH, hatch="///", linewidth=0))
-        axes.add_artist(Rectangle(corner, 1, 1, fill=False, edgecolor=theme.paper, linewidth=1.5))
+        axes.add_patch(Rectangle(corner, 1, 1, facecolor=theme.empty, edgecolor=_HATCH, hatch="///", linewidth=0))
+        axes.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=theme.paper, linewidth=1.5))
         box = {"facecolor": theme.empty, "edgecolor": "none", "pad": 2.0}
         axes.text(column, row, UNDEFINED, ha="center", va="center", bbox=box)
         return
-    colour = colours(rate.value)
-    axes.add_artist(Rectangle(corner, 1, 1, facecolor=colour, edgecolor=theme.paper, linewidth=1.5))
+    colour = mpl.colormaps[COLOURS](rate.value)
+    axes.add_patch(Rectangle(corner, 1, 1, facecolor=colour, edgecolor=theme.paper, linewidth=1.5))
     style: dict[str, Any] = {"ha": "center", "color": text_colour(colour[:3])}
     axes.text(column, row + 0.02, f"{100 * rate.value:.0f} %", va="bottom", **style)
     axes.text(column, row + 0.06, f"{round(rate.numerator)}/{rate.denominator}", va="top", fontsize="small", **style)

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
+from benchmark.drawing.plots import Theme, for_pages, new_figure
 from benchmark.records.drives import DriveRecord
 from benchmark.records.run_schema import RateRow
 from leaderboard.figures.charts import NamedFigure, plain_text, planner_style
@@ -46,14 +46,9 @@ def pressure_figures(records: Sequence[DriveRecord]) -> tuple[NamedFigure, ...]:
     """
     found = []
     for number, (title, rows) in enumerate(pressures(records)):
-        draw = partial(_drawn, title, rows)
-        drawn = (draw(".png", LIGHT), draw(".svg", LIGHT), draw(".svg", DARK))
+        drawn = for_pages(partial(pressure_figure, title, rows))
         found.append(NamedFigure(pressure_name(number), title, *drawn))
     return tuple(found)
-
-
-def _drawn(title: str, rows: Sequence[Pressure], suffix: str, theme: Theme) -> bytes:
-    return picture(lambda: pressure_figure(title, rows, theme), suffix, theme)
 
 
 def pressure_figure(title: str, rows: Sequence[Pressure], theme: Theme) -> Figure:

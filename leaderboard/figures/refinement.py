@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
+from benchmark.drawing.plots import LIGHT, Sketch, Theme, for_pages, new_figure, picture
 from benchmark.errors import InputError
 from benchmark.records.scenes import (
     ROUNDS_FILE,
@@ -63,12 +63,11 @@ def refinement_figures(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...
     for (data, split, scene), stored in sorted(sheets.scenes.items()):
         if data != data_name or drawn[split] == SCENES_OF_A_SPLIT:
             continue
-        draw = partial(refinement_figure, stored)
-        png, svg, dark = draw(".png"), draw(".svg"), draw(".svg", theme=DARK)
-        if png is not None and svg is not None and dark is not None:
+        sketch = _sketch(stored)
+        if sketch is not None:
             drawn[split] += 1
             title = f"Rounds of refinement, split {split}, {scene}"
-            found.append(NamedFigure(f"refinement-{split}-{scene}", title, png, svg, dark))
+            found.append(NamedFigure(f"refinement-{split}-{scene}", title, *for_pages(sketch)))
     return tuple(found)
 
 
@@ -89,15 +88,19 @@ def refinement_figure(
     Raises:
         InputError: If the trace does not fit together.
     """
+    sketch = _sketch(stored, frame)
+    return None if sketch is None else picture(sketch, suffix, theme)
+
+
+def _sketch(stored: StoredSheet, frame: int | None = None) -> Sketch | None:
     if stored.rounds is None:
         return None
     at = most_improved(stored.rounds) if frame is None else _at(stored.rounds, frame)
     if at is None:
         return None
     _require_whole(stored, at)
-    sheet, rounds, found = stored.sheet, stored.rounds, at
-    view = view_of(sheet, rounds.agent, found, _PANEL_WIDTH / _PANEL_HEIGHT)
-    return picture(lambda: _figure(sheet, rounds, found, view, theme), suffix, theme)
+    view = view_of(stored.sheet, stored.rounds.agent, at, _PANEL_WIDTH / _PANEL_HEIGHT)
+    return partial(_figure, stored.sheet, stored.rounds, at, view)
 
 
 def most_improved(rounds: RefinementTrace) -> TraceFrame | None:

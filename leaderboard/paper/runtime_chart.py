@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from benchmark.drawing.lettering import drawable
-from benchmark.drawing.plots import DARK, LIGHT, Theme, new_figure, picture
+from benchmark.drawing.plots import Theme, for_pages, new_figure
 from benchmark.published import RUNTIME_S
 from benchmark.records.scenes import Sheets, SplitSheet
 from benchmark.report.words import titled
@@ -34,10 +34,8 @@ def runtime_charts(data_name: str, sheets: Sheets) -> tuple[NamedFigure, ...]:
     for (name, split), sheet in sorted(sheets.splits.items()):
         shares = runtime_shares(sheet)
         if name == data_name and shares:
-            draw = partial(_figure, titled(data_name, split), shares)
-            drawn = picture(partial(draw, LIGHT), ".png"), picture(partial(draw, LIGHT), ".svg")
-            dark = picture(partial(draw, DARK), ".svg", DARK)
-            found.append(NamedFigure(f"runtime-{split}", f"Runtime composition, split {split}", *drawn, dark))
+            drawn = for_pages(partial(_figure, titled(data_name, split), shares))
+            found.append(NamedFigure(f"runtime-{split}", f"Runtime composition, split {split}", *drawn))
     return tuple(found)
 
 

@@ -3,14 +3,18 @@
 from collections.abc import Sequence
 from typing import Final
 
-from benchmark.records.planner_cost import COLD_SAMPLES, CostSummary, summary_of
+from benchmark.records.drives import DriveRecord
+from benchmark.records.planner_cost import COLD_SAMPLES, PlannerCost, summary_of
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Table, table_of
+from leaderboard.tables.drives import origin_of_drives, planner_cell
 from leaderboard.tables.pages import COST
-from leaderboard.tables.rows import in_table_order, notes_of_marks, row_name
+from leaderboard.tables.rows import in_table_order, mark_notes, notes_of_marks, row_name
+from leaderboard.tables.worlds import worlds
 
 _MS: Final = 1000.0
+_HEADS: Final = ("device", "median, ms", "p95, ms", "memory, MB", "GPU, MB", "processes")
 _NOTE: Final = (
     f"Latency: from asking to the plan, reading images included, by the clock; the first {COLD_SAMPLES} samples of "
     "each scene are left out. Memory: greatest resident memory of the process that plans, the harness included (of "
@@ -30,33 +34,75 @@ def cost_table(data_name: str, records: Sequence[RunRecord]) -> Table | None:
     Returns:
         The table, or ``None`` where nothing was noted.
     """
-    known = [(record, summary_of(record.cost)) for record in in_table_order(records) if record.cost is not None]
+    known = [(record, record.cost) for record in in_table_order(records) if record.cost is not None]
     if not known:
         return None
-    shared = [_SHARED_NOTE] if any(cost.workers > 1 for _, cost in known) else []
+    rows = []
+    for record, cost in known:
+        origin = Origin(record=named_record(record.content_id, record.planner, record.run.split))
+        rows.append((row_name(record, ""), record.run.split, *_cells(origin, cost, "scenes")))
     return table_of(
         COST,
         f"{data_name}: what planners cost",
-        ("planner", "split", "device", "median, ms", "p95, ms", "memory, MB", "GPU, MB", "processes"),
-        [_row(record, cost) for record, cost in known],
-        notes=(*notes_of_marks([record for record, _ in known]), _NOTE, *shared),
+        ("planner", "split", *_HEADS),
+        rows,
+        notes=(*notes_of_marks([record for record, _ in known]), _NOTE, *_shared([cost for _, cost in known])),
         text_columns=3,
     )
 
 
-def _row(record: RunRecord, cost: CostSummary) -> tuple[str | Shown, ...]:
-    origin, of = (
-        Origin(record=named_record(record.content_id, record.planner, record.run.split)),
-        "samples after the first of their scenes",
+def drive_cost_table(data_name: str, records: Sequence[DriveRecord]) -> Table | None:
+    """Latency and memory of every planner while it drove.
+
+    Args:
+        data_name: Name of the data set.
+        records: Of drives through it.
+
+    Returns:
+        The table, or ``None`` where nothing was noted.
+
+    Raises:
+        InputError: As of `leaderboard.tables.worlds.worlds`.
+    """
+    known = [
+        (record, name, record.cost)
+        for world in worlds(records)
+        for record, name in zip(world.records, world.planners, strict=True)
+        if record.cost is not None
+    ]
+    if not known:
+        return None
+    rows = []
+    for record, name, cost in known:
+        facts = record.facts
+        where = f"{facts.split}, {facts.measured.world}, sensor {facts.measured.sensor}"
+        rows.append((planner_cell(record, name), where, *_cells(origin_of_drives(record, name), cost, "drives")))
+    planners = [record.facts.planner for record, _, _ in known]
+    marks = mark_notes(
+        privileged=any(each.privileged for each in planners), miniature=any(each.miniature for each in planners)
     )
-    scenes = 0 if record.cost is None else len(record.cost.scenes)
+    return table_of(
+        f"drive-{COST}",
+        f"{data_name}: what planners cost while they drive",
+        ("planner", "driven", *_HEADS),
+        rows,
+        notes=(*marks, _NOTE, *_shared([cost for _, _, cost in known])),
+        text_columns=3,
+    )
+
+
+def _shared(costs: Sequence[PlannerCost]) -> list[str]:
+    return [_SHARED_NOTE] if any(summary_of(cost).workers > 1 for cost in costs) else []
+
+
+def _cells(origin: Origin, cost: PlannerCost, pieces: str) -> tuple[str | Shown, ...]:
+    """Cells of `_HEADS`; pieces are what memory was looked at for."""
+    said, of, count = summary_of(cost), f"samples after the first of their {pieces}", len(cost.scenes)
     return (
-        row_name(record, ""),
-        record.run.split,
-        "; ".join(cost.devices),
-        origin.cell(cost.median_s, "ms", cost.samples, of, scale=_MS).shown(2),
-        origin.cell(cost.p95_s, "ms", cost.samples, of, scale=_MS).shown(2),
-        origin.cell(cost.peak_memory_mb, "MB", scenes, "scenes").shown(0),
-        origin.cell(cost.peak_device_mb, "MB", scenes, "scenes").shown(0) if cost.peak_device_mb else UNDEFINED,
-        origin.count(cost.workers, "processes").shown(),
+        "; ".join(said.devices),
+        origin.cell(said.median_s, "ms", said.samples, of, scale=_MS).shown(2),
+        origin.cell(said.p95_s, "ms", said.samples, of, scale=_MS).shown(2),
+        origin.cell(said.peak_memory_mb, "MB", count, pieces).shown(0),
+        origin.cell(said.peak_device_mb, "MB", count, pieces).shown(0) if said.peak_device_mb else UNDEFINED,
+        origin.count(said.workers, "processes").shown(),
     )

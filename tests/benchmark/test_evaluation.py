@@ -26,6 +26,7 @@ from benchmark.planning import CameraView, Observation, SceneInfo
 from benchmark.protocols import STANDARD
 from benchmark.protocols.exact import Exact
 from benchmark.records.run import find_records, load_record
+from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.planner_facts import facts_of
 from benchmark.scene import Camera, EgoTrack, Scene
 from tests.benchmark.fake_data import FakeData, sample_truth, town_of_two
@@ -74,6 +75,19 @@ def test_one_and_two_workers_give_the_same_bytes(tmp_path: Path, monkeypatch: py
     two = evaluate(town_of_six(), "val", factory, tmp_path / "two", EvalSettings(workers=2), reopen=town_of_six)
     assert contents(one.directory) == contents(two.directory)
     assert len({row.plan.waypoints[5][0] for row in one.rows if row.plan}) > 6
+
+
+def test_a_network_waits_for_no_first_scene_where_workers_are_at_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    facts = PlannerFacts(name="made", privileged=False, weights_sha256="0" * 64)
+    factory = Factory(Remembering, facts=facts)
+    one = evaluate(town_of_six(), "val", factory, tmp_path / "one", EvalSettings(workers=1))
+    here: list[str] = []
+    monkeypatch.setattr(benchmark.evaluation, "work_here", lambda runs, data, planners, scene: here.append(scene))
+    monkeypatch.setattr(benchmark.evaluation, "workers_at_hand", lambda: True)
+    two = evaluate(town_of_six(), "val", factory, tmp_path / "two", EvalSettings(workers=2), reopen=town_of_six)
+    assert not here and contents(one.directory) == contents(two.directory)
 
 
 def test_running_again_asks_the_planner_nothing_and_changes_no_byte(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmark.machine.metering import Meter
 from benchmark.planning import (
     Observation,
     Plan,
@@ -92,13 +93,14 @@ def time_limit(seconds: float) -> Iterator[None]:
     _require_in_time(started, seconds)
 
 
-def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan | Failure:
+def asked(planner: Planner, observation: Observation, timeout_s: float, meter: Meter | None = None) -> Plan | Failure:
     """Ask for a plan.
 
     Args:
         planner: The planner.
         observation: What it sees.
         timeout_s: How long it may take.
+        meter: Times it.
 
     Returns:
         The plan, or why there is none.
@@ -111,7 +113,8 @@ def asked(planner: Planner, observation: Observation, timeout_s: float) -> Plan 
     ego = observation.ego if reads_message_after(planner) else replace(observation.ego, can_motion_after=None)
     try:
         # Stdout belongs to the command (--json); what a planner prints goes to stderr.
-        with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s):
+        timed = contextlib.nullcontext() if meter is None else meter.call()
+        with contextlib.redirect_stdout(sys.stderr), _limit_of(planner, timeout_s), timed:
             plan = planner.plan(replace(observation, views=views, ego=ego))
     except PlanTimeoutError:
         return Failure(Reason.TIMEOUT, f"no plan within {timeout_s:g} s")

@@ -24,6 +24,7 @@ from benchmark.closed_loop.drives.riding import (
 from benchmark.closed_loop.drives.route import Route, RouteFollower
 from benchmark.closed_loop.drives.sensors import Look, NoLook, Sensor
 from benchmark.errors import InputError
+from benchmark.machine.metering import Meter
 from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPlanner, SceneInfo
 from benchmark.scene import Camera, Scene
 
@@ -73,6 +74,7 @@ class Stage:
         timeout_s: How long a plan may take.
         family: Which scenario of the scene, where it has any.
         most_plans: Ends the drive after so many plans, to see how long it takes.
+        meter: Times the planner.
     """
 
     scene: Scene
@@ -83,6 +85,7 @@ class Stage:
     timeout_s: float
     family: str = ""
     most_plans: int | None = None
+    meter: Meter | None = None
 
 
 def drive(stage: Stage, planner: Planner) -> Drive:
@@ -184,9 +187,13 @@ class _Seat:
     @classmethod
     def of(cls, stage: Stage, planner: Planner) -> "_Seat":
         """The seat of a planner that has been told where it drives."""
+        if stage.meter is not None:
+            # A drive that begins again begins without what it took before.
+            stage.meter.latency_s.clear()
         scene, ride = stage.scene, stage.maker.begin(stage.scene, stage.run, stage.can, stage.family)
         route, look = Route.of(scene), stage.sensor.look(scene)
-        eyes = _Eyes(scene, route, look, Observer.of(scene, stage.can, ride.start, ride.primed), stage.timeout_s)
+        observer = Observer.of(scene, stage.can, ride.start, ride.primed)
+        eyes = _Eyes(scene, route, look, observer, stage.timeout_s, stage.meter)
         failure = told(planner, lambda: _introduce(planner, scene, look.cameras, route), stage.timeout_s)
         return cls(stage, planner, ride, eyes, failure)
 
@@ -234,6 +241,7 @@ class _Eyes:
     look: Look
     observer: Observer
     timeout_s: float
+    meter: Meter | None
 
     def planned(self, planner: Planner, ride: Ride, command: Command) -> Plan | Failure:
         """The plan of this instant; the privileged see the world as driven, and its future is revealed to nobody."""
@@ -246,7 +254,8 @@ class _Eyes:
                 if failure is not None:
                     return failure
             views = self.look.views(driven)
-        return asked(planner, self.observer.observation(ride.motion, views, command, ride.can), self.timeout_s)
+        seen = self.observer.observation(ride.motion, views, command, ride.can)
+        return asked(planner, seen, self.timeout_s, self.meter)
 
 
 def _introduce(planner: Planner, scene: Scene, cameras: tuple[Camera, ...], route: Route) -> None:

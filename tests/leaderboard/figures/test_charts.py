@@ -45,9 +45,9 @@ def test_what_the_records_allow_is_drawn() -> None:
     ]
     assert names_of(run("a", 3, manoeuvres=False)) == ["rates-exact", "disagreement-adv"]
     assert names_of() == []
-    assert manoeuvre_figure("d", "exact", [run("a", 3, split="val")], ".png") is None
-    assert rates_over_horizon("d", "vad", [run("a", 3)], ".png") is None
-    assert disagreement_figure("d", "val", [run("a", 3)], ".png") is None
+    assert manoeuvre_figure("d", "exact", [run("a", 3, split="val")]) is None
+    assert rates_over_horizon("d", "vad", [run("a", 3)]) is None
+    assert disagreement_figure("d", "val", [run("a", 3)]) is None
 
 
 def test_the_same_records_give_the_same_bytes_in_any_order_and_whatever_the_users_settings() -> None:
