@@ -54,7 +54,7 @@ def drawn() -> None:
 
 def texts(records: Sequence[RunRecord]) -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("leaderboard.build.heat_maps", lambda *_: (b"", b"", b""))
+        patch.setattr("leaderboard.build.heat_maps", lambda _: (b"", b"", b""))
         files = leaderboard_files(records).items()
     return {name: content.decode() for name, content in files if not name.endswith(".png")}
 
@@ -236,7 +236,7 @@ def test_transfer_shows_counts_and_a_dash_where_the_surrogate_never_fails(
 def test_a_name_from_a_strangers_record_stays_inside_the_folder(
     runs: tuple[RunRecord, ...], name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("leaderboard.build.heat_maps", lambda *_: (b"", b"", b""))
+    monkeypatch.setattr("leaderboard.build.heat_maps", lambda _: (b"", b"", b""))
     folder = tmp_path / "board"
     for path in write_leaderboard([named(record, data=name) for record in runs], folder):
         assert path.resolve().is_relative_to(folder.resolve())
