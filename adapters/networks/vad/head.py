@@ -1,6 +1,9 @@
 """The head of VAD: bird's-eye view, agents, map, forecasts and plan, in this order and under the published names."""
 
+import math
+
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from adapters.networks.layers.attention import CrossAttentionDecoder
@@ -14,6 +17,31 @@ from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.transformer import VADTransformer
 
 BOX_CODE = 10
+
+
+class ViewReader(nn.Module):
+    """What the plan of a small network takes from the bird's-eye view itself: convolutions that halve it, then all of it.
+
+    Args:
+        config: Sizes; the view is halved three times.
+        outputs: Numbers that are read.
+    """
+
+    def __init__(self, config: VADConfig, outputs: int) -> None:
+        super().__init__()
+        self.shape = config.grid.shape
+        channels = config.channels
+        self.convs = nn.ModuleList([nn.Conv2d(channels, channels, 3, 2, 1) for _ in range(3)])
+        cells = math.prod(math.ceil(side / 8) for side in self.shape)
+        self.read = nn.Linear(cells * channels, outputs)
+
+    def forward(self, bev: Tensor) -> Tensor:
+        """(cells, C) to (1, outputs)."""
+        found = bev.T.view(1, -1, *self.shape)
+        for convolution in self.convs:
+            found = F.relu(convolution(found))
+        result: Tensor = self.read(found.flatten(1))
+        return result
 
 
 class VADHead(nn.Module):
@@ -51,6 +79,7 @@ class VADHead(nn.Module):
         self.ego_map_decoder = CrossAttentionDecoder(*cross)
         self.ego_map_pos_mlp = nn.Linear(2, channels)
         self.ego_fut_decoder = plain_branch(2 * channels, config.commands * config.steps * 2)
+        self.view_reader = ViewReader(config, 2 * channels) if config.plan_reads_view else None
         self.agent_fus_mlp = nn.Sequential(
             nn.Linear(config.modes * 2 * channels, channels),
             nn.LayerNorm(channels),
@@ -76,7 +105,7 @@ class VADHead(nn.Module):
         seen = map_logits[-1].sigmoid().amax(-1) > self.config.lane_score
         forecasts = self._forecast(agents.states[-1], agent_places, lane_features, lane_places, seen)
         mode_offsets = self.traj_branches[0](forecasts).float()
-        plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places)
+        plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places, bev)
 
         lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
         logits = [branch(states).float() for branch, states in zip(self.cls_branches, agents.states, strict=True)]
@@ -153,8 +182,11 @@ class VADHead(nn.Module):
         )
         return torch.cat([among_agents, among_lanes], -1)
 
-    def _plan(self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor) -> Tensor:
-        """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes."""
+    def _plan(self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, bev: Tensor) -> Tensor:
+        """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes.
+
+        Where the configuration says so, what is read of the bird's-eye view is added to what it has seen.
+        """
         agents = self.agent_fus_mlp(forecasts.flatten(1))
         origin = torch.zeros_like(places[:1])
         after_agents = self.ego_agent_decoder(
@@ -169,7 +201,10 @@ class VADHead(nn.Module):
             lanes + _linear(self.ego_map_pos_mlp, lane_places),
             lanes,
         )
-        offsets: Tensor = self.ego_fut_decoder(torch.cat([after_agents, after_lanes], -1))
+        seen = torch.cat([after_agents, after_lanes], -1)
+        if self.view_reader is not None:
+            seen = seen + self.view_reader(bev)
+        offsets: Tensor = self.ego_fut_decoder(seen)
         return offsets.float().view(self.config.commands, self.config.steps, 2)
 
 

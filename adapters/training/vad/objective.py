@@ -12,7 +12,7 @@ from torch import Tensor
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
-from adapters.training.dense_targets import CHANNELS, dense_loss
+from adapters.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
@@ -35,7 +35,7 @@ from adapters.training.vad.plan_constraints import agent_constraint, boundary_co
 CLIP_FRAMES: Final = 3
 LEARNED_FRAMES: Final = 2
 """The last frames of a clip, which have losses; earlier ones only leave their view."""
-ENCODER_KEPT: Final = ("conv1", "bn1", "layer1", "layer2")
+ENCODER_KEPT: Final = ("conv1", "bn1", "layer1")
 """Parts of the image network that stay as they are."""
 WITHOUT_SPEED: Final = 1 / 3
 """Share of clips that are not told how the ego moves: the plan has to come from what is seen."""
@@ -43,6 +43,8 @@ WITHOUT_PAST: Final = 0.4
 """Share of clips whose first learned frame is as at the start of a scene; it saves a sixth of the time, too."""
 PACE_STEP: Final = 1
 """The planned step whose distance the tokens have to know: 1 s."""
+OFFSETS_FROM: Final = CHANNELS + 1
+"""The first channel of the view that says where lines are; it follows the one of the pace."""
 PACE_M: Final = 7.0
 PACE_SPREAD_M: Final = 4.0
 """Mean and spread of that distance in the embedded town, about."""
@@ -55,9 +57,12 @@ WEIGHTS: Final = {
     "line": 0.25,
     "line_direction": 0.05,
     "dense": 1.0,
+    "offsets": 2.0,
     "pace": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
+    # Half a metre aside counts for little among the metres ahead, and leads off the road.
+    "plan_aside": 1.0,
     "plan_agents": 0.2,
     "plan_boundary": 0.2,
     "plan_direction": 0.2,
@@ -154,6 +159,7 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
         **_agent_losses(network, predictions, frame),
         **_map_losses(network, predictions, frame),
         "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
+        "offsets": offset_loss(predictions.bev[:, OFFSETS_FROM : OFFSETS_FROM + OFFSETS], frame, network.config.grid),
         "pace": _pace_loss(predictions, frame),
         **_plan_losses(predictions, frame),
     }
@@ -256,6 +262,7 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
     return {
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
         "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
+        "plan_aside": plan_loss(plan[:, :1], frame.ego_future[:, :1], frame.ego_future_valid),
         "plan_agents": agent_constraint(plan, frame),
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
