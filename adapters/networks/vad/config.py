@@ -21,8 +21,8 @@ class VADConfig(BEVConfig):
         lane_score: Least score of a map element that an agent sees.
         image_scale: Scale of input images against 1600 x 900.
         image_size: Width and height of input images, if they are not 1600 x 900 scaled.
-        plan_reads_view: Whether the plan reads the bird's-eye view beside agents and map elements; the published
-            networks do not.
+        plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside agents and
+            map elements; the published networks have none.
     """
 
     backbone_outputs: tuple[int, ...]
@@ -38,7 +38,7 @@ class VADConfig(BEVConfig):
     max_boxes: int = 100
     max_lines: int = 50
     image_size: tuple[int, int] | None = None
-    plan_reads_view: bool = False
+    plan_sees_front: int = 0
 
     @property
     def image_format(self) -> ImageFormat:
@@ -84,7 +84,7 @@ class VADConfig(BEVConfig):
             pyramid_levels=2,
             image_scale=0.14,
             image_size=(224, 128),
-            plan_reads_view=True,
+            plan_sees_front=64,
             channels=64,
             feedforward_channels=128,
             heads=2,

@@ -17,30 +17,35 @@ from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.transformer import VADTransformer
 
 BOX_CODE = 10
+FRONT = 0
+"""Place of the front camera."""
+FRONT_CELLS = 4, 7
+"""Rows and columns of what the plan looks at there; those of images of 224 x 128."""
+NARROW = 32
+"""Channels of what the plan makes of the front camera's map."""
 
 
-class ViewReader(nn.Module):
-    """What the plan of a small network takes from the bird's-eye view itself: convolutions that halve it, then all of it.
+class FrontReader(nn.Module):
+    """What the plan of a small network takes from the front camera's finest feature map, as SparseDrive's plan does.
+
+    A cell of a small bird's-eye view is larger than a lane is off its middle; in the image it is some pixels.
 
     Args:
-        config: Sizes; the view is halved three times.
-        outputs: Numbers that are read.
+        config: Sizes. The map is halved twice, and brought to `FRONT_CELLS` where it is not as large by then.
     """
 
-    def __init__(self, config: VADConfig, outputs: int) -> None:
+    def __init__(self, config: VADConfig) -> None:
         super().__init__()
-        self.shape = config.grid.shape
-        channels = config.channels
-        self.convs = nn.ModuleList([nn.Conv2d(channels, channels, 3, 2, 1) for _ in range(3)])
-        cells = math.prod(math.ceil(side / 8) for side in self.shape)
-        self.read = nn.Linear(cells * channels, outputs)
+        self.convs = nn.ModuleList([nn.Conv2d(config.channels, NARROW, 3, 2, 1), nn.Conv2d(NARROW, NARROW, 3, 2, 1)])
+        self.read = nn.Linear(math.prod(FRONT_CELLS) * NARROW, config.plan_sees_front)
+        self.tell = nn.Linear(config.plan_sees_front, 2 * config.channels)
 
-    def forward(self, bev: Tensor) -> Tensor:
-        """(cells, C) to (1, outputs)."""
-        found = bev.T.view(1, -1, *self.shape)
+    def forward(self, features: Tensor) -> Tensor:
+        """(C, h, w) to (1, numbers)."""
+        found = features[None]
         for convolution in self.convs:
             found = F.relu(convolution(found))
-        result: Tensor = self.read(found.flatten(1))
+        result: Tensor = self.read(F.adaptive_avg_pool2d(found, FRONT_CELLS).flatten(1))
         return result
 
 
@@ -79,7 +84,7 @@ class VADHead(nn.Module):
         self.ego_map_decoder = CrossAttentionDecoder(*cross)
         self.ego_map_pos_mlp = nn.Linear(2, channels)
         self.ego_fut_decoder = plain_branch(2 * channels, config.commands * config.steps * 2)
-        self.view_reader = ViewReader(config, 2 * channels) if config.plan_reads_view else None
+        self.front_reader = FrontReader(config) if config.plan_sees_front else None
         self.agent_fus_mlp = nn.Sequential(
             nn.Linear(config.modes * 2 * channels, channels),
             nn.LayerNorm(channels),
@@ -105,7 +110,8 @@ class VADHead(nn.Module):
         seen = map_logits[-1].sigmoid().amax(-1) > self.config.lane_score
         forecasts = self._forecast(agents.states[-1], agent_places, lane_features, lane_places, seen)
         mode_offsets = self.traj_branches[0](forecasts).float()
-        plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places, bev)
+        front = None if self.front_reader is None else self.front_reader(maps[0][FRONT])
+        plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places, front)
 
         lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
         logits = [branch(states).float() for branch, states in zip(self.cls_branches, agents.states, strict=True)]
@@ -125,6 +131,7 @@ class VADHead(nn.Module):
             map_extents=line_extent(map_points),
             map_points=map_points,
             plan_offsets=plan_offsets,
+            front=front,
         )
 
     def _by_line(self, points: Tensor) -> Tensor:
@@ -182,10 +189,12 @@ class VADHead(nn.Module):
         )
         return torch.cat([among_agents, among_lanes], -1)
 
-    def _plan(self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, bev: Tensor) -> Tensor:
+    def _plan(
+        self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, front: Tensor | None
+    ) -> Tensor:
         """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes.
 
-        Where the configuration says so, what is read of the bird's-eye view is added to what it has seen.
+        What it takes from the front camera, if anything, is added to what it has seen there.
         """
         agents = self.agent_fus_mlp(forecasts.flatten(1))
         origin = torch.zeros_like(places[:1])
@@ -202,8 +211,8 @@ class VADHead(nn.Module):
             lanes,
         )
         seen = torch.cat([after_agents, after_lanes], -1)
-        if self.view_reader is not None:
-            seen = seen + self.view_reader(bev)
+        if self.front_reader is not None:
+            seen = seen + self.front_reader.tell(F.relu(front))
         offsets: Tensor = self.ego_fut_decoder(seen)
         return offsets.float().view(self.config.commands, self.config.steps, 2)
 

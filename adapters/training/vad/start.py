@@ -132,10 +132,10 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         for layer in (*planned[:-1], *_linears(head.agent_fus_mlp), *forecast[:-1]):
             layer.weight *= LOUD
         _last(head.ego_fut_decoder).bias.copy_(plans.flatten())
-        if head.view_reader is not None:
-            # It begins with nothing to say, as in weights that never read the view.
-            nn.init.zeros_(head.view_reader.read.weight)
-            nn.init.zeros_(head.view_reader.read.bias)
+        if head.front_reader is not None:
+            # It begins with nothing to say, as in weights that never looked there.
+            nn.init.zeros_(head.front_reader.tell.weight)
+            nn.init.zeros_(head.front_reader.tell.bias)
 
 
 def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
