@@ -140,7 +140,8 @@ def _clear(frame: TrainingFrame) -> Tensor:
     steps = len(frame.ego_future)
     distance = (frame.futures[:, :steps, :2] - frame.ego_future).norm(dim=-1)
     met = ((distance < IN_THE_WAY_M) & frame.futures_valid[:, :steps]).any(0)
-    return met.cumsum(0) == 0
+    clear: Tensor = met.cumsum(0) == 0
+    return clear
 
 
 def gathered(data_root: Path, split: str, *, workers: int) -> FrameStore:

@@ -211,7 +211,7 @@ class VADHead(nn.Module):
             lanes,
         )
         seen = torch.cat([after_agents, after_lanes], -1)
-        if self.front_reader is not None:
+        if self.front_reader is not None and front is not None:
             seen = seen + self.front_reader.tell(F.relu(front))
         offsets: Tensor = self.ego_fut_decoder(seen)
         return offsets.float().view(self.config.commands, self.config.steps, 2)

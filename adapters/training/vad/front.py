@@ -31,7 +31,9 @@ class FrontObjective:
     clip_frames = 32
 
     def __init__(self, network: VAD) -> None:
-        self.network = network
+        reader = network.pts_bbox_head.front_reader
+        assert reader is not None, "a network whose plan sees the front camera"
+        self.network, self.reader = network, reader
         for name, parameter in network.img_neck.named_parameters(prefix="img_neck"):
             if name.startswith(COARSE):
                 parameter.requires_grad_(False)
@@ -49,8 +51,7 @@ class FrontObjective:
         with torch.no_grad():
             stages = self.network.img_backbone(images.contiguous(memory_format=torch.channels_last))
         finest = self.network.img_neck(stages)[0]
-        reader = self.network.pts_bbox_head.front_reader
-        found = torch.cat([reader(features) for features in finest])
+        found = torch.cat([self.reader(features) for features in finest])
         each = [lane_loss(said[:LANE_NUMBERS], frame) for said, frame in zip(found, clip, strict=True)]
         return {"lane": torch.stack(each).mean()}
 

@@ -120,6 +120,7 @@ def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:
             return network.predict(inputs).plan_offsets  # type: ignore[arg-type]
 
     reader = network.pts_bbox_head.front_reader
+    assert reader is not None
     first = plan(frame) - plan(other)
     with torch.no_grad():
         reader.tell.weight.mul_(5.0)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import torch
 import torch.nn.functional as F
 
+from adapters.networks.layers.deformable_attention import SamplingPattern
 from adapters.networks.layers.sampling import deformable_sampling
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
@@ -41,13 +42,20 @@ def test_the_coarse_map_stays_and_the_finer_one_is_made_of_it() -> None:
     torch.testing.assert_close(finer, spread)
 
 
+def looks_at_images(network: VAD) -> SamplingPattern:
+    (pattern,) = [
+        module
+        for name, module in network.named_modules()
+        if isinstance(module, SamplingPattern) and name.endswith("attentions.1.deformable_attention")
+    ]
+    return pattern
+
+
 def test_cells_look_at_the_same_places_of_both_maps_and_at_each_with_half_the_weight() -> None:
     old = one_map()
     new = two_maps(old)
     cells = torch.randn(7, 64)
-    patterns = [
-        network.pts_bbox_head.transformer.encoder.layers[0].attentions[1].deformable_attention for network in (old, new)
-    ]
+    patterns = [looks_at_images(network) for network in (old, new)]
     with torch.no_grad():
         (offsets, weights), (offsets_of_two, weights_of_two) = [
             (pattern.offsets(cells), pattern.weights(cells)) for pattern in patterns
