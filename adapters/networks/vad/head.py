@@ -37,8 +37,11 @@ class FrontReader(nn.Module):
     def __init__(self, config: VADConfig) -> None:
         super().__init__()
         self.convs = nn.ModuleList([nn.Conv2d(config.channels, NARROW, 3, 2, 1), nn.Conv2d(NARROW, NARROW, 3, 2, 1)])
-        self.read = nn.Linear(math.prod(FRONT_CELLS) * NARROW, config.plan_sees_front)
-        self.tell = nn.Linear(config.plan_sees_front, 2 * config.channels)
+        numbers = config.plan_sees_front
+        self.read = nn.Sequential(
+            nn.Linear(math.prod(FRONT_CELLS) * NARROW, 2 * NARROW), nn.ReLU(), nn.Linear(2 * NARROW, numbers)
+        )
+        self.tell = nn.Linear(numbers, 2 * config.channels)
 
     def forward(self, features: Tensor) -> Tensor:
         """(C, h, w) to (1, numbers)."""
@@ -212,7 +215,7 @@ class VADHead(nn.Module):
         )
         seen = torch.cat([after_agents, after_lanes], -1)
         if self.front_reader is not None and front is not None:
-            seen = seen + self.front_reader.tell(F.relu(front))
+            seen = seen + self.front_reader.tell(front)
         offsets: Tensor = self.ego_fut_decoder(seen)
         return offsets.float().view(self.config.commands, self.config.steps, 2)
 

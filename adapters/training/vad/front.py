@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.vad.model import VAD
@@ -17,6 +18,10 @@ COARSE: Final = "img_neck.lateral_convs.1."
 """What the finer map has in common with the coarse one stays as it is."""
 FRONT: Final = 0
 """Place of the front camera."""
+WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0}
+"""What each loss counts."""
+STRAIGHT: Final = 2
+"""The command that is neither right nor left."""
 
 
 class FrontObjective:
@@ -39,24 +44,64 @@ class FrontObjective:
                 parameter.requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
-        """The loss of frames that need not belong together.
+        """The losses of frames that need not belong together, as bright or dark as they may be.
 
         Args:
             clip: The frames.
 
         Returns:
-            One scalar.
+            The terms of `front_losses`, weighted means over the frames.
         """
         images = miniature_images(torch.stack([frame.images[FRONT] for frame in clip]))
+        brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
+        contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
+        images = images * contrast + brightness
         with torch.no_grad():
             stages = self.network.img_backbone(images.contiguous(memory_format=torch.channels_last))
         finest = self.network.img_neck(stages)[0]
-        found = torch.cat([self.reader(features) for features in finest])
-        each = [lane_loss(said[:LANE_NUMBERS], frame) for said, frame in zip(found, clip, strict=True)]
-        return {"lane": torch.stack(each).mean()}
+        each = [front_losses(self.reader(features)[0], frame) for features, frame in zip(finest, clip, strict=True)]
+        return {
+            name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()
+        }
+
+
+def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
+    """What the first numbers that the plan takes from the front camera have to say.
+
+    Args:
+        front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
+            straight on will be at each step.
+        frame: The key frame.
+
+    Returns:
+        ``lane`` and ``ahead``, metres and squared metres; the latter is 0 where the command is to turn.
+    """
+    aside = front[LANE_NUMBERS : LANE_NUMBERS + len(frame.ego_future)]
+    counted = frame.ego_future_valid & (frame.command == STRAIGHT)
+    return {
+        "lane": lane_loss(front[:LANE_NUMBERS], frame),
+        "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
+    }
+
+
+def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
+    """Squared offset to the side, up to a metre; mean over the steps that count.
+
+    L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
+
+    Args:
+        found: (T,) metres.
+        wanted: (T,) metres.
+        counted: (T,) bool.
+
+    Returns:
+        A scalar.
+    """
+    error = F.huber_loss(found, wanted, reduction="none")
+    return (error * counted).sum() / max(int(counted.sum()), 1)
 
 
 def front_phase() -> Phase:
     """The first part of the training of VAD-mini."""
-    recipe = Recipe(steps=800, learning_rate=1e-3, warmup=50, average=0.99, scattered=True)
+    recipe = Recipe(steps=2000, learning_rate=1e-3, warmup=50, average=0.99, scattered=True)
     return Phase("front", FrontObjective, recipe)

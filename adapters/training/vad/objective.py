@@ -12,7 +12,7 @@ from torch import Tensor
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
-from adapters.training.dense_targets import CHANNELS, LANE_NUMBERS, OFFSETS, dense_loss, lane_loss, offset_loss
+from adapters.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
@@ -30,7 +30,7 @@ from adapters.training.losses import (
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus
-from adapters.training.vad.front import front_phase
+from adapters.training.vad.front import aside_loss, front_losses, front_phase
 from adapters.training.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 
 CLIP_FRAMES: Final = 3
@@ -60,6 +60,7 @@ WEIGHTS: Final = {
     "dense": 1.0,
     "offsets": 1.0,
     "lane": 2.0,
+    "ahead": 6.0,
     "pace": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
@@ -163,7 +164,7 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
         **_map_losses(network, predictions, frame),
         "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
         "offsets": offset_loss(predictions.bev[:, OFFSETS_FROM : OFFSETS_FROM + OFFSETS], frame, network.config.grid),
-        "lane": _lane_loss(predictions, frame),
+        **_front_losses(predictions, frame),
         "pace": _pace_loss(predictions, frame),
         **_plan_losses(predictions, frame),
     }
@@ -259,11 +260,11 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
     return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
 
 
-def _lane_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
-    """How well the first numbers that the plan takes from the front camera say where the lane is."""
+def _front_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """How well the plan knows from the front camera where the lane is; nothing where it does not look there."""
     if predictions.front is None:
-        return predictions.bev.sum() * 0
-    return lane_loss(predictions.front[0, :LANE_NUMBERS], frame)
+        return {"lane": predictions.bev.sum() * 0, "ahead": predictions.bev.sum() * 0}
+    return front_losses(predictions.front[0], frame)
 
 
 def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
@@ -273,23 +274,14 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
     return {
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
         "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
-        "plan_aside": _aside_loss(plan, frame),
+        "plan_aside": aside_loss(plan[:, 0], frame.ego_future[:, 0], frame.ego_future_valid),
         "plan_agents": agent_constraint(plan, frame),
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
     }
 
 
-def _aside_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
-    """Squared offset of a plan to the side, up to a metre; mean over the steps that are known.
-
-    L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
-    """
-    error = F.huber_loss(plan[:, 0], frame.ego_future[:, 0], reduction="none")
-    return (error * frame.ego_future_valid).sum() / max(int(frame.ego_future_valid.sum()), 1)
-
-
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of VAD-mini."""
-    recipe = Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
+    recipe = Recipe(steps=6000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
     return front_phase(), Phase("all", VADObjective, recipe)
