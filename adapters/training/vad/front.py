@@ -18,7 +18,13 @@ COARSE: Final = "img_neck.lateral_convs.1."
 """What the finer map has in common with the coarse one stays as it is."""
 FRONT: Final = 0
 """Place of the front camera."""
-WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0}
+GAP_UNIT_M: Final = 10.0
+FARTHEST_GAP_M: Final = 40.0
+"""Metres of a number's 1, and beyond which nothing ahead matters yet."""
+OWN_HALF_WIDTH_M: Final = 1.0
+STANDING_M: Final = 0.05
+"""Who moves less in half a second stands still."""
+WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0}
 """What each loss counts."""
 STRAIGHT: Final = 2
 """The command that is neither right nor left."""
@@ -70,18 +76,53 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
 
     Args:
         front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
-            straight on will be at each step.
+            straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`.
         frame: The key frame.
 
     Returns:
-        ``lane`` and ``ahead``, metres and squared metres; the latter is 0 where the command is to turn.
+        ``lane``, ``ahead`` and ``gap``: metres, squared metres and units of `GAP_UNIT_M`. The second is 0 where the
+        command is to turn, the last where it is not known which way the ego goes.
     """
-    aside = front[LANE_NUMBERS : LANE_NUMBERS + len(frame.ego_future)]
+    steps = len(frame.ego_future)
+    aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
     counted = frame.ego_future_valid & (frame.command == STRAIGHT)
+    gap_m = gap_ahead(frame)
     return {
+        "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),
         "lane": lane_loss(front[:LANE_NUMBERS], frame),
         "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
     }
+
+
+def gap_ahead(frame: TrainingFrame) -> float | None:
+    """Room in front of the ego along the way that it takes, up to whatever is there now.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        Metres from the lidar to the nearest box on the way, `FARTHEST_GAP_M` at most; ``None`` where none is known.
+    """
+    if not frame.ego_future_valid.all():
+        return None
+    way = torch.cat([torch.zeros(1, 2), frame.ego_future])
+    far = way[-1] - way[-2] if float((way[-1] - way[-2]).norm()) > STANDING_M else torch.tensor([0.0, 1.0])
+    way = torch.cat([way, way[-1:] + FARTHEST_GAP_M * far / far.norm()])
+    pieces = way.diff(dim=0)
+    lengths = pieces.norm(dim=-1)
+    moving = lengths > STANDING_M
+    starts, pieces, lengths = way[:-1][moving], pieces[moving], lengths[moving]
+    begun = lengths.cumsum(0) - lengths
+    to_boxes = frame.boxes[:, None, :2] - starts
+    along = ((to_boxes * pieces).sum(-1) / lengths).clamp(min=0).minimum(lengths)
+    beside = (to_boxes - along[..., None] * (pieces / lengths[:, None])).norm(dim=-1)
+    nearest = beside.argmin(1)
+    rows = torch.arange(len(frame.boxes))
+    station = (begun + along)[rows, nearest]
+    # A box of any heading is as wide as its width and as long as its length: near enough for what is driven behind.
+    on_way = (beside[rows, nearest] < OWN_HALF_WIDTH_M + frame.boxes[:, 4] / 2) & (station > STANDING_M)
+    gaps = (station - frame.boxes[:, 3] / 2)[on_way]
+    return min(FARTHEST_GAP_M, max(0.0, float(gaps.min()))) if len(gaps) else FARTHEST_GAP_M
 
 
 def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:

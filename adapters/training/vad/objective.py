@@ -61,6 +61,7 @@ WEIGHTS: Final = {
     "offsets": 1.0,
     "lane": 2.0,
     "ahead": 6.0,
+    "gap": 2.0,
     "pace": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
@@ -263,7 +264,7 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
 def _front_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     """How well the plan knows from the front camera where the lane is; nothing where it does not look there."""
     if predictions.front is None:
-        return {"lane": predictions.bev.sum() * 0, "ahead": predictions.bev.sum() * 0}
+        return dict.fromkeys(("lane", "ahead", "gap"), predictions.bev.sum() * 0)
     return front_losses(predictions.front[0], frame)
 
 

@@ -21,7 +21,17 @@ from adapters.training.dense_targets import (
     offsets_to_lines,
 )
 from adapters.training.frames import TrainingFrame
-from adapters.training.vad.front import COARSE, FrontObjective, front_phase
+from adapters.training.vad.front import (
+    COARSE,
+    FARTHEST_GAP_M,
+    GAP_UNIT_M,
+    WEIGHTS,
+    FrontObjective,
+    aside_loss,
+    front_losses,
+    front_phase,
+    gap_ahead,
+)
 from adapters.training.vad.objective import inputs_of
 from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network
 from tests.adapters.training.vad.road_frames import a_frame, empty
@@ -84,6 +94,48 @@ def test_cells_say_where_lines_are() -> None:
     assert float(offset_loss(right, frame, grid)) == pytest.approx(0, abs=1e-6)
     assert float(offset_loss(right + 1.0, frame, grid)) == pytest.approx(1.0)
     assert float(offset_loss(right, empty(frame), grid)) == 0
+
+
+def test_room_ahead_is_up_to_whoever_is_on_the_way() -> None:
+    frame = a_frame()
+    # The middle of a car 4.5 m long is 12 m ahead; the pedestrian is five metres to the left.
+    assert gap_ahead(frame) == pytest.approx(12.0 - 2.25)
+    assert gap_ahead(empty(frame)) is None
+    boxes = frame.boxes.clone()
+    boxes[0, 0] = 4.0
+    assert gap_ahead(replace(frame, boxes=boxes)) == FARTHEST_GAP_M
+    boxes[0, :2] = torch.tensor([0.0, -8.0])
+    assert gap_ahead(replace(frame, boxes=boxes)) == FARTHEST_GAP_M
+    standing = replace(frame, ego_future=torch.zeros(6, 2))
+    assert gap_ahead(standing) == pytest.approx(12.0 - 2.25)
+    # Round a quarter of a circle of 12 m the pedestrian's place is on the way.
+    turn = torch.linspace(0.0, torch.pi / 2, 7)[1:]
+    left = torch.stack([12 * turn.cos() - 12, 12 * turn.sin()], -1)
+    boxes[1, :2] = torch.tensor([12 * 0.5**0.5 - 12, 12 * 0.5**0.5])
+    found = gap_ahead(replace(frame, boxes=boxes, ego_future=left))
+    assert found == pytest.approx(12 * torch.pi / 4 - 0.3, abs=0.3)
+
+
+def test_what_is_said_of_the_way_ahead_counts_where_one_drives_straight_on() -> None:
+    frame = shifted(a_frame(aside=1.0), 2.0)
+    said = torch.cat(
+        [lane_offsets(frame)[0], frame.ego_future[:, 0], torch.tensor([(gap_ahead(frame) or 0) / GAP_UNIT_M])]
+    )
+    losses = front_losses(said, frame)
+    assert set(losses) == set(WEIGHTS) and max(losses.values()) < 1e-6
+    wrong = front_losses(said + 0.5, frame)
+    assert float(wrong["ahead"]) == pytest.approx(0.125) and float(wrong["gap"]) == pytest.approx(0.5)
+    assert front_losses(said + 0.5, replace(frame, command=1))["ahead"] == 0
+    assert not any(front_losses(said, empty(frame)).values())
+
+
+def test_a_way_to_the_side_asks_for_the_mean_and_not_for_the_median() -> None:
+    wanted = torch.tensor([0.0, 0.0, 0.0, 0.8])
+    counted = torch.ones(4, dtype=torch.bool)
+    tried = torch.linspace(0, 0.8, 81)
+    best = min(tried, key=lambda each: float(aside_loss(each.expand(4), wanted, counted)))
+    assert float(best) == pytest.approx(0.2, abs=0.011)
+    assert aside_loss(wanted + 1.0, wanted, ~counted) == 0
 
 
 def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> None:
