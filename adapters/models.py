@@ -340,7 +340,10 @@ _MINIATURES: Final = (
         _VAD_PLANNER,
         replace(_VAD, config="adapters.networks.vad.config:VADConfig.miniature"),
         miniature=Miniature(
-            ("vad-tiny", "vad-base"), "adapters.training.vad.start:untrained", "adapters.training.vad.objective:phases"
+            ("vad-tiny", "vad-base"),
+            "adapters.training.vad.start:untrained",
+            "adapters.training.vad.objective:phases",
+            "adapters.training.vad.start:grown",
         ),
         native_protocol="vad",
     ),

@@ -24,6 +24,17 @@ DENSE_GAIN: Final = 4.0
 """From a normalised channel of the view to a logit."""
 LINES_WITHIN_M: Final = (15.0, 30.0)
 """x and y up to which map elements are annotated."""
+OFFSET_KINDS: Final = (0, 2)
+"""Map elements along which one drives: dividers and boundaries of the road."""
+LANE_AHEAD_M: Final = (4.0, 10.0, 18.0)
+LANE_WITHIN_M: Final = 5.0
+"""Where ahead of the lidar lines are asked for, and how near they have to be."""
+LANE_NUMBERS: Final = 2 * len(LANE_AHEAD_M)
+OFFSETS: Final = 2 * len(OFFSET_KINDS)
+"""Channels that say where in a cell, or how far from it, the nearest of each kind is: x and y."""
+OFFSET_UNIT_M: Final = 1.25
+OFFSET_WITHIN_M: Final = 3.5
+"""Metres of a channel's 1, and how near a line has to be to be asked for."""
 
 
 def dense_targets(frame: TrainingFrame, grid: BEVGrid) -> tuple[Tensor, Tensor]:
@@ -68,6 +79,91 @@ def dense_loss(bev: Tensor, frame: TrainingFrame, grid: BEVGrid, weight: float) 
     # Cells of lines and agents are few.
     weights = known * (1 + 2 * targets)
     return weight * (entropy * weights).sum() / weights.sum()
+
+
+def offset_loss(found: Tensor, frame: TrainingFrame, grid: BEVGrid) -> Tensor:
+    """How far off the view places lines, finer than its cells: L1 in units of `OFFSET_UNIT_M`, per known number.
+
+    Args:
+        found: (cells, `OFFSETS`) channels of a bird's-eye view.
+        frame: What is annotated.
+        grid: Of the view.
+
+    Returns:
+        A scalar.
+    """
+    low, high = torch.tensor(grid.range_m[:2]), torch.tensor(grid.range_m[3:5])
+    centres = low + grid.centres() * (high - low)
+    inside = (centres.abs() < torch.tensor(LINES_WITHIN_M)).all(-1)
+    losses, count = [found.sum() * 0], 0
+    for place, kind in enumerate(OFFSET_KINDS):
+        lines = frame.lines[frame.line_labels == kind]
+        if not len(lines):
+            continue
+        offsets = offsets_to_lines(centres[inside], lines)
+        near = offsets.norm(dim=-1) < OFFSET_WITHIN_M
+        error = found[inside, 2 * place : 2 * place + 2] - offsets / OFFSET_UNIT_M
+        losses.append(error[near].abs().sum())
+        count += 2 * int(near.sum())
+    return torch.stack(losses).sum() / max(count, 1)
+
+
+def lane_offsets(frame: TrainingFrame) -> tuple[Tensor, Tensor]:
+    """How far to the left and to the right the nearest line is that one drives along, at some places ahead.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        (`LANE_NUMBERS`,) metres to the right, those of lines on the left first and negative, and whether each is known:
+        whether there is such a line nearby.
+    """
+    driven_along = torch.isin(frame.line_labels, torch.tensor(OFFSET_KINDS))
+    lines = frame.lines[driven_along]
+    starts, ends = lines[:, :-1].flatten(0, 1), lines[:, 1:].flatten(0, 1)
+    ahead = torch.tensor(LANE_AHEAD_M)[:, None]
+    rise = ends[:, 1] - starts[:, 1]
+    share = (ahead - starts[:, 1]) / torch.where(rise == 0, 1.0, rise)
+    crossed = (share >= 0) & (share <= 1) & (rise != 0)
+    aside = starts[:, 0] + share * (ends[:, 0] - starts[:, 0])
+    far = torch.full((len(LANE_AHEAD_M), 1), 2 * LANE_WITHIN_M)
+    left = torch.cat([torch.where(crossed & (aside < 0), aside, -far), -far], 1).amax(1)
+    right = torch.cat([torch.where(crossed & (aside >= 0), aside, far), far], 1).amin(1)
+    offsets = torch.cat([left, right])
+    return offsets, offsets.abs() < LANE_WITHIN_M
+
+
+def lane_loss(found: Tensor, frame: TrainingFrame) -> Tensor:
+    """L1 of what is said of the lines ahead, metres, per known number.
+
+    Args:
+        found: (`LANE_NUMBERS`,) as `lane_offsets`.
+        frame: What is annotated.
+
+    Returns:
+        A scalar.
+    """
+    wanted, known = lane_offsets(frame)
+    return (found - wanted)[known].abs().sum() / max(int(known.sum()), 1)
+
+
+def offsets_to_lines(points: Tensor, lines: Tensor) -> Tensor:
+    """From each point to the nearest one of any line.
+
+    Args:
+        points: (N, 2) metres.
+        lines: (M, P, 2) metres, at least one.
+
+    Returns:
+        (N, 2) metres.
+    """
+    starts, ends = lines[:, :-1].flatten(0, 1), lines[:, 1:].flatten(0, 1)
+    along = ends - starts
+    to_points = points[:, None] - starts
+    shares = (to_points * along).sum(-1) / along.square().sum(-1).clamp(min=1e-9)
+    offsets = shares.clamp(0, 1)[..., None] * along - to_points
+    nearest = offsets.square().sum(-1).argmin(1)
+    return offsets[torch.arange(len(points)), nearest]
 
 
 def _near_lines(centres: Tensor, lines: Tensor, half_cell_m: Tensor) -> Tensor:

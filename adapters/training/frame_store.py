@@ -118,6 +118,25 @@ class FrameStore:
         _, index = self._places[number]
         return [self.frame(each) for each in range(number - min(index, length - 1), number + 1)]
 
+    def followed(self, scene: str, index: int) -> Tensor:
+        """Steps of the ego's future that a planner learns from, as `TrainingFrame.ego_future_valid`; reads no image.
+
+        Args:
+            scene: Name.
+            index: Number of the frame in it.
+
+        Returns:
+            (6,) bool.
+
+        Raises:
+            InputError: If the scene's file is missing or broken, or has no such frame.
+        """
+        path = _scene_file(self.folder, scene)
+        try:
+            return self._scene(scene, path).arrays["ego_future_valid"][index]
+        except (OSError, SafetensorError, IndexError) as error:
+            raise InputError(f"cannot read the training frames {path} ({error}); remove it and build again") from error
+
     def _scene(self, name: str, path: Path) -> _OpenScene:
         if name not in self._open:
             stored: Any = safe_open(path, "pt")

@@ -1,8 +1,11 @@
 """Frames of several roots as one: recorded scenes, and adversarial ones that were made from them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Protocol
+
+from torch import Tensor
 
 from adapters.training.frame_store import FrameStore, build_frames, frames_key
 from adapters.training.frames import TrainingFrame
@@ -13,6 +16,9 @@ from benchmark.machine.workspace import cache_root
 
 ADVERSARIAL_SPLIT: Final = "adv"
 """Split of a root of adversarial scenes."""
+
+IN_THE_WAY_M: Final = 3.0
+"""Between the ego's lidar and the middle of somebody's box; cars in lanes side by side are further apart."""
 
 
 class Frames(Protocol):
@@ -91,6 +97,51 @@ class MixedFrames:
     def _place(self, number: int) -> tuple[Frames, int]:
         which = max(place for place, first in enumerate(self._firsts) if first <= number)
         return self._stores[which], number - self._firsts[which]
+
+
+class FollowedAsRecorded:
+    """Adversarial scenes, of whose ego a planner learns what it learns from the scene that each was made from.
+
+    The ego of both drives the same way; what the recorded data set says of departures from the path holds for both. But
+    it does not see the adversary: once it is in somebody's way, nothing is learned from how it goes on.
+
+    Attributes:
+        scenes: Names of the adversarial scenes.
+        identity: Key of both stores.
+    """
+
+    def __init__(self, store: FrameStore, recorded: FrameStore, sources: Mapping[str, str]) -> None:
+        self._store, self._recorded, self._sources = store, recorded, dict(sources)
+        self.scenes = store.scenes
+        self.identity = content_key("followed as recorded", store.identity, recorded.identity)
+
+    def __len__(self) -> int:
+        return len(self._store)
+
+    def frames_of(self, scene: str) -> range:
+        """Numbers of the frames of a scene, in time order."""
+        return self._store.frames_of(scene)
+
+    def frame(self, number: int) -> TrainingFrame:
+        """One frame; raises as `FrameStore.frame`."""
+        return self._followed(self._store.frame(number))
+
+    def clip(self, number: int, length: int) -> list[TrainingFrame]:
+        """A frame and those before it in its scene; raises as `FrameStore.clip`."""
+        return [self._followed(frame) for frame in self._store.clip(number, length)]
+
+    def _followed(self, frame: TrainingFrame) -> TrainingFrame:
+        follows = self._recorded.followed(self._sources[frame.scene], frame.index)
+        return replace(frame, ego_future_valid=frame.ego_future_valid & follows & _clear(frame))
+
+
+def _clear(frame: TrainingFrame) -> Tensor:
+    """(6,) bool, the steps of the ego's future before it is where somebody else is."""
+    steps = len(frame.ego_future)
+    distance = (frame.futures[:, :steps, :2] - frame.ego_future).norm(dim=-1)
+    met = ((distance < IN_THE_WAY_M) & frame.futures_valid[:, :steps]).any(0)
+    clear: Tensor = met.cumsum(0) == 0
+    return clear
 
 
 def gathered(data_root: Path, split: str, *, workers: int) -> FrameStore:

@@ -16,7 +16,14 @@ from adapters.models import Model, miniature, resolve
 from adapters.training.card import card_of
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
-from adapters.training.mixture import ADVERSARIAL_SPLIT, Frames, MixedFrames, gathered, require_made_from
+from adapters.training.mixture import (
+    ADVERSARIAL_SPLIT,
+    FollowedAsRecorded,
+    Frames,
+    MixedFrames,
+    gathered,
+    require_made_from,
+)
 from adapters.training.phases import Phase
 from adapters.training.plan_figures import Images, JudgedPlans, Loss, judged_plans, plan_figures
 from adapters.training.trainer import IMAGE_ENCODER, Recipe, fit
@@ -119,7 +126,10 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     held_out = recorded.scenes[::HELD_OUT_EVERY] if len(recorded.scenes) > 1 else ()
     store: Frames = recorded
     if sources:
-        more = [gathered(root, ADVERSARIAL_SPLIT, workers=training.workers) for root in sources]
+        more = [
+            FollowedAsRecorded(gathered(root, ADVERSARIAL_SPLIT, workers=training.workers), recorded, made_from_of)
+            for root, made_from_of in sources.items()
+        ]
         store = MixedFrames([recorded, *more])
     # What was made from a held-out scene is held out as well.
     made_from = {name: source for of_root in sources.values() for name, source in of_root.items()}

@@ -21,6 +21,8 @@ class VADConfig(BEVConfig):
         lane_score: Least score of a map element that an agent sees.
         image_scale: Scale of input images against 1600 x 900.
         image_size: Width and height of input images, if they are not 1600 x 900 scaled.
+        plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside agents and
+            map elements; the published networks have none.
     """
 
     backbone_outputs: tuple[int, ...]
@@ -36,6 +38,7 @@ class VADConfig(BEVConfig):
     max_boxes: int = 100
     max_lines: int = 50
     image_size: tuple[int, int] | None = None
+    plan_sees_front: int = 0
 
     @property
     def image_format(self) -> ImageFormat:
@@ -77,10 +80,11 @@ class VADConfig(BEVConfig):
             perception_range_m=(-30.0, -32.0, -2.5, 30.0, 32.0, 0.5),
             encoder_layers=1,
             decoder_layers=2,
-            backbone_outputs=(2,),
-            pyramid_levels=1,
+            backbone_outputs=(1, 2),
+            pyramid_levels=2,
             image_scale=0.14,
             image_size=(224, 128),
+            plan_sees_front=64,
             channels=64,
             feedforward_channels=128,
             heads=2,

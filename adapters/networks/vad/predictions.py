@@ -27,6 +27,7 @@ class VADPredictions:
         map_extents: (K, M, 4) centre x, y, width, height as shares.
         map_points: (K, M, P, 2) as shares.
         plan_offsets: (commands, steps, 2) metres from step to step.
+        front: (1, numbers) what the plan takes from the front camera, where it does.
     """
 
     bev: Tensor
@@ -44,3 +45,4 @@ class VADPredictions:
     map_extents: Tensor
     map_points: Tensor
     plan_offsets: Tensor
+    front: Tensor | None = None

@@ -12,7 +12,7 @@ from torch import Tensor
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
-from adapters.training.dense_targets import CHANNELS, dense_loss
+from adapters.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
@@ -30,12 +30,13 @@ from adapters.training.losses import (
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus
+from adapters.training.vad.front import aside_loss, front_losses, front_phase
 from adapters.training.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 
 CLIP_FRAMES: Final = 3
 LEARNED_FRAMES: Final = 2
 """The last frames of a clip, which have losses; earlier ones only leave their view."""
-ENCODER_KEPT: Final = ("conv1", "bn1", "layer1", "layer2")
+ENCODER_KEPT: Final = ("conv1", "bn1", "layer1")
 """Parts of the image network that stay as they are."""
 WITHOUT_SPEED: Final = 1 / 3
 """Share of clips that are not told how the ego moves: the plan has to come from what is seen."""
@@ -43,6 +44,8 @@ WITHOUT_PAST: Final = 0.4
 """Share of clips whose first learned frame is as at the start of a scene; it saves a sixth of the time, too."""
 PACE_STEP: Final = 1
 """The planned step whose distance the tokens have to know: 1 s."""
+OFFSETS_FROM: Final = CHANNELS + 1
+"""The first channel of the view that says where lines are; it follows the one of the pace."""
 PACE_M: Final = 7.0
 PACE_SPREAD_M: Final = 4.0
 """Mean and spread of that distance in the embedded town, about."""
@@ -55,9 +58,15 @@ WEIGHTS: Final = {
     "line": 0.25,
     "line_direction": 0.05,
     "dense": 1.0,
+    "offsets": 1.0,
+    "lane": 2.0,
+    "ahead": 6.0,
+    "gap": 2.0,
     "pace": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
+    # Half a metre aside counts for little among the metres ahead, and leads off the road.
+    "plan_aside": 6.0,
     "plan_agents": 0.2,
     "plan_boundary": 0.2,
     "plan_direction": 0.2,
@@ -97,6 +106,7 @@ class VADObjective:
 
     def __init__(self, network: VAD) -> None:
         self.network = network
+        network.img_neck.requires_grad_(True)
         for name in ENCODER_KEPT:
             network.img_backbone.get_submodule(name).requires_grad_(False)
 
@@ -154,6 +164,8 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
         **_agent_losses(network, predictions, frame),
         **_map_losses(network, predictions, frame),
         "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
+        "offsets": offset_loss(predictions.bev[:, OFFSETS_FROM : OFFSETS_FROM + OFFSETS], frame, network.config.grid),
+        **_front_losses(predictions, frame),
         "pace": _pace_loss(predictions, frame),
         **_plan_losses(predictions, frame),
     }
@@ -249,6 +261,13 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
     return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
 
 
+def _front_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """How well the plan knows from the front camera where the lane is; nothing where it does not look there."""
+    if predictions.front is None:
+        return dict.fromkeys(("lane", "ahead", "gap"), predictions.bev.sum() * 0)
+    return front_losses(predictions.front[0], frame)
+
+
 def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
     offsets = predictions.plan_offsets[frame.command]
     plan = offsets.cumsum(0)
@@ -256,6 +275,7 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
     return {
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
         "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
+        "plan_aside": aside_loss(plan[:, 0], frame.ego_future[:, 0], frame.ego_future_valid),
         "plan_agents": agent_constraint(plan, frame),
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
@@ -264,4 +284,5 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of VAD-mini."""
-    return (Phase("all", VADObjective, Recipe(steps=5000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)),)
+    recipe = Recipe(steps=6000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
+    return front_phase(), Phase("all", VADObjective, recipe)

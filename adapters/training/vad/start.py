@@ -1,7 +1,7 @@
 """What an untrained VAD starts with, so that little time goes into learning where things can be at all."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -32,6 +32,10 @@ QUIET: Final = 0.2
 """First size of the learned contents of queries and cells, against that of a normal distribution."""
 LOUD: Final = 6**0.5
 """From the usual first weights of a layer to those that keep the size of what they pass on (He et al., ICCV 2015)."""
+_LATERAL: Final = "img_neck.lateral_convs"
+_OUTGOING: Final = "img_neck.fpn_convs"
+_LEVELS: Final = "pts_bbox_head.transformer.level_embeds"
+_LOOKS: Final = "attentions.1.deformable_attention."
 EDGE_SHARE: Final = 0.02
 """What is nearer to the edge of the perception range, as a share of it, has no query of its own."""
 
@@ -128,6 +132,43 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         for layer in (*planned[:-1], *_linears(head.agent_fus_mlp), *forecast[:-1]):
             layer.weight *= LOUD
         _last(head.ego_fut_decoder).bias.copy_(plans.flatten())
+        if head.front_reader is not None:
+            # It begins with nothing to say, as in weights that never looked there.
+            nn.init.zeros_(head.front_reader.tell.weight)
+            nn.init.zeros_(head.front_reader.tell.bias)
+
+
+def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of a miniature that reads one feature map of an image, for one that reads a finer one as well.
+
+    The finer map starts as the coarse one in cells of half the size, and every look at an image is shared between the
+    two: the network begins as what it was, about.
+
+    Args:
+        trunk: The weights; others than of such a miniature stay as they are.
+
+    Returns:
+        Weights for two maps, the finer first.
+    """
+    found = dict(trunk)
+    if f"{_LATERAL}.0.conv.weight" not in trunk or f"{_LATERAL}.1.conv.weight" in trunk:
+        return found
+    for part in ("weight", "bias"):
+        coarse = trunk[f"{_LATERAL}.0.conv.{part}"]
+        found[f"{_LATERAL}.1.conv.{part}"] = coarse
+        # The finer stage has half the channels, and adds nothing yet.
+        found[f"{_LATERAL}.0.conv.{part}"] = torch.zeros_like(coarse[:, ::2] if part == "weight" else coarse)
+        found[f"{_OUTGOING}.1.conv.{part}"] = trunk[f"{_OUTGOING}.0.conv.{part}"]
+    found[_LEVELS] = trunk[_LEVELS].clone()
+    found[_LEVELS][1] = trunk[_LEVELS][0]
+    for name, value in trunk.items():
+        if _LOOKS not in name or name.endswith(("value_proj.weight", "value_proj.bias")):
+            continue
+        rows = value.view(VADConfig.miniature().heads, 1, -1, *value.shape[1:])
+        # Offsets are in cells, of which the finer map has twice as many.
+        finer = 2 * rows if "sampling_offsets" in name else rows
+        found[name] = torch.cat([finer, rows], 1).flatten(0, 2)
+    return found
 
 
 def _linears(module: nn.Module) -> list[nn.Linear]:

@@ -1,11 +1,12 @@
 """Adversarial scenes among those that are learned from: whose they must be, and that nothing held out is learned."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from adapters.training.frame_store import FrameStore, build_frames
-from adapters.training.mixture import MixedFrames, require_made_from
+from adapters.training.mixture import IN_THE_WAY_M, FollowedAsRecorded, MixedFrames, require_made_from
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
@@ -61,6 +62,33 @@ def test_stores_end_to_end_give_the_frames_of_each(data: NuScenesData, adversari
             assert [each.index for each in clip] == list(range(max(index - 2, 0), index + 1))
             assert {each.scene for each in clip} == {name}
     assert mixed.identity != MixedFrames(stores[:1]).identity != stores[0].identity
+
+
+def test_of_adversarial_scenes_as_much_is_followed_as_of_the_recorded_ones(
+    data: NuScenesData, adversarial: Path, tmp_path: Path
+) -> None:
+    store = build_frames(adversarial, "adv", tmp_path / "adversarial")
+    recorded = build_frames(data.root, "train", tmp_path / "recorded")
+    sources = {f"{name}-0a": name for name in SCENES}
+    followed = FollowedAsRecorded(store, recorded, sources)
+    assert followed.scenes == store.scenes and len(followed) == len(store)
+    assert followed.identity not in (store.identity, recorded.identity)
+    hidden = recorded.followed(SCENES[0], 1)
+    hidden[2:] = False
+    first, second = (followed.frames_of(f"{name}-0a") for name in SCENES)
+    frame, untouched = followed.clip(first[1], 1)[0], store.frame(first[1])
+    assert frame.ego_future_valid.tolist() == [*untouched.ego_future_valid[:2].tolist(), False, False, False, False]
+    assert (frame.images == untouched.images).all()
+    assert (followed.frame(second[0]).ego_future_valid <= store.frame(second[0]).ego_future_valid).all()
+    recorded.followed(SCENES[0], 1)[:] = True
+    # Somebody stands where the ego will be after 1.5 s.
+    met = untouched.futures.clone()
+    met[0, :, :2] = untouched.ego_future[2]
+    near = (met[0, :6, :2] - untouched.ego_future).norm(dim=-1) < IN_THE_WAY_M
+    store.frame = lambda number: replace(untouched, futures=met, futures_valid=untouched.futures_valid | True)  # type: ignore[method-assign]
+    reached = int(near.int().argmax())
+    assert not followed.frame(first[1]).ego_future_valid[reached:].any()
+    assert followed.frame(first[1]).ego_future_valid[:reached].equal(untouched.ego_future_valid[:reached])
 
 
 def test_two_data_sets_with_the_same_scene_are_refused(data: NuScenesData, tmp_path: Path) -> None:

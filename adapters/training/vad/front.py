@@ -1,0 +1,148 @@
+"""How VAD-mini learns to see in the front camera where its lane is, before the rest of it learns anything."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from adapters.networks.vad.model import VAD
+from adapters.training.dense_targets import LANE_NUMBERS, lane_loss
+from adapters.training.frames import TrainingFrame
+from adapters.training.image_encoder import miniature_images
+from adapters.training.phases import Phase
+from adapters.training.trainer import Recipe
+
+COARSE: Final = "img_neck.lateral_convs.1."
+"""What the finer map has in common with the coarse one stays as it is."""
+FRONT: Final = 0
+"""Place of the front camera."""
+GAP_UNIT_M: Final = 10.0
+FARTHEST_GAP_M: Final = 40.0
+"""Metres of a number's 1, and beyond which nothing ahead matters yet."""
+OWN_HALF_WIDTH_M: Final = 1.0
+STANDING_M: Final = 0.05
+"""Who moves less in half a second stands still."""
+WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0}
+"""What each loss counts."""
+STRAIGHT: Final = 2
+"""The command that is neither right nor left."""
+
+
+class FrontObjective:
+    """`adapters.training.frames.Objective` for what the plan takes from the front camera: where lines are ahead.
+
+    A whole frame of the network costs fifty times one image, and four frames a step learn this too slowly.
+
+    Args:
+        network: One whose plan sees the front camera; its image network stays as it is.
+    """
+
+    clip_frames = 32
+
+    def __init__(self, network: VAD) -> None:
+        reader = network.pts_bbox_head.front_reader
+        assert reader is not None, "a network whose plan sees the front camera"
+        self.network, self.reader = network, reader
+        for name, parameter in network.img_neck.named_parameters(prefix="img_neck"):
+            if name.startswith(COARSE):
+                parameter.requires_grad_(False)
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """The losses of frames that need not belong together, as bright or dark as they may be.
+
+        Args:
+            clip: The frames.
+
+        Returns:
+            The terms of `front_losses`, weighted means over the frames.
+        """
+        images = miniature_images(torch.stack([frame.images[FRONT] for frame in clip]))
+        brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
+        contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
+        images = images * contrast + brightness
+        with torch.no_grad():
+            stages = self.network.img_backbone(images.contiguous(memory_format=torch.channels_last))
+        finest = self.network.img_neck(stages)[0]
+        each = [front_losses(self.reader(features)[0], frame) for features, frame in zip(finest, clip, strict=True)]
+        return {
+            name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()
+        }
+
+
+def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
+    """What the first numbers that the plan takes from the front camera have to say.
+
+    Args:
+        front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
+            straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`.
+        frame: The key frame.
+
+    Returns:
+        ``lane``, ``ahead`` and ``gap``: metres, squared metres and units of `GAP_UNIT_M`. The second is 0 where the
+        command is to turn, the last where it is not known which way the ego goes.
+    """
+    steps = len(frame.ego_future)
+    aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
+    counted = frame.ego_future_valid & (frame.command == STRAIGHT)
+    gap_m = gap_ahead(frame)
+    return {
+        "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),
+        "lane": lane_loss(front[:LANE_NUMBERS], frame),
+        "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
+    }
+
+
+def gap_ahead(frame: TrainingFrame) -> float | None:
+    """Room in front of the ego along the way that it takes, up to whatever is there now.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        Metres from the lidar to the nearest box on the way, `FARTHEST_GAP_M` at most; ``None`` where none is known.
+    """
+    if not frame.ego_future_valid.all():
+        return None
+    way = torch.cat([torch.zeros(1, 2), frame.ego_future])
+    far = way[-1] - way[-2] if float((way[-1] - way[-2]).norm()) > STANDING_M else torch.tensor([0.0, 1.0])
+    way = torch.cat([way, way[-1:] + FARTHEST_GAP_M * far / far.norm()])
+    pieces = way.diff(dim=0)
+    lengths = pieces.norm(dim=-1)
+    moving = lengths > STANDING_M
+    starts, pieces, lengths = way[:-1][moving], pieces[moving], lengths[moving]
+    begun = lengths.cumsum(0) - lengths
+    to_boxes = frame.boxes[:, None, :2] - starts
+    along = ((to_boxes * pieces).sum(-1) / lengths).clamp(min=0).minimum(lengths)
+    beside = (to_boxes - along[..., None] * (pieces / lengths[:, None])).norm(dim=-1)
+    nearest = beside.argmin(1)
+    rows = torch.arange(len(frame.boxes))
+    station = (begun + along)[rows, nearest]
+    # A box of any heading is as wide as its width and as long as its length: near enough for what is driven behind.
+    on_way = (beside[rows, nearest] < OWN_HALF_WIDTH_M + frame.boxes[:, 4] / 2) & (station > STANDING_M)
+    gaps = (station - frame.boxes[:, 3] / 2)[on_way]
+    return min(FARTHEST_GAP_M, max(0.0, float(gaps.min()))) if len(gaps) else FARTHEST_GAP_M
+
+
+def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
+    """Squared offset to the side, up to a metre; mean over the steps that count.
+
+    L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
+
+    Args:
+        found: (T,) metres.
+        wanted: (T,) metres.
+        counted: (T,) bool.
+
+    Returns:
+        A scalar.
+    """
+    error = F.huber_loss(found, wanted, reduction="none")
+    return (error * counted).sum() / max(int(counted.sum()), 1)
+
+
+def front_phase() -> Phase:
+    """The first part of the training of VAD-mini."""
+    recipe = Recipe(steps=2000, learning_rate=1e-3, warmup=50, average=0.99, scattered=True)
+    return Phase("front", FrontObjective, recipe)
