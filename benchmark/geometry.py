@@ -216,6 +216,21 @@ def quaternion_from_yaw(yaw_rad: Floats) -> Floats:
     return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
 
 
+def directions_of(vectors: Floats) -> Floats:
+    """Which way vectors point, to the last bit the same wherever they and the result lie in memory.
+
+    numpy has two ways to an arc tangent, whose last bits differ. Of a view it takes the one or the other by whether the
+    result happens to follow it in memory; of what lies together it always takes the same one.
+
+    Args:
+        vectors: (..., 2) x, y.
+
+    Returns:
+        (...) radians in [-pi, pi].
+    """
+    return np.asarray(np.arctan2(np.ascontiguousarray(vectors[..., 1]), np.ascontiguousarray(vectors[..., 0])))
+
+
 def yaw_of_quaternion(quaternion: Floats) -> Floats:
     """Heading of the rotated x axis, seen from above.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmark.geometry import Floats
+from benchmark.geometry import Floats, directions_of
 
 
 def waypoints_in_lidar(waypoints: Floats, frame: str, lidar_ahead_m: float | Floats) -> Floats:
@@ -72,11 +72,10 @@ def chord_headings(waypoints: Floats, *, start_heading_rad: float, hold_below_m:
     path = np.concatenate([start, waypoints], axis=-2)
     behind, ahead = path[..., :-1, :], np.concatenate([path[..., 2:, :], path[..., -1:, :]], axis=-2)
     chord = ahead - behind
-    long_enough = np.hypot(chord[..., 0], chord[..., 1]) >= hold_below_m
+    long_enough, directions = np.hypot(chord[..., 0], chord[..., 1]) >= hold_below_m, directions_of(chord)
     headings = np.empty(waypoints.shape[:-1])
     held = np.full(waypoints.shape[:-2], start_heading_rad, dtype=np.float64)
     for step in range(waypoints.shape[-2]):
-        direction = np.arctan2(chord[..., step, 1], chord[..., step, 0])
-        held = np.where(long_enough[..., step], direction, held)
+        held = np.where(long_enough[..., step], directions[..., step], held)
         headings[..., step] = held
     return headings

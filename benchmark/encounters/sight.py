@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.encounters.tracks import Integers, Tracks
-from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap
+from benchmark.geometry import Bools, Floats, box_corners, boxes_overlap, directions_of
 
 SIGHT_M: Final = 80.0
 HIDING_M: Final = 90.0
@@ -74,5 +74,5 @@ def _lines(first: Floats, second: Floats) -> Floats:
     """Segments between points as boxes without width."""
     step = second - first
     zero = np.zeros(step.shape[:-1])
-    length, heading = np.hypot(step[..., 0], step[..., 1]), np.arctan2(step[..., 1], step[..., 0])
+    length, heading = np.hypot(step[..., 0], step[..., 1]), directions_of(step)
     return np.concatenate([first + 0.5 * step, np.stack([length, zero, heading], axis=-1)], axis=-1)

@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, Polygon
 
-from benchmark.geometry import Bools, Floats, wrap_angle
+from benchmark.geometry import Bools, Floats, directions_of, wrap_angle
 from benchmark.pdm.road import Layer, Road
 from benchmark.road_map import Lane, RoadMap, as_multipolygon
 
@@ -164,7 +164,7 @@ def _headed(points: Floats) -> Floats:
     """(M, 3) points of a polyline at most a metre apart, each with the direction of its piece."""
     line = _resampled(points, LINE_STEP_M)
     step = np.diff(line, axis=0)
-    heading = np.arctan2(step[:, 1], step[:, 0])
+    heading = directions_of(step)
     return np.column_stack([line, np.concatenate([heading, heading[-1:]])])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import EGO_BOX_FROM_LIDAR_M, EGO_LENGTH_M, EGO_WIDTH_M
-from benchmark.geometry import Bools, Floats
+from benchmark.geometry import Bools, Floats, directions_of
 from benchmark.protocols.raster import Cells
 
 CELLS: Final = 1000
@@ -55,7 +55,7 @@ def step_headings(waypoints: Floats, *, moving_m: float) -> Floats:
         (..., 6) radians.
     """
     step = np.diff(waypoints, axis=-2, prepend=0.0)
-    heading = np.arctan2(step[..., 1], step[..., 0])
+    heading = directions_of(step)
     return np.where(np.hypot(step[..., 0], step[..., 1]) < moving_m, 0.0, heading)
 
 

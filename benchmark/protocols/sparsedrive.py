@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEPS
-from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints
+from benchmark.geometry import Bools, Floats, boxes_overlap, directions_of, ego_footprints
 from benchmark.protocols.averages import means_up_to
 from benchmark.protocols.contract import Outcomes
 from benchmark.protocols.stacked import StackedTruths, displacement, stack
@@ -72,7 +72,7 @@ class SparseDrive:
         path = np.concatenate([np.zeros((len(plans), 1, 2)), plans], axis=1)
         ahead = np.concatenate([path[:, 2:], path[:, -1:]], axis=1)
         step = ahead - path[:, :-1]
-        return np.where(standing[:, None], np.pi / 2, np.arctan2(step[..., 1], step[..., 0]))
+        return np.where(standing[:, None], np.pi / 2, directions_of(step))
 
     def evaluate(self, truths: Sequence[SampleTruth], plans_lidar: Floats) -> Outcomes:
         """Judge plans.

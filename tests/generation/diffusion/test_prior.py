@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,7 +80,7 @@ def test_fresh_samples_cost_few_network_calls(monkeypatch: pytest.MonkeyPatch) -
     rows: list[int] = []
     forward = TrajectoryDenoiser.forward
 
-    def counted(self: TrajectoryDenoiser, noisy: torch.Tensor, *told: torch.Tensor) -> torch.Tensor:
+    def counted(self: TrajectoryDenoiser, noisy: torch.Tensor, *told: Any) -> torch.Tensor:
         rows.append(len(noisy))
         return forward(self, noisy, *told)
 
