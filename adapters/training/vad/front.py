@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from adapters.networks.vad.head import FRONT
 from adapters.networks.vad.model import VAD
 from adapters.training.dense_targets import LANE_NUMBERS, lane_loss
 from adapters.training.frames import TrainingFrame
@@ -16,8 +17,6 @@ from adapters.training.trainer import Recipe
 
 COARSE: Final = "img_neck.lateral_convs.1."
 """What the finer map has in common with the coarse one stays as it is."""
-FRONT: Final = 0
-"""Place of the front camera."""
 GAP_UNIT_M: Final = 10.0
 FARTHEST_GAP_M: Final = 40.0
 """Metres of a number's 1, and beyond which nothing ahead matters yet."""
