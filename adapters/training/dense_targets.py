@@ -24,7 +24,8 @@ DENSE_GAIN: Final = 4.0
 """From a normalised channel of the view to a logit."""
 LINES_WITHIN_M: Final = (15.0, 30.0)
 """x and y up to which map elements are annotated."""
-OFFSET_KINDS: Final = (0, 2)
+DIVIDER, _, BOUNDARY = range(len(MAP_CLASSES))
+OFFSET_KINDS: Final = (DIVIDER, BOUNDARY)
 """Map elements along which one drives: dividers and boundaries of the road."""
 LANE_AHEAD_M: Final = (4.0, 10.0, 18.0)
 LANE_WITHIN_M: Final = 5.0
@@ -157,13 +158,26 @@ def offsets_to_lines(points: Tensor, lines: Tensor) -> Tensor:
     Returns:
         (N, 2) metres.
     """
+    offsets, _ = offsets_to_pieces(points, lines)
+    nearest = offsets.square().sum(-1).argmin(1)
+    return offsets[torch.arange(len(points)), nearest]
+
+
+def offsets_to_pieces(points: Tensor, lines: Tensor) -> tuple[Tensor, Tensor]:
+    """From each point to the nearest one of every piece of lines.
+
+    Args:
+        points: (N, 2) metres.
+        lines: (M, P, 2) metres.
+
+    Returns:
+        (N, M (P - 1), 2) metres, and the pieces, (M (P - 1), 2) from their starts to their ends.
+    """
     starts, ends = lines[:, :-1].flatten(0, 1), lines[:, 1:].flatten(0, 1)
     along = ends - starts
     to_points = points[:, None] - starts
     shares = (to_points * along).sum(-1) / along.square().sum(-1).clamp(min=1e-9)
-    offsets = shares.clamp(0, 1)[..., None] * along - to_points
-    nearest = offsets.square().sum(-1).argmin(1)
-    return offsets[torch.arange(len(points)), nearest]
+    return shares.clamp(0, 1)[..., None] * along - to_points, along
 
 
 def _near_lines(centres: Tensor, lines: Tensor, half_cell_m: Tensor) -> Tensor:

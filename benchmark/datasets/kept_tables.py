@@ -20,9 +20,9 @@ from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, read_sc
 from benchmark.datasets.schema import FaultList, Refusal
 from benchmark.datasets.stored_rows import StoredRows, stamp_while_open
 from benchmark.foreign.limits import TABLE
-from benchmark.machine.kept_arrays import read_arrays, said_of, write_arrays
+from benchmark.machine.kept_arrays import kept_place, read_arrays, said_of, write_arrays
 from benchmark.machine.storage import content_key, file_sha256, parse_json
-from benchmark.machine.user_cache import Stamp, cache_root, is_settled, stamp_of
+from benchmark.machine.user_cache import Stamp, is_settled, stamp_of
 
 WORTH_BYTES: Final = 1 << 24
 """Tables of less are parsed in less time than anybody notices."""
@@ -70,11 +70,7 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
 
 def kept_at(folder: Path) -> Path | None:
     """Where what is known of a version folder is kept; nowhere where the user has no home."""
-    try:
-        root = cache_root()
-    except RuntimeError:
-        return None
-    return root / _FOLDER / f"{content_key(str(folder.resolve()))[:32]}.arrays"
+    return kept_place(_FOLDER, folder)
 
 
 def digests_beside(kept: Path) -> Path:

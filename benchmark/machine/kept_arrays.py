@@ -17,12 +17,30 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.foreign.files import open_file
 from benchmark.foreign.limits import KEPT_ARRAYS
-from benchmark.machine.storage import canonical_json, only_writer, parse_json, write_parts
+from benchmark.machine.storage import canonical_json, content_key, only_writer, parse_json, write_parts
+from benchmark.machine.user_cache import cache_root
 
 _MAGIC: Final = b"kept arrays 1\n\0\0"
 _LENGTH: Final = struct.Struct("<Q")
 _ALIGNED: Final = 64
 _LONGEST_HEAD: Final = 1 << 20
+
+
+def kept_place(folder: str, known_by: Path) -> Path | None:
+    """Where arrays that are made of a file or folder are kept.
+
+    Args:
+        folder: Of the user's cache, for arrays of one kind.
+        known_by: The file or folder.
+
+    Returns:
+        The file; nowhere where the user has no home.
+    """
+    try:
+        root = cache_root()
+    except RuntimeError:
+        return None
+    return root / folder / f"{content_key(str(known_by.resolve()))[:32]}.arrays"
 
 
 def write_arrays(path: Path, made_of: str, said: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bool:

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from benchmark.errors import InputError
 from benchmark.foreign.files import open_file
 from benchmark.foreign.limits import RECORD
-from benchmark.machine.kept_arrays import read_arrays, said_of, write_arrays
+from benchmark.machine.kept_arrays import kept_place, read_arrays, said_of, write_arrays
 from benchmark.machine.storage import content_key, file_sha256, parse_json
-from benchmark.machine.user_cache import cache_root
 from benchmark.records.column_arrays import Arrays, Name
 from benchmark.records.rows import Rows
 
@@ -82,11 +81,7 @@ def keep_rows(path: Path, sha256: str, rows: Rows) -> Rows:
 
 def kept_at(rows: Path) -> Path | None:
     """Where what is known of a file of rows is kept; nowhere where the user has no home."""
-    try:
-        root = cache_root()
-    except RuntimeError:
-        return None
-    return root / _FOLDER / f"{content_key(str(rows.resolve()))[:32]}.arrays"
+    return kept_place(_FOLDER, rows)
 
 
 def _made_of(sha256: str) -> str:

@@ -14,6 +14,7 @@ from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
+from benchmark.planning import Command
 
 COARSE: Final = "img_neck.lateral_convs.1."
 """What the finer map has in common with the coarse one stays as it is."""
@@ -25,8 +26,6 @@ STANDING_M: Final = 0.05
 """Who moves less in half a second stands still."""
 WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0}
 """What each loss counts."""
-STRAIGHT: Final = 2
-"""The command that is neither right nor left."""
 
 
 class FrontObjective:
@@ -84,7 +83,7 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
     """
     steps = len(frame.ego_future)
     aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
-    counted = frame.ego_future_valid & (frame.command == STRAIGHT)
+    counted = frame.ego_future_valid & (frame.command == Command.STRAIGHT)
     gap_m = gap_ahead(frame)
     return {
         "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),

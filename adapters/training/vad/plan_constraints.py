@@ -8,7 +8,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from adapters.networks.vad.selection import MAP_CLASSES
+from adapters.training.dense_targets import BOUNDARY, DIVIDER, offsets_to_pieces
 from adapters.training.frames import TrainingFrame
 
 AGENT_ASIDE_M: Final = 1.5
@@ -20,7 +20,6 @@ LANE_M: Final = 2.0
 """Distance up to which a divider says where lanes lead."""
 MOVES_M: Final = 0.5
 """Steps that are shorter have no direction."""
-_DIVIDER, _, _BOUNDARY = range(len(MAP_CLASSES))
 
 
 def agent_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
@@ -48,7 +47,7 @@ def agent_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
 
 def boundary_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
     """How much too near the plan comes to the boundary; arguments and result as in `agent_constraint`."""
-    boundaries = frame.lines[frame.line_labels == _BOUNDARY]
+    boundaries = frame.lines[frame.line_labels == BOUNDARY]
     if not len(boundaries):
         return plan.sum() * 0
     distance = _to_pieces(plan, boundaries)[0].amin(-1)
@@ -65,7 +64,7 @@ def direction_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
     Returns:
         A scalar, 0 to 1, mean over steps.
     """
-    dividers = frame.lines[frame.line_labels == _DIVIDER]
+    dividers = frame.lines[frame.line_labels == DIVIDER]
     if not len(dividers):
         return plan.sum() * 0
     moves = torch.diff(plan, dim=0, prepend=torch.zeros_like(plan[:1]))
@@ -79,10 +78,6 @@ def direction_constraint(plan: Tensor, frame: TrainingFrame) -> Tensor:
 
 def _to_pieces(points: Tensor, lines: Tensor) -> tuple[Tensor, Tensor]:
     """(T, S) distances of points to all S pieces of lines, and (S, 2) unit vectors along the pieces."""
-    starts = lines[:, :-1].flatten(0, 1)
-    vectors = (lines[:, 1:] - lines[:, :-1]).flatten(0, 1)
+    offsets, vectors = offsets_to_pieces(points, lines)
     squares = vectors.square().sum(-1).clamp(min=1e-9)
-    offsets = points[:, None] - starts
-    along = ((offsets * vectors).sum(-1) / squares).clamp(0, 1)
-    apart = (offsets - along[..., None] * vectors).square().sum(-1)
-    return (apart + 1e-9).sqrt(), vectors / squares.sqrt()[:, None]
+    return (offsets.square().sum(-1) + 1e-9).sqrt(), vectors / squares.sqrt()[:, None]
