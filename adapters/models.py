@@ -331,7 +331,10 @@ _MINIATURES: Final = (
         _UNIAD_PLANNER,
         replace(_UNIAD, config="adapters.networks.uniad.config:UniADConfig.miniature", fitted=False),
         miniature=Miniature(
-            ("uniad",), "adapters.training.uniad.start:untrained", "adapters.training.uniad.objective:phases"
+            ("uniad",),
+            "adapters.training.uniad.start:untrained",
+            "adapters.training.uniad.objective:phases",
+            "adapters.training.uniad.start:seen_by_vad",
         ),
         native_protocol="uniad",
     ),

@@ -311,6 +311,23 @@ def plan_loss(plan: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
     return ((plan - wanted).abs().sum(-1) * valid).sum() / max(int(valid.sum()), 1)
 
 
+def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
+    """Squared offset to the side, up to a metre; mean over the steps that count.
+
+    L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
+
+    Args:
+        found: (..., T) metres.
+        wanted: (..., T) metres.
+        counted: (..., T) bool.
+
+    Returns:
+        A scalar.
+    """
+    error = F.huber_loss(found, wanted, reduction="none")
+    return (error * counted).sum() / max(int(counted.sum()), 1)
+
+
 def dice_loss(logits: Tensor, targets: Tensor) -> Tensor:
     """One minus the overlap of masks (V-Net, 3DV 2016).
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from benchmark.api.opening import OUT, open_data, open_split, workspace
 from benchmark.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -66,7 +67,6 @@ def write_drive_films(
     Raises:
         InputError: If there is no such drive, the data set is another one, or a film cannot be written.
     """
-    from benchmark import api
     from benchmark.closed_loop.engines import rides_as
     from benchmark.runs.drive_sheets import driven_sheet
     from leaderboard.films.drive_film import DRIVE_FPS
@@ -78,9 +78,9 @@ def write_drive_films(
         raise InputError(f"there are no films of {form!r}; there are {', '.join(each.value for each in FilmFormat)}")
     if form == FilmFormat.WEBM:
         require_webm()
-    out = out or api.OUT
+    out = out or OUT
     chosen = _chosen(_Asked(data, split, out, records, models, scenes, limit))
-    driven_on = api.open_split(api.open_data(data, tables=tables, out=out), split, out)
+    driven_on = open_split(open_data(data, tables=tables, out=out), split, out)
     how, watched = settings or FilmSettings(fps=DRIVE_FPS), {} if watch is None else {"watch": watch}
     for record, name, rows in chosen:
         measured = record.facts.measured
@@ -105,12 +105,11 @@ def _sensor(record: "DriveRecord") -> "Sensor | None":
 
 def _chosen(asked: _Asked) -> "list[tuple[DriveRecord, str, list[DriveRow]]]":
     """Records, names of their planners and drives."""
-    from benchmark import api
     from benchmark.records.drives import find_drives
     from benchmark.records.planner_versions import labels
     from leaderboard.films.filming import data_set_name
 
-    root = api.workspace(asked.out).drive_root()
+    root = workspace(asked.out).drive_root()
     again = f"make some with: challenger-bench drive --data {asked.data} --split {asked.split} --out {asked.out}"
     if asked.records is None and not root.is_dir():
         raise InputError(f"there are no records of drives below {root}; {again}")

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from benchmark.api.planners import model_that_runs
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
@@ -43,7 +45,6 @@ def serve_planner(
         InputError: If the planner cannot be built or wants what is not on the wire, or the port is taken.
     """
     from adapters.registry import is_foreign, planner, planner_factory
-    from benchmark.api import model_that_runs
     from benchmark.closed_loop.wire.server import PlannerServer
     from benchmark.closed_loop.wire.session import Session
     from benchmark.machine.pages import keep_pages_of

@@ -69,7 +69,8 @@ def desk(tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": (first,)}))
     monkeypatch.setattr("generation.sources.mini.TownSettings", small)
     monkeypatch.setattr("generation.splits.cached.newest_split", lambda *_: few)
-    monkeypatch.setattr("benchmark.api.worker_count", lambda _: 1)
+    for place in ("benchmark.api", "benchmark.api.opening", "benchmark.api.planners"):
+        monkeypatch.setattr(f"{place}.worker_count", lambda _: 1)
     monkeypatch.setenv("CHALLENGER_BENCH_CACHE", str(tiny / "cache"))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.syspath_prepend(str(tmp_path))

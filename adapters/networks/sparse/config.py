@@ -58,6 +58,8 @@ class SparseConfig:
         reported_lines: Map elements that are reported.
         speed_from_poses: Whether the planner reads how fast the ego drives from where it was in the frame before; the
             published ones take what they said about it themselves then, and need a long training to know it.
+        plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside what the ego
+            takes from its coarsest one; the published networks have none.
         memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
             models: there time alone decides how much of it is used, and a stale memory is still attended to once.
         reporting: Which of its boxes count as what it expects.
@@ -95,6 +97,7 @@ class SparseConfig:
     reported_boxes: int = 300
     reported_lines: int = 100
     speed_from_poses: bool = False
+    plan_sees_front: int = 0
     memory_crosses_scenes: bool = True
     reporting: Reporting = PUBLISHED
 
@@ -164,6 +167,7 @@ class SparseConfig:
             reported_boxes=60,
             reported_lines=16,
             speed_from_poses=True,
+            plan_sees_front=64,
             memory_crosses_scenes=False,
             # On scenes of a town that was not learned from: the least score whose F1 is within 0.01 of the largest.
             reporting=Reporting(least_score=0.22, apart=0.5),

@@ -151,7 +151,8 @@ class DiffusionPlanner(Planner):
         """
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
-        ego = found.tokens[-1:]
+        front, told = self.read_front(scene.finest_front)
+        ego = found.tokens[-1:] if told is None else found.tokens[-1:] + told
         context = PlanContext(
             scene.cameras, found.embeddings[-1:], found.watched, self.plan_queries(ego)[scene.command]
         )
@@ -168,6 +169,7 @@ class DiffusionPlanner(Planner):
             queue,
             self.remember(scene, queue, found.features[-1:], status),
             steps,
+            front,
         )
 
     def denoise(self, context: PlanContext, anchors: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:

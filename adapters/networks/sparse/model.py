@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.config import STAGES, SparseConfig
@@ -88,7 +89,7 @@ class SparseHead(nn.Module):
     def forward(
         self,
         cameras: CameraFeatures,
-        front: Tensor,
+        fronts: tuple[Tensor, Tensor],
         pose: KeyframePose,
         command: int,
         noise: Tensor,
@@ -98,7 +99,7 @@ class SparseHead(nn.Module):
 
         Args:
             cameras: What they saw.
-            front: (1, C, h, w) coarsest feature map of the front camera.
+            fronts: (1, C, h, w) coarsest and finest feature map of the front camera.
             pose: When and where.
             command: 0 right, 1 left, 2 straight.
             noise: (modes, steps, 2) for the diffusion planner.
@@ -107,7 +108,7 @@ class SparseHead(nn.Module):
         Returns:
             Everything that was computed, and what to leave for the next frame.
         """
-        motion = KeyframeMotion.between(past.pose, pose, front.device) if past else None
+        motion = KeyframeMotion.between(past.pose, pose, fronts[0].device) if past else None
         agents, kept_agents = self.det_head(cameras, past.agents if past else None, motion)
         lines, kept_lines = self.map_head(cameras, past.lines if past else None, motion)
         ids, tracks = number_instances(
@@ -118,7 +119,8 @@ class SparseHead(nn.Module):
             lines=lines,
             ids=ids,
             cameras=cameras,
-            front=front,
+            front=fronts[0],
+            finest_front=fronts[1],
             command=command,
             box_encoder=self.det_head.anchor_encoder,
             past=past.queue if past else None,
@@ -191,8 +193,9 @@ class SparseNetwork(nn.Module):
         cameras = CameraFeatures.of(maps, projections, config.image_height_px, config.image_width_px)
         drawn = self.frame_noise(inputs) if noise is None else noise
         predictions: SparsePredictions
+        fronts = maps[-1][FRONT : FRONT + 1], maps[0][FRONT : FRONT + 1]
         predictions, self.memory = self.head(
-            cameras, maps[-1][:1], pose_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
+            cameras, fronts, pose_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
         )
         return predictions
 

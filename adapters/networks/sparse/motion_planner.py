@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.attention import ResidualAttention
 from adapters.networks.layers.branches import plain_branch
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import heading_of
 from adapters.networks.sparse.branches import (
@@ -35,6 +36,7 @@ class Scene:
         ids: (N,) numbers of the agents.
         cameras: What they saw.
         front: (1, C, h, w) coarsest feature map of the front camera.
+        finest_front: (1, C, h, w) its finest one.
         command: 0 right, 1 left, 2 straight.
         box_encoder: Embeds boxes.
         past: What the planner left in the frame before.
@@ -46,6 +48,7 @@ class Scene:
     ids: Tensor
     cameras: CameraFeatures
     front: Tensor
+    finest_front: Tensor
     command: int
     box_encoder: nn.Module
     past: QueueMemory | None
@@ -86,6 +89,7 @@ class PlannerPredictions:
         queue: Agents and the ego over the last frames.
         memory: What to leave for the next frame.
         denoising: What the diffusion planner did; empty for the other one.
+        front: (1, numbers) what the plan took from the front camera's finest map; ``None`` if it does not look there.
     """
 
     motion_logits: Tensor
@@ -96,6 +100,7 @@ class PlannerPredictions:
     queue: Queue
     memory: QueueMemory
     denoising: Mapping[str, Tensor]
+    front: Tensor | None = None
 
 
 class MotionRefinement(nn.Module):
@@ -154,6 +159,8 @@ class Planner(nn.Module):
         self.fc_after = nn.Linear(2 * channels, channels, bias=False)
         self.motion_anchor_encoder = point_encoder(channels, channels)
         self.plan_anchor_encoder = point_encoder(channels, channels)
+        numbers = config.plan_sees_front
+        self.front_reader = FrontReader(channels, numbers, channels) if numbers else None
 
     @property
     def interaction(self) -> nn.ModuleList:
@@ -261,6 +268,20 @@ class Planner(nn.Module):
         sine, cosine = heading.sin(), heading.cos()
         x, y = anchors.unbind(-1)
         return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+
+    def read_front(self, finest: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        """What plans take from the front camera.
+
+        Args:
+            finest: (B, C, h, w) feature maps.
+
+        Returns:
+            (B, numbers), and (B, C) what is added to the tokens of the egos; nothing where they do not look there.
+        """
+        if self.front_reader is None:
+            return None, None
+        numbers = self.front_reader(finest)
+        return numbers, self.front_reader.tell(numbers)
 
     def plan_queries(self, ego: Tensor) -> Tensor:
         """(commands, modes, C) tokens, one for each plan that is thought of, from that of the ego, (1, C)."""

@@ -24,7 +24,8 @@ class RegressionPlanner(Planner):
         """
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
-        ego = found.tokens[-1:]
+        front, told = self.read_front(scene.finest_front)
+        ego = found.tokens[-1:] if told is None else found.tokens[-1:] + told
         queries = self.plan_queries(ego)
         motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
         status = self.refinement.plan_status_branch(ego)[0].float()
@@ -37,4 +38,5 @@ class RegressionPlanner(Planner):
             queue,
             self.remember(scene, queue, found.features[-1:], status),
             {},
+            front,
         )

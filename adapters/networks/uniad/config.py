@@ -16,7 +16,7 @@ MAP_OFFSETS: Final = "seg_head.transformer.encoder.layers.0.attentions.0.samplin
 class UniADConfig(BEVConfig):
     """Sizes of UniAD, beside those of all networks with a bird's-eye view.
 
-    Rows and columns of the view are multiples of 8, and it reads 3 or more feature maps of an image.
+    Rows and columns of the view are multiples of 8.
 
     Attributes:
         occupancy_feedforward_channels: Hidden width of the feed-forward blocks in the decoder of the occupancy head.
@@ -33,6 +33,7 @@ class UniADConfig(BEVConfig):
         occupancy_steps: The present and steps of 0.5 s after it.
         plan_layers: Layers of the planner.
         plan_steps: Planned steps of 0.5 s.
+        backbone_outputs: Stages (0 to 3) that feed the feature pyramid.
         backbone_style: Which convolution of a block of the image network strides, as in
             `adapters.networks.layers.resnet.Bottleneck`.
         deformable_stages: Stages of the image network whose 3 x 3 convolutions are deformable.
@@ -44,6 +45,8 @@ class UniADConfig(BEVConfig):
         image_format: Its images.
         motion_across_scenes: Whether the first key frame of a scene is told the motion from wherever the ego was last
             (in the very first, from the origin), as the published network is; else that it has not moved.
+        plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside the
+            bird's-eye view; the published network has none.
         counterclockwise_yaw: Whether the yaw of boxes is the heading plus a quarter turn. The published network's is
             the negative of that, so that it turns the anchors of agents that cross to the wrong side.
     """
@@ -67,6 +70,7 @@ class UniADConfig(BEVConfig):
     plan_layers: int = 3
     plan_steps: int = 6
     backbone_blocks: tuple[int, int, int, int] = (3, 4, 23, 3)
+    backbone_outputs: tuple[int, ...] = (1, 2, 3)
     backbone_style: Literal["pytorch", "caffe"] = "caffe"
     deformable_stages: tuple[int, ...] = (2, 3)
     pyramid_levels: int = 4
@@ -78,6 +82,7 @@ class UniADConfig(BEVConfig):
     tracks_apart: float = 0.0
     image_format: ImageFormat = PUBLISHED_IMAGE
     motion_across_scenes: bool = True
+    plan_sees_front: int = 0
     counterclockwise_yaw: bool = False
 
     @classmethod
@@ -87,18 +92,18 @@ class UniADConfig(BEVConfig):
 
     @classmethod
     def miniature(cls) -> Self:
-        """A network that two processor cores train in less than an hour; its weights come with this package."""
+        """A network that two processor cores can train; its eyes are those of VAD-mini, which it starts from."""
         return cls(
-            bev_rows=24,
+            bev_rows=32,
             bev_columns=24,
-            perception_range_m=(-30.0, -30.0, -2.6, 30.0, 30.0, 0.6),
-            channels=48,
-            feedforward_channels=96,
-            occupancy_feedforward_channels=96,
-            heads=4,
+            perception_range_m=(-30.0, -32.0, -2.5, 30.0, 32.0, 0.5),
+            channels=64,
+            feedforward_channels=128,
+            occupancy_feedforward_channels=128,
+            heads=2,
             encoder_layers=1,
             decoder_layers=2,
-            queries=80,
+            queries=50,
             map_queries=24,
             map_layers=1,
             map_levels=1,
@@ -108,9 +113,10 @@ class UniADConfig(BEVConfig):
             plan_layers=2,
             backbone_blocks=(1, 1, 1, 1),
             backbone_width=16,
+            backbone_outputs=(1, 2),
             backbone_style="pytorch",
             deformable_stages=(),
-            pyramid_levels=3,
+            pyramid_levels=2,
             height_points=2,
             image_points=4,
             bev_points=2,
@@ -119,11 +125,12 @@ class UniADConfig(BEVConfig):
             occupancy_half_m=12.0,
             # Its occupancy is faint everywhere: at 0.1 the plan would be moved away from nothing.
             occupied_above=0.2,
-            rotation_centre=(12.0, 12.0),
+            rotation_centre=(12.0, 16.0),
             image_format=MINIATURE_IMAGE,
             # It finds again what it follows already: tracks would pile up, over twenty of them after 10 s.
             tracks_apart=0.5,
             motion_across_scenes=False,
+            plan_sees_front=64,
             counterclockwise_yaw=True,
         )
 

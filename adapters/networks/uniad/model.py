@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.ego_motion import CAN_BUS, EgoMotion
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.uniad.bev import DetectionHead
 from adapters.networks.uniad.collision_optimiser import MovedPlan, Solver, move_plan
@@ -32,7 +33,6 @@ __all__ = ["UniAD", "UniADInputs", "UniADOutputs"]
 
 VEHICLE_CLASSES = (0, 1, 2, 3, 4, 6, 7)
 """What the occupancy is of: all but barriers, pedestrians and cones."""
-BACKBONE_OUTPUTS = (1, 2, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +81,12 @@ class UniAD(nn.Module):
         self.pts_bbox_head = DetectionHead(config)
         self.img_backbone = ResNet(
             config.backbone_blocks,
-            BACKBONE_OUTPUTS,
+            config.backbone_outputs,
             config.backbone_width,
             config.backbone_style,
             config.deformable_stages,
         )
-        widths = [config.backbone_width * EXPANSION * 2**stage for stage in BACKBONE_OUTPUTS]
+        widths = [config.backbone_width * EXPANSION * 2**stage for stage in config.backbone_outputs]
         self.img_neck = FeaturePyramid(widths, channels, config.pyramid_levels)
         self.query_embedding = nn.Embedding(config.queries + 1, 2 * channels)
         self.reference_points = nn.Linear(channels, 3)
@@ -200,7 +200,12 @@ class UniAD(nn.Module):
             tracks.scores[vehicles],
         )
         plan = self.planning_head(
-            bev, self.pts_bbox_head.positional_encoding(), forecasts.queries[-1, -1], ego.states[0], inputs.command
+            bev,
+            self.pts_bbox_head.positional_encoding(),
+            forecasts.queries[-1, -1],
+            ego.states[0],
+            inputs.command,
+            maps[0][FRONT : FRONT + 1],
         )
         self._memory = Memory(inputs.scene_token, bev, next_instances, pose)
         self._can_bus = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.uniad.config import UniADConfig
 
 
@@ -16,11 +17,13 @@ class UniADPlan:
         fused: (modes, C) the ego's modes with track and command.
         attended: (C,) the ego after looking at the bird's-eye view.
         positions_m: (steps, 2) of the lidar in the lidar frame, 0.5 s to 3 s ahead.
+        front: (1, numbers) what the plan took from the front camera; ``None`` if it does not look there.
     """
 
     fused: Tensor
     attended: Tensor
     positions_m: Tensor
+    front: Tensor | None
 
 
 class PlanningHead(nn.Module):
@@ -38,6 +41,8 @@ class PlanningHead(nn.Module):
         self.attn_module = nn.TransformerDecoder(layer, config.plan_layers)
         self.mlp_fuser = nn.Sequential(nn.Linear(3 * channels, channels), nn.LayerNorm(channels), nn.ReLU())
         self.pos_embed = nn.Embedding(1, channels)
+        numbers = config.plan_sees_front
+        self.front_reader = FrontReader(channels, numbers, 2 * channels) if numbers else None
         self.bev_adapter = nn.Sequential(
             *(
                 nn.Sequential(
@@ -48,7 +53,13 @@ class PlanningHead(nn.Module):
         )
 
     def forward(
-        self, bev: Tensor, bev_positions: Tensor, mode_queries: Tensor, state: Tensor, command: int
+        self,
+        bev: Tensor,
+        bev_positions: Tensor,
+        mode_queries: Tensor,
+        state: Tensor,
+        command: int,
+        finest_front: Tensor,
     ) -> UniADPlan:
         """Plan.
 
@@ -58,10 +69,16 @@ class PlanningHead(nn.Module):
             mode_queries: (modes, C) forecast states of the ego.
             state: (C,) its track.
             command: 0 right, 1 left, 2 straight.
+            finest_front: (1, C, h, w) finest feature map of the front camera.
 
         Returns:
             The plan.
         """
+        front, told = None, None
+        if self.front_reader is not None:
+            front = self.front_reader(finest_front)
+            to_state, told = self.front_reader.tell(front)[0].chunk(2)
+            state = state + to_state
         shared = torch.cat([state, self.navi_embed.weight[command]]).expand(len(mode_queries), -1)
         fused = self.mlp_fuser(torch.cat([mode_queries, shared], -1))
         query = fused.amax(0, keepdim=True) + self.pos_embed.weight
@@ -69,5 +86,7 @@ class PlanningHead(nn.Module):
         image = (bev + bev_positions).view(1, rows, columns, -1).permute(0, 3, 1, 2)
         image = image + self.bev_adapter(image)
         attended = self.attn_module(query[None], image.flatten(2).transpose(1, 2))[0, 0]
+        if told is not None:
+            attended = attended + told
         steps = self.reg_branch(attended).float().view(self.config.plan_steps, 2)
-        return UniADPlan(fused, attended, steps.cumsum(0))
+        return UniADPlan(fused, attended, steps.cumsum(0), front)

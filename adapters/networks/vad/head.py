@@ -1,9 +1,6 @@
 """The head of VAD: bird's-eye view, agents, map, forecasts and plan, in this order and under the published names."""
 
-import math
-
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from adapters.networks.layers.attention import CrossAttentionDecoder
@@ -11,45 +8,13 @@ from adapters.networks.layers.branches import LaneEncoder, normalised_branch, pl
 from adapters.networks.layers.coders import box_codes, line_extent, metres
 from adapters.networks.layers.deformable_decoder import Decoded
 from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.layers.positional import LearnedGridEncoding
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.networks.vad.transformer import VADTransformer
 
 BOX_CODE = 10
-FRONT = 0
-"""Place of the front camera."""
-FRONT_CELLS = 4, 7
-"""Rows and columns of what the plan looks at there; those of images of 224 x 128."""
-NARROW = 32
-"""Channels of what the plan makes of the front camera's map."""
-
-
-class FrontReader(nn.Module):
-    """What the plan of a small network takes from the front camera's finest feature map, as SparseDrive's plan does.
-
-    A cell of a small bird's-eye view is larger than a lane is off its middle; in the image it is some pixels.
-
-    Args:
-        config: Sizes. The map is halved twice, and brought to `FRONT_CELLS` where it is not as large by then.
-    """
-
-    def __init__(self, config: VADConfig) -> None:
-        super().__init__()
-        self.convs = nn.ModuleList([nn.Conv2d(config.channels, NARROW, 3, 2, 1), nn.Conv2d(NARROW, NARROW, 3, 2, 1)])
-        numbers = config.plan_sees_front
-        self.read = nn.Sequential(
-            nn.Linear(math.prod(FRONT_CELLS) * NARROW, 2 * NARROW), nn.ReLU(), nn.Linear(2 * NARROW, numbers)
-        )
-        self.tell = nn.Linear(numbers, 2 * config.channels)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """(C, h, w) to (1, numbers)."""
-        found = features[None]
-        for convolution in self.convs:
-            found = F.relu(convolution(found))
-        result: Tensor = self.read(F.adaptive_avg_pool2d(found, FRONT_CELLS).flatten(1))
-        return result
 
 
 class VADHead(nn.Module):
@@ -87,7 +52,8 @@ class VADHead(nn.Module):
         self.ego_map_decoder = CrossAttentionDecoder(*cross)
         self.ego_map_pos_mlp = nn.Linear(2, channels)
         self.ego_fut_decoder = plain_branch(2 * channels, config.commands * config.steps * 2)
-        self.front_reader = FrontReader(config) if config.plan_sees_front else None
+        numbers = config.plan_sees_front
+        self.front_reader = FrontReader(channels, numbers, 2 * channels) if numbers else None
         self.agent_fus_mlp = nn.Sequential(
             nn.Linear(config.modes * 2 * channels, channels),
             nn.LayerNorm(channels),
@@ -113,7 +79,7 @@ class VADHead(nn.Module):
         seen = map_logits[-1].sigmoid().amax(-1) > self.config.lane_score
         forecasts = self._forecast(agents.states[-1], agent_places, lane_features, lane_places, seen)
         mode_offsets = self.traj_branches[0](forecasts).float()
-        front = None if self.front_reader is None else self.front_reader(maps[0][FRONT])
+        front = None if self.front_reader is None else self.front_reader(maps[0][FRONT : FRONT + 1])
         plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places, front)
 
         lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]

@@ -11,6 +11,7 @@ from adapters.networks.sparse.decoder import Decoded, Stage
 from adapters.networks.sparse.queue import FORWARD_SPEED
 from adapters.training.losses import (
     Matches,
+    aside_loss,
     assigned,
     box_loss,
     class_cost,
@@ -38,6 +39,8 @@ FORECAST_CLASS: Final = 0.5
 PLAN: Final = 0.5
 CHOSEN: Final = 1.0
 PLAN_CLASS: Final = 0.5
+ASIDE: Final = 3.0
+"""Of the squared offset to the side: half a metre is little beside the metres ahead, and leads off the road."""
 NEIGHBOURS: Final = 3
 """Predictions around a box that learn where it is; one of them learns that it is the box."""
 NEIGHBOUR: Final = 0.5
@@ -195,13 +198,15 @@ def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targe
     best = winners(anchors, targets.plans, valid)
     error = ((paths - targets.plans[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
     steps = max(int(valid.sum()), 1)
-    own = error[torch.arange(len(best), device=best.device), best].sum() / steps
+    rows = torch.arange(len(best), device=best.device)
+    own = error[rows, best].sum() / steps
     # What is chosen wrongly should do little harm: it learns too, the more the likelier it is chosen.
     expected = (logits.softmax(-1) * error).sum() / steps
     counted = valid.any(-1)
     entropy = F.cross_entropy(logits, best, reduction="none")
     return {
         "plan": PLAN * own,
+        "plan aside": ASIDE * aside_loss(paths[rows, best, :, 0], targets.plans[..., 0], valid),
         "plan chosen": CHOSEN * expected,
         "plan class": PLAN_CLASS * (entropy * counted).sum() / max(int(counted.sum()), 1),
     }

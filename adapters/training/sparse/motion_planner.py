@@ -62,6 +62,7 @@ class Interacted:
         watched: Features and embeddings, (B, W + 1, C) each, of the most certain agents and the ego as they were.
         status: (B, 10) of the ego.
         left: For the next frames.
+        front: (B, numbers) that plans took from the front cameras, if they look there.
     """
 
     tokens: Tensor
@@ -69,6 +70,7 @@ class Interacted:
     watched: tuple[Tensor, Tensor]
     status: Tensor
     left: QueueLeft
+    front: Tensor | None
 
     @property
     def ego(self) -> Tensor:
@@ -138,6 +140,7 @@ def interacted(
     lines: Decoded,
     queue: LearnedQueue,
     kept: Remembered,
+    finest_front: Tensor,
 ) -> Interacted:
     """Agents and the egos look at their past, at the most certain agents and at the maps.
 
@@ -148,9 +151,10 @@ def interacted(
         lines: Of the same.
         queue: With these frames as the last.
         kept: Agents that the next frames know again.
+        finest_front: (B, C, h, w) finest feature maps of the front cameras.
 
     Returns:
-        Their tokens.
+        Their tokens; those of the egos with what plans take from the front cameras.
     """
     config = planner.config
     features = queue.features[-1]
@@ -164,11 +168,14 @@ def interacted(
     lanes, places = rows_of(lines.features, seen), rows_of(lines.embeddings, seen)
     features = planner.looked(features, embeddings, past, allowed, watched, (lanes, places))
     tokens = features + embeddings
+    front, told = planner.read_front(finest_front)
+    if told is not None:
+        tokens = torch.cat([tokens[:, :-1], tokens[:, -1:] + told[:, None]], 1)
     status: Tensor = planner.refinement.plan_status_branch(tokens[:, -1])
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
     after = LearnedQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)
     left = QueueLeft(after, kept, agents.scores.detach(), status.detach())
-    return Interacted(tokens, embeddings[:, -1:], watched, status, left)
+    return Interacted(tokens, embeddings[:, -1:], watched, status, left, front)
 
 
 @dataclass(frozen=True, slots=True)

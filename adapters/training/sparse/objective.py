@@ -8,12 +8,14 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
+from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.decoder import Decoded, Remembered, Stage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
 from adapters.networks.sparse.keyframe_pose import KeyframePose
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.training.frames import TrainingFrame
+from adapters.training.front import front_phase, mean_front_losses
 from adapters.training.image_encoder import miniature_images
 from adapters.training.phases import Phase
 from adapters.training.sparse.keyframe_motions import KeyframeMotions
@@ -31,7 +33,7 @@ from benchmark.machine.storage import content_seed
 
 STREAM_FRAMES: Final = 4
 """Key frames that are seen one after the other, the first of them without a past."""
-FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
+FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1")
 """Layers of the image network that stay as its own training left them: to change them would cost most."""
 _RECIPE: Final = Recipe(
     steps=2600, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0
@@ -76,6 +78,7 @@ class SparseObjective:
         self.network: nn.Module = network
         self.clip_frames = STREAM_FRAMES
         self._sparse = network
+        network.img_neck.requires_grad_(True)
         for name in FROZEN if perception else PERCEPTION:
             network.get_submodule(name).requires_grad_(False)
 
@@ -120,6 +123,9 @@ class SparseObjective:
             targets.futures[matches.wanted],
             targets.futures_valid[matches.wanted],
         )
+        fronts = [each.planned.front for each in seen if each.planned.front is not None]
+        if fronts:
+            found |= mean_front_losses(torch.cat(fronts), frames)
         found["status"] = status_loss(torch.cat([each.planned.status for each in seen]), targets)
         anchors = planner.plan_anchor[targets.commands]
         if isinstance(planner, DiffusionPlanner):
@@ -166,9 +172,12 @@ class SparseObjective:
             agents, kept = head.det_head(views, old_agents, motions)
             lines, kept_lines = head.map_head(views, old_lines, motions)
             left = past.planned.left if past else None
-            front = maps[-1][rows].unflatten(0, (batch, config.cameras))[:, 0]
-            queue = queued(head.motion_plan_head, agents, front, left, motions)
-            planned = interacted(head.motion_plan_head, head.det_head.anchor_encoder, agents, lines, queue, kept)
+            coarsest, finest = (
+                level[rows].unflatten(0, (batch, config.cameras))[:, FRONT] for level in (maps[-1], maps[0])
+            )
+            planner = head.motion_plan_head
+            queue = queued(planner, agents, coarsest, left, motions)
+            planned = interacted(planner, head.det_head.anchor_encoder, agents, lines, queue, kept, finest)
             commands = targets.commands[start : start + batch]
             cleaned = self._cleaned(views, planned, commands, present)
             found.append(Seen(agents, lines, (kept, kept_lines), planned, cleaned))
@@ -219,9 +228,15 @@ def _flattened(agents: Sequence[Decoded]) -> Stage:
     return Stage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
 
 
+def front_reader(network: SparseNetwork) -> FrontReader | None:
+    """The part of a network that reads the front camera for its plan, if it has one."""
+    return network.head.motion_plan_head.front_reader
+
+
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of SparseDrive-mini."""
-    return (Phase("all", SparseObjective, _RECIPE),)
+    # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.
+    return front_phase(front_reader, ("",)), Phase("all", SparseObjective, _RECIPE)
 
 
 def diffusion_phases() -> tuple[Phase, ...]:

@@ -75,15 +75,18 @@ def initialise(network: SparseNetwork) -> None:
         if parameter.dim() > 1 and parameter.requires_grad and "instance_bank" not in name:
             nn.init.xavier_uniform_(parameter)
     with torch.no_grad():
-        for module in network.head.modules():
+        for name, module in network.head.named_modules():
             if isinstance(module, CameraSampling):
                 module.output_proj.weight.mul_(SAMPLED_GAIN)
-            elif isinstance(module, nn.Conv2d):
+            elif isinstance(module, nn.Conv2d) and ".front_reader." not in f".{name}.":
                 module.weight.mul_(EGO_GAIN)
     boxes, lines = network.head.det_head.anchor_encoder, network.head.map_head.anchor_encoder
     for layers, spread in ((boxes.pos_fc, PLACE_SPREAD), (boxes.vel_fc, SPEED_SPREAD), (lines.pos_fc, PLACE_SPREAD)):
         assert isinstance(layers, nn.Sequential) and isinstance(layers[0], nn.Linear)
         nn.init.uniform_(layers[0].bias, -spread, spread)
+    reader = network.head.motion_plan_head.front_reader
+    if reader is not None:
+        reader.say_nothing()
     unlikely = float(np.log(FOUND_AT_FIRST / (1 - FOUND_AT_FIRST)))
     for decoder in (network.head.det_head, network.head.map_head):
         for layer in decoder.layers:

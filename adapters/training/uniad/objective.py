@@ -10,17 +10,21 @@ import torch
 from torch import Tensor
 
 from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.uniad.bev import Detections
 from adapters.networks.uniad.frames import UniADInputs
 from adapters.networks.uniad.model import Memory, UniAD
 from adapters.networks.uniad.motion import Forecasts
+from adapters.networks.uniad.planning import UniADPlan
 from adapters.networks.uniad.tracking import NO_TRACK, Boxes, Instances, Pose, decoded
 from adapters.training.dense_targets import dense_loss
 from adapters.training.frames import TrainingFrame
-from adapters.training.losses import Matches, plan_loss
+from adapters.training.front import mean_front_losses
+from adapters.training.losses import Matches, aside_loss, plan_loss
 from adapters.training.phases import Phase
+from adapters.training.plan_constraints import agent_constraint, boundary_constraint
 from adapters.training.trainer import Recipe
-from adapters.training.turned_worlds import turned_can_bus
+from adapters.training.turned_worlds import turned_can_bus, untold
 from adapters.training.uniad.losses import (
     detection_losses,
     forecast_losses,
@@ -40,11 +44,26 @@ from adapters.training.uniad.targets import (
 
 Stage = Literal["perception", "all"]
 """``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""
-PLAN_WEIGHT, DENSE_WEIGHT = 2.0, 6.0
+PLAN_WEIGHT, ASIDE_WEIGHT, CONSTRAINT_WEIGHT = 1.5, 6.0, 0.4
+DENSE_WEIGHT = 6.0
 LOST = 0.1
 """Share of tracks that are dropped between frames, so that their agents are found anew."""
+FALSE_TRACKS = 0.3
+"""For each track that is handed on, how often one that follows nothing, or what another follows, is as well (UniAD's
+``fp_ratio``)."""
 FROZEN = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
 """What stays as the pre-training left it: half of a frame's cost would be its gradients."""
+SEES = (
+    "img_backbone",
+    "img_neck",
+    "pts_bbox_head.bev_embedding",
+    "pts_bbox_head.positional_encoding",
+    "pts_bbox_head.transformer.encoder",
+    "pts_bbox_head.transformer.can_bus_mlp",
+    "pts_bbox_head.transformer.level_embeds",
+    "pts_bbox_head.transformer.cams_embeds",
+)
+"""What the bird's-eye view is made with."""
 MOST_FORECAST = 8
 """Agents of a frame whose forecasts are learned."""
 OCCUPANCY_SHARE = 0.3
@@ -70,6 +89,9 @@ class UniADObjective:
         learned_frames: The last frames of a clip, through which gradients pass; earlier ones only leave a past.
         unaware: Share of clips in which the network is not told how the ego moves, so that it looks.
         stage: What is learned.
+
+    Args:
+        sees_already: Whether what makes the bird's-eye view stays as it is.
     """
 
     def __init__(
@@ -79,13 +101,15 @@ class UniADObjective:
         clip_frames: int = 2,
         learned_frames: int | None = None,
         unaware: float = 1 / 3,
+        *,
+        sees_already: bool = False,
     ) -> None:
         self.unaware = unaware
         self.network, self.stage, self.clip_frames = network, stage, clip_frames
         self.learned_frames = clip_frames if learned_frames is None else learned_frames
         for name, parameter in network.named_parameters():
-            if name.startswith(FROZEN):
-                parameter.requires_grad_(False)
+            if name.startswith(SEES):
+                parameter.requires_grad_(not sees_already and not name.startswith(FROZEN))
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
         """Losses of a clip; the map and all that follows from it are learned from its last frame.
@@ -156,7 +180,7 @@ class UniADObjective:
         motion = EgoMotion.between(before, inputs.can_bus, config.grid, config.rotation_centre)
         motion = motion.to(inputs.images.device)
         if not aware:
-            motion = replace(motion, can_bus=torch.zeros_like(motion.can_bus))
+            motion = untold(motion)
         bev = network.pts_bbox_head.encode(
             maps, inputs.images, inputs.lidar2img.float(), motion, None if past is None else past.memory.bev
         )
@@ -171,17 +195,32 @@ class UniADObjective:
         instances = _followed(entering, detections, agents, matches)
         memory = Memory(frame.scene, bev, self._handed_on(instances, matches), pose)
         if last:
-            losses |= self._road_and_plan(frame, bev, instances, agents, matches)
+            losses |= self._road_and_plan(frame, bev, instances, agents, matches, maps[0][FRONT : FRONT + 1])
         return _Past(memory, inputs.can_bus), losses
 
     def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
         """Queries of the next frame: fresh ones, and tracks of most of the agents."""
         network = self.network
         kept = matches.queries[torch.rand(len(matches.queries)) >= LOST]
+        kept = torch.cat([kept, self._false_tracks(instances, matches)])
         return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(kept)))
 
+    def _false_tracks(self, instances: Instances, matches: Matches) -> Tensor:
+        """The most certain of the fresh queries and tracks that stand for nobody, which are to be given up."""
+        wrong = torch.ones(len(instances.scores), dtype=torch.bool)
+        wrong[matches.queries] = False
+        wrong[self.network.config.queries] = False
+        count = min(int((torch.rand(len(matches.queries)) < FALSE_TRACKS).sum()), int(wrong.sum()))
+        return instances.scores.detach().masked_fill(~wrong, -1.0).topk(count).indices
+
     def _road_and_plan(
-        self, frame: TrainingFrame, bev: Tensor, instances: Instances, agents: Agents, matches: Matches
+        self,
+        frame: TrainingFrame,
+        bev: Tensor,
+        instances: Instances,
+        agents: Agents,
+        matches: Matches,
+        finest_front: Tensor,
     ) -> dict[str, Tensor]:
         network, config = self.network, self.network.config
         elements = network.seg_head(bev)
@@ -207,8 +246,9 @@ class UniADObjective:
             forecasts.queries[-1, -1],
             ego.states[0],
             frame.command,
+            finest_front,
         )
-        losses["plan"] = PLAN_WEIGHT * plan_loss(plan.positions_m, frame.ego_future, frame.ego_future_valid)
+        losses |= _plan_losses(plan, frame)
         return losses | self._occupancy(bev, tracks, agents, wanted, forecasts)
 
     def _occupancy(
@@ -244,6 +284,17 @@ def _followed(entering: Instances, detections: Detections, agents: Agents, match
     )
 
 
+def _plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
+    points, wanted, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
+    losses = {
+        "plan": PLAN_WEIGHT * plan_loss(points, wanted, valid),
+        "plan aside": ASIDE_WEIGHT * aside_loss(points[:, 0], wanted[:, 0], valid),
+        "plan agents": CONSTRAINT_WEIGHT * agent_constraint(points, frame),
+        "plan boundary": CONSTRAINT_WEIGHT * boundary_constraint(points, frame),
+    }
+    return losses if plan.front is None else losses | mean_front_losses(plan.front, [frame])
+
+
 def _futures(frame: TrainingFrame, agents: Agents, wanted: Tensor) -> tuple[Tensor, Tensor]:
     """(A + 1, steps, 2) and (A + 1, steps): where agents and then the ego go, and whether that is known."""
     offsets = agents.futures[wanted][..., :2] - agents.boxes[wanted][:, None, :2]
@@ -255,10 +306,10 @@ def _futures(frame: TrainingFrame, agents: Agents, wanted: Tensor) -> tuple[Tens
 
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of UniAD-mini."""
-    # A frame alone costs half as much as a clip; what the past adds is learned after what can be seen at all.
-    alone = Recipe(steps=6000, learning_rate=8e-4, encoder_rate=0.3, warmup=100, average=0.995)
-    clips = Recipe(steps=5000, learning_rate=6e-4, encoder_rate=0.3, warmup=50, average=0.998)
+    # What it sees is seen already (`seen_by_vad`): first what follows from it is learned, then what the past adds.
+    heads = Recipe(steps=1500, learning_rate=1e-3, warmup=100, average=0.99, clips=2)
+    clips = Recipe(steps=5000, learning_rate=6e-4, encoder_rate=0.3, warmup=100, average=0.998)
     return (
-        Phase("frames", partial(UniADObjective, clip_frames=1, unaware=0.2), alone),
-        Phase("clips", partial(UniADObjective, clip_frames=3, learned_frames=2, unaware=0.15), clips),
+        Phase("heads", partial(UniADObjective, clip_frames=1, sees_already=True), heads),
+        Phase("clips", partial(UniADObjective, clip_frames=4, learned_frames=2), clips),
     )

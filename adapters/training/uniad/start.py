@@ -1,7 +1,7 @@
 """Where the training of a small UniAD starts: queries and anchors from the data, everything else from a seed."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -31,6 +31,24 @@ EMBEDDING = 0.1
 """Deviation of what tells levels and cameras apart; the published start of 1 drowns small features for long."""
 FIRST_VALUE = 0.2
 """Least value of untrained masks: where a mask is zero, nothing pulls at it."""
+SINE = 6
+"""Place of the sine of the yaw among the numbers of a box."""
+_HEAD = "pts_bbox_head."
+_VAD_QUERIES = f"{_HEAD}query_embedding.weight"
+_LEVELS = f"{_HEAD}transformer.level_embeds"
+_SHARED = tuple(
+    f"{_HEAD}{name}."
+    for name in (
+        "bev_embedding",
+        "positional_encoding",
+        "transformer.encoder",
+        "transformer.decoder",
+        "transformer.can_bus_mlp",
+        "cls_branches",
+        "reg_branches",
+    )
+) + (f"{_HEAD}transformer.cams_embeds",)
+"""How the names of parameters begin that UniAD and VAD share."""
 
 
 def untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -> UniAD:
@@ -54,10 +72,48 @@ def untrained(config: UniADConfig, frames: Sequence[TrainingFrame], seed: int) -
         with torch.no_grad():
             _start_motion(network)
             _start_plan(network, frames)
+            if network.planning_head.front_reader is not None:
+                network.planning_head.front_reader.say_nothing()
             _start_places(network, query_places(frames, config))
             _start_boxes(network)
             _start_layers(network)
     return network
+
+
+def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of a trained VAD for what UniAD has in common with it: images, bird's-eye view and boxes.
+
+    Both see as BEVFormer does and find boxes with the same decoder; UniAD's tracks, map, forecasts, occupancy and plan
+    are its own.
+
+    Args:
+        trunk: The weights, under the names of VAD, and of its sizes; others stay as they are.
+
+    Returns:
+        Weights under the names of UniAD.
+    """
+    if _VAD_QUERIES not in trunk:
+        return dict(trunk)
+    config = UniADConfig.miniature()
+    found = {name: value for name, value in trunk.items() if name.startswith(("img_backbone.", "img_neck.", *_SHARED))}
+    found[_LEVELS] = trunk[_LEVELS][: config.pyramid_levels]
+    for layer in range(config.decoder_layers):
+        for part in ("weight", "bias"):
+            name = f"{_HEAD}reg_branches.{layer}.4.{part}"
+            # Where yaws are the negative of what they are in VAD.
+            signs = torch.ones(len(trunk[name]))
+            signs[SINE] = -1.0 if config.counterclockwise_yaw else 1.0
+            found[name] = trunk[name] * signs.view(-1, *[1] * (trunk[name].dim() - 1)).to(trunk[name].dtype)
+    places = {part: trunk[f"{_HEAD}transformer.reference_points.{part}"].float() for part in ("weight", "bias")}
+    found |= {f"reference_points.{part}": value for part, value in places.items()}
+    low, high = (torch.tensor(config.perception_range_m[first : first + 3]) for first in (0, 3))
+    ego = torch.linalg.pinv(places["weight"]) @ (logit(-low / (high - low)) - places["bias"])
+    own = torch.cat([ego, torch.zeros_like(ego)])[None].to(trunk[_VAD_QUERIES].dtype)
+    found["query_embedding.weight"] = torch.cat([trunk[_VAD_QUERIES], own])
+    reader = f"{_HEAD}front_reader."
+    # What it tells is in the numbers of another plan.
+    read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}tell."))
+    return found | {f"planning_head.front_reader.{name.removeprefix(reader)}": trunk[name] for name in read}
 
 
 def _start_classes(network: UniAD) -> None:

@@ -10,13 +10,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.layers.ego_motion import EgoMotion
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
 from adapters.training.frames import TrainingFrame
+from adapters.training.front import front_losses, front_phase
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
     Matches,
+    aside_loss,
     box_loss,
     direction_loss,
     line_loss,
@@ -28,11 +31,12 @@ from adapters.training.losses import (
     trajectory_losses,
 )
 from adapters.training.phases import Phase
+from adapters.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.training.trainer import Recipe
-from adapters.training.turned_worlds import turned_can_bus
-from adapters.training.vad.front import aside_loss, front_losses, front_phase
-from adapters.training.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
+from adapters.training.turned_worlds import turned_can_bus, untold
 
+COARSE: Final = "lateral_convs.1."
+"""Of the feature pyramid: what the finer map has in common with the coarse one stays while only that is learned."""
 CLIP_FRAMES: Final = 3
 LEARNED_FRAMES: Final = 2
 """The last frames of a clip, which have losses; earlier ones only leave their view."""
@@ -189,9 +193,7 @@ def predictions_of(
     config = network.config
     motion = EgoMotion.between(can_bus, inputs.can_bus, config.grid, config.rotation_centre)
     if not speed_known:
-        silent = motion.can_bus.clone()
-        silent[:3], silent[7:16] = 0.0, 0.0
-        motion = replace(motion, can_bus=silent)
+        motion = untold(motion)
     maps = network.img_neck(network.img_backbone(inputs.images))
     projections = inputs.lidar2img.float()
     found: VADPredictions = network.pts_bbox_head(
@@ -282,7 +284,12 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
     }
 
 
+def front_reader(network: VAD) -> FrontReader | None:
+    """The part of a network that reads the front camera for its plan, if it has one."""
+    return network.pts_bbox_head.front_reader
+
+
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of VAD-mini."""
     recipe = Recipe(steps=6000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
-    return front_phase(), Phase("all", VADObjective, recipe)
+    return front_phase(front_reader, (COARSE,)), Phase("all", VADObjective, recipe)

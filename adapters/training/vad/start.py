@@ -133,9 +133,7 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
             layer.weight *= LOUD
         _last(head.ego_fut_decoder).bias.copy_(plans.flatten())
         if head.front_reader is not None:
-            # It begins with nothing to say, as in weights that never looked there.
-            nn.init.zeros_(head.front_reader.tell.weight)
-            nn.init.zeros_(head.front_reader.tell.bias)
+            head.front_reader.say_nothing()
 
 
 def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:

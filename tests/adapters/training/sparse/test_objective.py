@@ -20,9 +20,10 @@ from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNe
 from adapters.networks.sparse.planner import SparsePlanner
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
+from adapters.training.front import WEIGHTS
 from adapters.training.losses import assigned
 from adapters.training.sparse.losses import FORECAST, forecast_losses, plan_losses
-from adapters.training.sparse.objective import SparseObjective, network_inputs
+from adapters.training.sparse.objective import SparseObjective, front_reader, network_inputs, phases
 from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained, untrained_diffusion
 from adapters.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
 from benchmark.datasets.nuscenes import NuScenesData
@@ -95,9 +96,10 @@ def values(losses: Mapping[str, Tensor]) -> dict[str, float]:
     return {name: float(loss.detach()) for name, loss in losses.items()}
 
 
+@pytest.mark.parametrize("numbers", [0, 16])
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
-def test_several_clips_at_once_are_what_the_network_says_of_each(name: str) -> None:
-    built = filled(name)
+def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numbers: int) -> None:
+    built = filled(name, replace(MINIATURE, plan_sees_front=numbers))
     objective = SparseObjective(built)
     clips = [[frame(index, scene) for index in range(3)] for scene in ("one", "other")]
     clips = [[replace(each, command=number) for each in clip] for number, clip in enumerate(clips)]
@@ -115,11 +117,47 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str) -> N
                     assert torch.allclose(expected.anchors[:, :8], found.anchors[number, :, :8], atol=1e-3)
                 for expected, found in zip(own.lines.stages, seen.lines.stages, strict=True):
                     assert torch.allclose(expected.anchors, found.anchors[number], atol=1e-3)
+                if own.planner.front is not None and seen.planned.front is not None:
+                    assert torch.allclose(own.planner.front[0], seen.planned.front[number], atol=1e-3)
+                assert (own.planner.front is None) is (seen.planned.front is None) is (numbers == 0)
                 assert torch.allclose(own.planner.status, seen.planned.status[number], atol=1e-3)
                 if name == "diffusiondrive":
                     last = seen.cleaned[-1]
                     assert torch.allclose(own.planner.plan_offsets[0], last.offsets[number], atol=1e-3)
                     assert torch.allclose(own.planner.plan_logits[0], last.logits[number], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
+def test_plans_follow_the_front_camera_once_it_has_a_say(name: str) -> None:
+    built = filled(name, replace(MINIATURE, plan_sees_front=16))
+    reader = front_reader(built)
+    assert reader is not None
+    with torch.inference_mode():
+        first = built(network_inputs(frame(0))).plan_modes
+        reader.say_nothing()
+        built.reset()
+        silent = built(network_inputs(frame(0))).plan_modes
+        plain = filled(name)
+        plain.load_state_dict({key: value for key, value in built.state_dict().items() if "front_reader" not in key})
+        without = plain(network_inputs(frame(0))).plan_modes
+    torch.testing.assert_close(silent, without)
+    assert not torch.allclose(first, silent)
+
+
+def test_what_plans_read_in_the_front_camera_is_taught() -> None:
+    config = replace(TINY, plan_sees_front=16)
+    objective = SparseObjective(network("sparsedrive", config))
+    losses = objective.losses([frame(0), frame(1)])
+    assert set(WEIGHTS) <= set(losses)
+    torch.stack([losses[name] for name in WEIGHTS]).sum().backward()  # type: ignore[no-untyped-call]
+    taught = {name for name, parameter in objective.network.named_parameters() if parameter.grad is not None}
+    assert any("front_reader.read" in name for name in taught) and any(name.startswith("img_neck") for name in taught)
+    front, everything = phases()
+    built = network("sparsedrive", config)
+    front.objective(built)
+    assert not any(parameter.requires_grad for parameter in built.img_neck.parameters())
+    everything.objective(built)
+    assert all(parameter.requires_grad for parameter in built.img_neck.parameters())
 
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
@@ -166,7 +204,7 @@ def test_what_is_not_annotated_teaches_nothing(name: str) -> None:
     losses = objective.losses(empty)
     assert all(torch.isfinite(value) for value in losses.values())
     nothing = {"box", "box around", "box quality", "line", "line direction", "forecast", "forecast class"}
-    nothing |= {"plan", "plan chosen", "plan class"}
+    nothing |= {"plan", "plan aside", "plan chosen", "plan class"}
     assert all(values(losses)[key] == 0 for key in nothing)
     torch.stack(list(losses.values())).sum().backward()  # type: ignore[no-untyped-call]
     gradients = [p.grad for p in objective.network.parameters() if p.grad is not None]
@@ -307,7 +345,7 @@ def test_what_learns(perception: bool) -> None:
     objective = SparseObjective(network("diffusiondrive"), perception=perception)
     torch.stack(list(objective.losses([frame(0), frame(1)]).values())).sum().backward()  # type: ignore[no-untyped-call]
     learned = {name for name, parameter in objective.network.named_parameters() if parameter.grad is not None}
-    assert {PLANS, FORECASTS, "img_backbone.conv1.weight", "img_backbone.layer2.0.conv1.weight"}.isdisjoint(learned)
+    assert {PLANS, FORECASTS, "img_backbone.conv1.weight", "img_backbone.layer1.0.conv1.weight"}.isdisjoint(learned)
     parts = ["img_backbone.layer4", "img_neck", "head.det_head", "head.map_head", "head.motion_plan_head"]
     taught = [part for part in parts if any(name.startswith(part) for name in learned)]
     assert taught == (parts if perception else parts[-1:])

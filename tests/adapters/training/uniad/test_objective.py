@@ -12,7 +12,7 @@ import shapely.affinity
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import Tensor
+from torch import Tensor, nn
 
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.networks.layers.coders import decode_boxes
@@ -20,12 +20,15 @@ from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.occupancy import CELL_M
 from adapters.networks.uniad.planner import UniADPlanner
-from adapters.networks.uniad.tracking import headings
+from adapters.networks.uniad.tracking import NO_TRACK, headings
+from adapters.networks.vad.config import VADConfig
+from adapters.networks.vad.model import VAD, VADInputs
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
+from adapters.training.losses import Matches
 from adapters.training.uniad.losses import detection_losses, mask_loss, matched_agents
-from adapters.training.uniad.objective import FROZEN, UniADObjective
-from adapters.training.uniad.start import untrained
+from adapters.training.uniad.objective import FROZEN, SEES, UniADObjective, phases
+from adapters.training.uniad.start import seen_by_vad, untrained
 from adapters.training.uniad.targets import (
     LINE_HALF_WIDTH_M,
     Agents,
@@ -51,11 +54,12 @@ UNUSED = (
     "pts_bbox_head.past_traj_reg_branches",
     "things_mask_head.blocks.0.attn.linear",
     "stuff_mask_head.blocks.0.attn.linear",
+    "img_backbone.layer4",
 )
-"""Parameters that published checkpoints hold and no prediction reads."""
+"""Parameters that published checkpoints hold and no prediction reads, or none of the miniature."""
 
 
-STEPS = 75
+STEPS = 120
 
 
 def learner(seed: int = 0) -> UniAD:
@@ -232,6 +236,77 @@ def test_tracks_keep_their_agents_and_lose_those_that_go() -> None:
     pairs = dict(zip(matches.queries.tolist(), agents.instances[matches.wanted].tolist(), strict=True))
     assert pairs.pop(LEARNER.queries + 2) == 7
     assert list(pairs.values()) == [3] and all(query < LEARNER.queries for query in pairs)
+
+
+def test_false_tracks_are_the_most_certain_that_stand_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adapters.training.uniad.objective.FALSE_TRACKS", 1.0)
+    monkeypatch.setattr("adapters.training.uniad.objective.LOST", 0.0)
+    network = learner()
+    objective = UniADObjective(network, clip_frames=2)
+    instances, own = network.fresh_queries(), LEARNER.queries
+    scores = torch.linspace(0.1, 0.9, own + 1)
+    matches = Matches(torch.tensor([own - 1, 2]), torch.tensor([0, 1]))
+    handed_on = objective._handed_on(replace(instances, scores=scores), matches)
+    tracks = handed_on.kept(slice(own + 1, None))
+    assert torch.equal(tracks.scores, scores[[own - 1, 2, own - 2, own - 3]])
+    # In the next frame nobody is theirs: they learn that nothing is there.
+    carried = torch.tensor([3, 7, NO_TRACK, NO_TRACK])
+    entering = instances.then(replace(tracks, track_ids=carried))
+    bev = torch.zeros(LEARNER.grid.cells, LEARNER.channels)
+    detections = network.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
+    found = matched_agents(detections, Agents.of(a_frame(), LEARNER), carried, own)
+    assert sorted(found.queries.tolist()) == [own + 1, own + 2]
+
+
+def test_what_vad_sees_uniad_sees() -> None:
+    torch.manual_seed(2)
+    vad = VAD(VADConfig.miniature())
+    network = UniAD(UniADConfig.miniature(), torch.randn(4, 6, 12, 2), solver=None)
+    taken = seen_by_vad(vad.state_dict())
+    left = network.load_state_dict(taken, strict=False)
+    assert not left.unexpected_keys
+    assert not any(name.startswith(("img_", "pts_bbox_head.transformer.encoder")) for name in left.missing_keys)
+    assert seen_by_vad(network.state_dict()).keys() == network.state_dict().keys(), "its own weights stay its own"
+    frame = replace(a_frame(), images=torch.randint(0, 256, (6, 3, 128, 224), dtype=torch.uint8))
+    with torch.inference_mode():
+        inputs = network_inputs(frame)
+        seen = vad.predict(VADInputs(inputs.images, inputs.lidar2img, inputs.can_bus, 2, "a"))
+        assert torch.equal(network.predict(inputs).bev, seen.bev)
+        queries = network.fresh_queries()
+        ego = queries.reference_logits[-1, :2].sigmoid() - 0.5
+        agents = queries.kept(slice(0, -1))
+        found = network.pts_bbox_head.detect(seen.bev, agents.queries, agents.reference_logits)
+    assert float(ego.abs().amax()) < 1e-3
+    torch.testing.assert_close(found.class_logits, seen.class_logits)
+    signs = torch.ones(10).index_fill(0, torch.tensor([6]), -1.0)
+    torch.testing.assert_close(found.box_codes, seen.box_codes * signs, rtol=1e-4, atol=1e-4)
+
+
+def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:
+    network = learner()
+    reader = network.planning_head.front_reader
+    assert reader is not None
+    inputs = network_inputs(a_frame())
+    with torch.inference_mode():
+        silent = network.predict(inputs).plan.positions_m
+        nn.init.normal_(reader.tell.weight)
+        network.reset()
+        told = network.predict(inputs).plan
+    assert told.front is not None and told.front.shape == (1, LEARNER.plan_sees_front)
+    assert not torch.allclose(silent, told.positions_m)
+    published = UniAD(replace(LEARNER, plan_sees_front=0), network.motion_head.anchors)
+    assert published.planning_head.front_reader is None and not any("front" in name for name in published.state_dict())
+
+
+def test_the_heads_learn_first_and_what_sees_boxes_stays() -> None:
+    network = learner()
+    heads, clips = phases()
+    total(heads.objective(network).losses(clip(1))).backward()  # type: ignore[no-untyped-call]
+    learned = {name for name, parameter in network.named_parameters() if parameter.grad is not None}
+    assert learned and not any(name.startswith(SEES) for name in learned)
+    clips.objective(network)
+    assert network.pts_bbox_head.bev_embedding.weight.requires_grad
+    assert not any(network.get_submodule(name).weight.requires_grad for name in FROZEN[:1])
 
 
 def test_every_parameter_that_is_read_learns(monkeypatch: pytest.MonkeyPatch) -> None:

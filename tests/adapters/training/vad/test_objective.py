@@ -22,6 +22,7 @@ from adapters.networks.vad.selection import select
 from adapters.training.dense_targets import CHANNELS, VEHICLES, dense_targets
 from adapters.training.frame_store import build_frames
 from adapters.training.losses import normalised_boxes
+from adapters.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.training.turned_worlds import turned_can_bus
 from adapters.training.vad.objective import (
     ENCODER_KEPT,
@@ -34,7 +35,6 @@ from adapters.training.vad.objective import (
     inputs_of,
     predictions_of,
 )
-from adapters.training.vad.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
 from adapters.training.vad.start import RARE, set_first_values, untrained
 from benchmark.datasets.nuscenes import NuScenesData
 from tests.adapters.networks.vad.small_vad import SMALL, small_network

@@ -1,23 +1,20 @@
-"""How VAD-mini learns to see in the front camera where its lane is, before the rest of it learns anything."""
+"""How miniatures learn to see in the front camera where their lane is, before the rest of them learns anything."""
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final
 
 import torch
-import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
-from adapters.networks.vad.head import FRONT
-from adapters.networks.vad.model import VAD
+from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.training.dense_targets import LANE_NUMBERS, lane_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.image_encoder import miniature_images
+from adapters.training.losses import aside_loss
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from benchmark.planning import Command
 
-COARSE: Final = "img_neck.lateral_convs.1."
-"""What the finer map has in common with the coarse one stays as it is."""
 GAP_UNIT_M: Final = 10.0
 FARTHEST_GAP_M: Final = 40.0
 """Metres of a number's 1, and beyond which nothing ahead matters yet."""
@@ -34,17 +31,18 @@ class FrontObjective:
     A whole frame of the network costs fifty times one image, and four frames a step learn this too slowly.
 
     Args:
-        network: One whose plan sees the front camera; its image network stays as it is.
+        network: One with an image network `img_backbone` and a feature pyramid `img_neck`; the former stays as it is.
+        reader: Its part whose plan sees the front camera.
+        kept: How the names of those parameters of the pyramid begin that stay as they are, too.
     """
 
     clip_frames = 32
 
-    def __init__(self, network: VAD) -> None:
-        reader = network.pts_bbox_head.front_reader
-        assert reader is not None, "a network whose plan sees the front camera"
+    def __init__(self, network: nn.Module, reader: FrontReader, kept: tuple[str, ...]) -> None:
         self.network, self.reader = network, reader
-        for name, parameter in network.img_neck.named_parameters(prefix="img_neck"):
-            if name.startswith(COARSE):
+        self._backbone, self._neck = network.get_submodule("img_backbone"), network.get_submodule("img_neck")
+        for name, parameter in self._neck.named_parameters():
+            if name.startswith(kept):
                 parameter.requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -61,12 +59,22 @@ class FrontObjective:
         contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
         images = images * contrast + brightness
         with torch.no_grad():
-            stages = self.network.img_backbone(images.contiguous(memory_format=torch.channels_last))
-        finest = self.network.img_neck(stages)[0]
-        each = [front_losses(self.reader(features)[0], frame) for features, frame in zip(finest, clip, strict=True)]
-        return {
-            name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()
-        }
+            stages = self._backbone(images.contiguous(memory_format=torch.channels_last))
+        return mean_front_losses(self.reader(self._neck(stages)[0]), clip)
+
+
+def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+    """`front_losses` of several key frames.
+
+    Args:
+        said: (F, numbers).
+        frames: The key frames, F of them.
+
+    Returns:
+        The terms, weighted means over the frames.
+    """
+    each = [front_losses(numbers, frame) for numbers, frame in zip(said, frames, strict=True)]
+    return {name: weight * torch.stack([losses[name] for losses in each]).mean() for name, weight in WEIGHTS.items()}
 
 
 def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
@@ -123,24 +131,21 @@ def gap_ahead(frame: TrainingFrame) -> float | None:
     return min(FARTHEST_GAP_M, max(0.0, float(gaps.min()))) if len(gaps) else FARTHEST_GAP_M
 
 
-def aside_loss(found: Tensor, wanted: Tensor, counted: Tensor) -> Tensor:
-    """Squared offset to the side, up to a metre; mean over the steps that count.
-
-    L1 asks for the median, which is to stay where one is: most of those who drive straight on do.
+def front_phase(reader_of: Callable[[Any], FrontReader | None], kept: tuple[str, ...]) -> Phase:
+    """The first part of the training of a miniature whose plan sees the front camera.
 
     Args:
-        found: (T,) metres.
-        wanted: (T,) metres.
-        counted: (T,) bool.
+        reader_of: From the network to the part that does.
+        kept: As in `FrontObjective`.
 
     Returns:
-        A scalar.
+        The phase.
     """
-    error = F.huber_loss(found, wanted, reduction="none")
-    return (error * counted).sum() / max(int(counted.sum()), 1)
 
+    def objective(network: Any) -> FrontObjective:
+        reader = reader_of(network)
+        assert reader is not None, "a network whose plan sees the front camera"
+        return FrontObjective(network, reader, kept)
 
-def front_phase() -> Phase:
-    """The first part of the training of VAD-mini."""
     recipe = Recipe(steps=2000, learning_rate=1e-3, warmup=50, average=0.99, scattered=True)
-    return Phase("front", FrontObjective, recipe)
+    return Phase("front", objective, recipe)

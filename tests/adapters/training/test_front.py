@@ -21,18 +21,16 @@ from adapters.training.dense_targets import (
     offsets_to_lines,
 )
 from adapters.training.frames import TrainingFrame
-from adapters.training.vad.front import (
-    COARSE,
+from adapters.training.front import (
     FARTHEST_GAP_M,
     GAP_UNIT_M,
     WEIGHTS,
     FrontObjective,
-    aside_loss,
     front_losses,
-    front_phase,
     gap_ahead,
 )
-from adapters.training.vad.objective import inputs_of
+from adapters.training.losses import aside_loss
+from adapters.training.vad.objective import COARSE, front_reader, inputs_of, phases
 from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network
 from tests.adapters.training.vad.road_frames import a_frame, empty
 
@@ -141,7 +139,9 @@ def test_a_way_to_the_side_asks_for_the_mean_and_not_for_the_median() -> None:
 def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> None:
     network = small_network(config=replace(SMALL, backbone_outputs=(1, 2), pyramid_levels=2, plan_sees_front=16))
     before = {name: value.clone() for name, value in network.state_dict().items()}
-    objective = FrontObjective(network)
+    reader = front_reader(network)
+    assert reader is not None
+    objective = FrontObjective(network, reader, (COARSE,))
     frames = [shifted(a_frame(number, scene), by) for number, (scene, by) in enumerate((("a", 1.0), ("b", 3.0)))]
     optimiser = torch.optim.Adam([each for each in network.parameters() if each.requires_grad], lr=1e-2)
     losses = []
@@ -155,8 +155,8 @@ def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> N
     changed = {name for name, value in network.state_dict().items() if not torch.equal(value, before[name])}
     reads = ("img_neck.lateral_convs.0.", "img_neck.fpn_convs.0.", "pts_bbox_head.front_reader.")
     assert changed and all(name.startswith(reads) for name in changed)
-    assert not any(name.startswith((COARSE, "pts_bbox_head.front_reader.tell.")) for name in changed)
-    assert front_phase().recipe.scattered
+    assert not any(name.startswith((f"img_neck.{COARSE}", "pts_bbox_head.front_reader.tell.")) for name in changed)
+    assert phases()[0].recipe.scattered
 
 
 def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:

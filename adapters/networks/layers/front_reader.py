@@ -1,0 +1,46 @@
+"""What the plan of a small network reads in the front camera's finest feature map."""
+
+import math
+
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+FRONT = 0
+"""Place of the front camera."""
+FRONT_CELLS = 4, 7
+"""Rows and columns of what the plan looks at there; those of images of 224 x 128."""
+NARROW = 32
+"""Channels of what the plan makes of the front camera's map."""
+
+
+class FrontReader(nn.Module):
+    """What the plan of a small network takes from the front camera's finest feature map.
+
+    A cell of a small bird's-eye view is larger than a lane is off its middle; in the image it is some pixels.
+
+    Args:
+        channels: Of the map. It is halved twice, and brought to `FRONT_CELLS` where it is not as large by then.
+        numbers: That are taken from it.
+        told: Width of what `tell` makes of them for the plan.
+    """
+
+    def __init__(self, channels: int, numbers: int, told: int) -> None:
+        super().__init__()
+        self.convs = nn.ModuleList([nn.Conv2d(channels, NARROW, 3, 2, 1), nn.Conv2d(NARROW, NARROW, 3, 2, 1)])
+        self.read = nn.Sequential(
+            nn.Linear(math.prod(FRONT_CELLS) * NARROW, 2 * NARROW), nn.ReLU(), nn.Linear(2 * NARROW, numbers)
+        )
+        self.tell = nn.Linear(numbers, told)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, C, h, w) to (B, numbers)."""
+        found = features
+        for convolution in self.convs:
+            found = F.relu(convolution(found))
+        result: Tensor = self.read(F.adaptive_avg_pool2d(found, FRONT_CELLS).flatten(1))
+        return result
+
+    def say_nothing(self) -> None:
+        """Begin with nothing to tell, as in weights that never looked there."""
+        nn.init.zeros_(self.tell.weight)
+        nn.init.zeros_(self.tell.bias)

@@ -1,0 +1,109 @@
+"""Scene sheets and the leaderboard, from everything that an output folder holds."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmark.api.opening import OUT, workspace
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from benchmark.datasets.roots import DataSet
+    from benchmark.records.ablation import AblationReport
+    from benchmark.records.drives import DriveRecord
+    from benchmark.records.quality import QualityRecord
+    from benchmark.records.run import RunRecord
+    from benchmark.records.scenes import Sheets
+    from benchmark.sheets.writing import SheetSettings, WrittenSheets
+
+
+def write_sheets(dataset: "DataSet", split: str, root: Path, settings: "SheetSettings") -> "WrittenSheets":
+    """Write the scene sheets of a split.
+
+    Args:
+        dataset: The data set that holds the split.
+        split: The split.
+        root: Folder of all sheets.
+        settings: What the sheets show.
+
+    Returns:
+        The sheets.
+
+    Raises:
+        InputError: If the split or a scene is unknown, the data is broken, or rounds are asked for and none were kept.
+    """
+    from benchmark.machine.workspace import is_generated
+    from benchmark.sheets.writing import write_sheets as write
+    from generation.build.profile import kept_runtime
+    from generation.build.said_settings import said_settings
+    from generation.nuscenes_writer.plan import STATE_FOLDER
+
+    hyper = said_settings(dataset.root, dataset.provenance()) if is_generated(split) else {}
+    runtime = kept_runtime(dataset.root / STATE_FOLDER, workspace(root.parent).timings_of(dataset.root))
+    return write(dataset, split, root, settings, runtime=runtime, hyper=hyper)
+
+
+def write_leaderboard(
+    out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
+) -> list[Path]:
+    """Write tables, figures and site from everything that an output folder holds.
+
+    Args:
+        out: The output folder: run records, records of drives, scene sheets, video quality, ablation studies, scores
+            of challenges.
+        to: Folder of the leaderboard; ``<out>/leaderboard`` by default.
+        records: Folders of run records and of records of drives, if not ``<out>/runs`` and ``<out>/drives``.
+        site: Whether to write the site too.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: If there is nothing to show, records cannot stand in one table, or files cannot be written.
+    """
+    from benchmark.records.challenge_scores import find_scores
+    from leaderboard.build import write_leaderboard as write
+
+    found, quality, sheets, ablations, drives = _shown(out, records)
+    challenges = find_scores(workspace(out).challenge_root())
+    return write(found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site)
+
+
+def stale_leaderboard(
+    out: Path = OUT, to: Path | None = None, records: "Sequence[Path] | None" = None, *, site: bool = True
+) -> list[str]:
+    """What of a written leaderboard is not what `write_leaderboard` would write now, as paths below it."""
+    from benchmark.records.challenge_scores import find_scores
+    from leaderboard.build import stale_files
+
+    found, quality, sheets, ablations, drives = _shown(out, records)
+    challenges = find_scores(workspace(out).challenge_root())
+    return stale_files(
+        found, to or out / "leaderboard", quality, sheets, ablations, drives, challenges=challenges, site=site
+    )
+
+
+def _shown(
+    out: Path, folders: "Sequence[Path] | None"
+) -> "tuple[list[RunRecord], list[QualityRecord], Sheets, list[AblationReport], list[DriveRecord]]":
+    """What a leaderboard is made from; without run records it may be made from the rest."""
+    from benchmark.records.ablation import find_ablations
+    from benchmark.records.drives import find_drives
+    from benchmark.records.quality import find_quality
+    from benchmark.records.record_costs import with_cost, with_drive_cost
+    from benchmark.records.reproduction import find_reproductions, with_reproductions
+    from benchmark.records.run import find_records
+    from benchmark.records.scenes import find_sheets
+
+    space = workspace(out)
+    quality, sheets = find_quality(space.quality_root()), find_sheets(space.sheet_root())
+    ablations = find_ablations(space.ablation_root())
+    own = [space.drive_root()] if space.drive_root().is_dir() else []
+    drives = [with_drive_cost(each, folders or own, space.timings_of) for each in find_drives(*(folders or own))]
+    scored = any(space.challenge_root().glob("scores-*.json"))
+    others = bool(quality or sheets.splits or ablations or drives or scored)
+    no_runs = others and folders is None and not space.run_root().exists()
+    roots = folders or [space.run_root()]
+    records = [] if no_runs else with_reproductions(find_records(*roots), find_reproductions(roots))
+    records = [with_cost(record, roots, space.timings_of) for record in records]
+    return records, quality, sheets, ablations, drives
