@@ -333,7 +333,7 @@ _MINIATURES: Final = (
         miniature=Miniature(
             ("uniad",),
             "adapters.training.uniad.start:untrained",
-            "adapters.training.uniad.objective:phases",
+            "adapters.training.uniad.phases:phases",
             "adapters.training.uniad.start:seen_by_vad",
         ),
         native_protocol="uniad",
@@ -345,7 +345,7 @@ _MINIATURES: Final = (
         miniature=Miniature(
             ("vad-tiny", "vad-base"),
             "adapters.training.vad.start:untrained",
-            "adapters.training.vad.objective:phases",
+            "adapters.training.vad.phases:phases",
             "adapters.training.vad.start:grown",
         ),
         native_protocol="vad",
@@ -357,7 +357,7 @@ _MINIATURES: Final = (
         miniature=Miniature(
             ("sparsedrive",),
             "adapters.training.sparse.start:untrained",
-            "adapters.training.sparse.objective:phases",
+            "adapters.training.sparse.phases:phases",
         ),
         native_protocol="sparsedrive",
     ),
@@ -368,7 +368,7 @@ _MINIATURES: Final = (
         miniature=Miniature(
             ("diffusiondrive",),
             "adapters.training.sparse.start:untrained_diffusion",
-            "adapters.training.sparse.objective:diffusion_phases",
+            "adapters.training.sparse.phases:diffusion_phases",
             "adapters.training.sparse.start:planned_from",
         ),
         native_protocol="diffusiondrive",

@@ -78,6 +78,41 @@ class TrainingFrame:
         return replace(self, **moved)
 
 
+class Frames(Protocol):
+    """Frames in the order of scenes and time, as `FrameStore` gives them.
+
+    Attributes:
+        scenes: Names of the scenes.
+        identity: Key of everything that the frames depend on.
+    """
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """Key of everything that the frames depend on."""
+        ...
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        ...
+
+    def frames_of(self, scene: str) -> range:
+        """Numbers of the frames of a scene, in time order."""
+        ...
+
+    def frame(self, number: int) -> TrainingFrame:
+        """One frame."""
+        ...
+
+    def clip(self, number: int, length: int) -> list[TrainingFrame]:
+        """A frame and those before it in its scene."""
+        ...
+
+
 class Objective(Protocol):
     """How one kind of network learns.
 
@@ -121,5 +156,26 @@ class BatchObjective(Objective, Protocol):
 
         Returns:
             As `Objective.losses`, means over the clips.
+        """
+        ...
+
+
+@runtime_checkable
+class ForesightedObjective(Objective, Protocol):
+    """An objective part of whose network does not learn: what that makes of the frames is made once."""
+
+    def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
+        """Look at everything that will be learned from; the network is where it learns.
+
+        Args:
+            store: Training frames.
+            frames: Numbers of those to learn from.
+
+        Returns:
+            Frames of which the objective remembers what it needs of the images, which they do not have; and the numbers
+            of those to learn from, some of them perhaps more than once.
+
+        Raises:
+            InputError: If frames cannot be read.
         """
         ...

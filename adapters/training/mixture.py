@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from torch import Tensor
 
 from adapters.training.frame_store import FrameStore, build_frames, frames_key
-from adapters.training.frames import TrainingFrame
+from adapters.training.frames import Frames, TrainingFrame
 from benchmark.datasets.roots import DataSet, open_data
 from benchmark.errors import InputError
 from benchmark.machine.storage import content_key
@@ -19,41 +19,6 @@ ADVERSARIAL_SPLIT: Final = "adv"
 
 IN_THE_WAY_M: Final = 3.0
 """Between the ego's lidar and the middle of somebody's box; cars in lanes side by side are further apart."""
-
-
-class Frames(Protocol):
-    """Frames in the order of scenes and time, as `FrameStore` gives them.
-
-    Attributes:
-        scenes: Names of the scenes.
-        identity: Key of everything that the frames depend on.
-    """
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """Names of the scenes."""
-        ...
-
-    @property
-    def identity(self) -> str:
-        """Key of everything that the frames depend on."""
-        ...
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        ...
-
-    def frames_of(self, scene: str) -> range:
-        """Numbers of the frames of a scene, in time order."""
-        ...
-
-    def frame(self, number: int) -> TrainingFrame:
-        """One frame."""
-        ...
-
-    def clip(self, number: int, length: int) -> list[TrainingFrame]:
-        """A frame and those before it in its scene."""
-        ...
 
 
 class MixedFrames:

@@ -14,12 +14,11 @@ from adapters.checkpoints.cache import Provenance, load_weights, write_weights
 from adapters.checkpoints.importing import resolve_checkpoint
 from adapters.models import Model, miniature, resolve
 from adapters.training.card import card_of
-from adapters.training.frames import TrainingFrame
+from adapters.training.frames import Frames, TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.training.mixture import (
     ADVERSARIAL_SPLIT,
     FollowedAsRecorded,
-    Frames,
     MixedFrames,
     gathered,
     require_made_from,
@@ -72,11 +71,12 @@ class PlannerTraining:
         seed: Of everything that is drawn.
         learning_rate: Peak, or ``None`` for the recipes' own.
         image_encoder: Weights of the image encoder to start from, if any.
-        start_from: Weights to start from wherever name and shape agree, if any.
+        start_from: Weights to start from wherever name and shape agree; of what several files have, the last counts.
         judged_on: Data set on whose split ``val`` the result is measured; on held-out scenes of the split if none.
         device: Where to compute: cpu, cuda, auto.
         workers: Processes that gather the frames.
         adversarial: Roots of adversarial scenes made from scenes of the split, learned from as well.
+        only: Names of the phases that are run; all by default.
     """
 
     model: str
@@ -87,11 +87,12 @@ class PlannerTraining:
     seed: int = 0
     learning_rate: float | None = None
     image_encoder: Path | None = None
-    start_from: Path | None = None
+    start_from: tuple[Path, ...] = ()
     judged_on: Path | None = None
     device: str = "auto"
     workers: int = 1
     adversarial: tuple[Path, ...] = ()
+    only: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.model != ENCODER_NAME:
@@ -117,7 +118,8 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
         InputError: If the data, the split or the weights to start from cannot be used, nothing is there to train on,
             the progress file belongs to another run, the losses are no longer finite, or a file cannot be written.
     """
-    # Weights that cannot be used are said at once, not after minutes of gathering frames.
+    # What cannot be used is said at once, not after minutes of gathering frames.
+    _phases(training)
     given = _given_weights(training)
     data = open_data(training.data_root)
     judge = None if training.judged_on is None else open_data(training.judged_on)
@@ -172,8 +174,7 @@ def judge_again(weights: Path, data_root: Path) -> dict[str, Any]:
 def _train_encoder(training: PlannerTraining, store: Frames, learned: Sequence[int]) -> dict[str, Any]:
     torch.manual_seed(content_seed("network", ENCODER_NAME, training.seed))
     network = ImageEncoder()
-    phase = Phase("all", lambda _: ImageEncoderObjective(network), _ENCODER_RECIPE)
-    phase = _scaled((phase,), training)[0]
+    phase = _scaled(_phases(training), training)[0]
     weights = fit(phase.objective(network), store, learned, phase.recipe, training.out, device=training.device)
     kept = {
         name.replace(ENCODER_PYRAMID, PYRAMID): value
@@ -199,9 +200,8 @@ def _train_miniature(
     judged: "_Checked",
 ) -> dict[str, Any]:
     small = miniature(training.model)
-    untrained, phases_of = resolve(small.small.untrained), resolve(small.small.phases)
-    network = untrained(small.configuration(), _frames_for_anchors(store, learned), training.seed)
-    phases = _scaled(phases_of(), training)
+    network = resolve(small.small.untrained)(small.configuration(), _frames_for_anchors(store, learned), training.seed)
+    phases = _scaled(_phases(training), training)
     weights: Mapping[str, Tensor] = {name: value for taken in given.values() for name, value in taken.items()}
     parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
     for phase, part in zip(phases, parts, strict=True):
@@ -280,18 +280,24 @@ class _Checked:
 def _given_weights(training: PlannerTraining) -> dict[str, dict[str, Tensor]]:
     """Weights to start from, by the option that named them."""
     given: dict[str, dict[str, Tensor]] = {}
-    options = {"start_from": (training.start_from, ""), "image_encoder": (training.image_encoder, IMAGE_ENCODER)}
-    for option, (path, begins) in options.items():
-        if path is None:
-            continue
-        tensors, _ = read_tensors(path, what="the weights ", instead="give a .safetensors file")
-        chosen = {name: value for name, value in tensors.items() if name.startswith(begins)}
-        if training.model != ENCODER_NAME and path == training.start_from:
-            chosen = resolve(miniature(training.model).small.renamed)(chosen)
+    for path in training.start_from:
+        tensors = _read_weights(path)
+        if training.model != ENCODER_NAME:
+            tensors = resolve(miniature(training.model).small.renamed)(tensors)
+        given["start_from"] = given.get("start_from", {}) | tensors
+    if training.image_encoder is not None:
+        tensors = _read_weights(training.image_encoder)
+        chosen = {name: value for name, value in tensors.items() if name.startswith(IMAGE_ENCODER)}
         if not chosen:
-            raise InputError(f"{path} has no weights of an image encoder ({IMAGE_ENCODER}...); give another file")
-        given[option] = chosen
+            raise InputError(
+                f"{training.image_encoder} has no weights of an image encoder ({IMAGE_ENCODER}...); give another file"
+            )
+        given["image_encoder"] = chosen
     return given
+
+
+def _read_weights(path: Path) -> dict[str, Tensor]:
+    return read_tensors(path, what="the weights ", instead="give a .safetensors file")[0]
 
 
 def _take(network: nn.Module, weights: Mapping[str, Tensor]) -> None:
@@ -308,6 +314,19 @@ def _frames_for_anchors(store: Frames, learned: Sequence[int]) -> list[TrainingF
     step = max(min(ANCHORS_EVERY, len(learned) // ANCHOR_FRAMES), 1)
     frames = (store.frame(number) for number in learned[::step])
     return [replace(frame, images=torch.empty(0, dtype=torch.uint8)) for frame in frames]
+
+
+def _phases(training: PlannerTraining) -> tuple[Phase, ...]:
+    """Those that are asked for."""
+    if training.model == ENCODER_NAME:
+        phases = (Phase("all", lambda network: ImageEncoderObjective(network), _ENCODER_RECIPE),)
+    else:
+        phases = resolve(miniature(training.model).small.phases)()
+    names = [phase.name for phase in phases]
+    unknown = next((name for name in training.only if name not in names), None)
+    if unknown is not None:
+        raise InputError(f"--only {unknown}: the parts of the training of {training.model} are {', '.join(names)}")
+    return tuple(phase for phase in phases if not training.only or phase.name in training.only)
 
 
 def _scaled(phases: tuple[Phase, ...], training: PlannerTraining) -> tuple[Phase, ...]:

@@ -11,8 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from adapters.training.frames import BatchObjective, Objective, TrainingFrame
-from adapters.training.mixture import Frames
+from adapters.training.frames import BatchObjective, ForesightedObjective, Frames, Objective, TrainingFrame
 from benchmark.errors import InputError
 from benchmark.machine.devices import device_of
 from benchmark.machine.progress import Count, progress
@@ -112,6 +111,8 @@ def fit(
         read_run(run, unfinished, identity, "settings, frames or initial weights", entry=_ENTRY)
     # Before the first step: a place that cannot be written to is said at once.
     write_json_lines(log_path, run.log)
+    if run.step < recipe.steps and isinstance(objective, ForesightedObjective):
+        store, frames = objective.look(store, frames)
     network.train()
     kept_s = time.monotonic()
     sums: dict[str, float] = {}

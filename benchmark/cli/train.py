@@ -63,13 +63,15 @@ def train_planner_command(
     learning_rate: Annotated[float | None, typer.Option(help="Instead of the usual.")] = None,
     image_encoder: Annotated[Path | None, typer.Option(help="Weights of train planner --model image-encoder.")] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="Weights to start from, where names and shapes agree.")
+        list[Path] | None,
+        typer.Option(help="Weights to start from, where names and shapes agree; of several files the last counts."),
     ] = None,
     judged_on: Annotated[Path | None, typer.Option(help="Data set whose split val gives the scores.")] = None,
     adversarial: Annotated[
         list[Path] | None,
         typer.Option(help="Root of adversarial scenes made from the split, learned from as well; repeatable."),
     ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="A part of the training, instead of all; repeatable.")] = None,
     seed: SeedOption = 0,
     device: DeviceOption = "auto",
     workers: WorkersOption = 0,
@@ -82,8 +84,9 @@ def train_planner_command(
     require_trainable(model)
     require_device(device)
     require_output_file(out, "--out", (".safetensors",))
-    for path, option in ((image_encoder, "--image-encoder"), (start_from, "--start-from")):
-        require_file(path, option)
+    require_file(image_encoder, "--image-encoder")
+    for path in start_from or ():
+        require_file(path, "--start-from")
     listed_scenes(data, split)
     if judged_on is not None:
         listed_scenes(judged_on, "val")
@@ -91,9 +94,21 @@ def train_planner_command(
         listed_scenes(root, "adv")
     from adapters.training.planners import PlannerTraining, train_planner
 
-    start, more = (image_encoder, start_from, judged_on), tuple(adversarial or ())
     training = PlannerTraining(
-        model, data, split, out, steps, seed, learning_rate, *start, device, api.worker_count(workers), more
+        model,
+        data,
+        split,
+        out,
+        steps,
+        seed,
+        learning_rate,
+        image_encoder,
+        tuple(start_from or ()),
+        judged_on,
+        device,
+        api.worker_count(workers),
+        tuple(adversarial or ()),
+        tuple(only or ()),
     )
     print_json(train_planner(training))
 

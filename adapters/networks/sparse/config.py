@@ -169,6 +169,6 @@ class SparseConfig:
             speed_from_poses=True,
             plan_sees_front=64,
             memory_crosses_scenes=False,
-            # On scenes of a town that was not learned from: the least score whose F1 is within 0.01 of the largest.
-            reporting=Reporting(least_score=0.22, apart=0.5),
+            # On scenes of a town that was not learned from seven of ten vehicles are found from this score on.
+            reporting=Reporting(least_score=0.18, apart=0.5),
         )

@@ -151,8 +151,7 @@ class DiffusionPlanner(Planner):
         """
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
-        front, told = self.read_front(scene.finest_front)
-        ego = found.tokens[-1:] if told is None else found.tokens[-1:] + told
+        ego, front = self.with_front(found.tokens[-1:], scene.finest_front)
         context = PlanContext(
             scene.cameras, found.embeddings[-1:], found.watched, self.plan_queries(ego)[scene.command]
         )

@@ -89,7 +89,8 @@ class SparseHead(nn.Module):
     def forward(
         self,
         cameras: CameraFeatures,
-        fronts: tuple[Tensor, Tensor],
+        front: Tensor,
+        finest_front: Tensor,
         pose: KeyframePose,
         command: int,
         noise: Tensor,
@@ -99,7 +100,8 @@ class SparseHead(nn.Module):
 
         Args:
             cameras: What they saw.
-            fronts: (1, C, h, w) coarsest and finest feature map of the front camera.
+            front: (1, C, h, w) coarsest feature map of the front camera.
+            finest_front: (1, C, h, w) its finest one.
             pose: When and where.
             command: 0 right, 1 left, 2 straight.
             noise: (modes, steps, 2) for the diffusion planner.
@@ -108,7 +110,7 @@ class SparseHead(nn.Module):
         Returns:
             Everything that was computed, and what to leave for the next frame.
         """
-        motion = KeyframeMotion.between(past.pose, pose, fronts[0].device) if past else None
+        motion = KeyframeMotion.between(past.pose, pose, front.device) if past else None
         agents, kept_agents = self.det_head(cameras, past.agents if past else None, motion)
         lines, kept_lines = self.map_head(cameras, past.lines if past else None, motion)
         ids, tracks = number_instances(
@@ -119,8 +121,8 @@ class SparseHead(nn.Module):
             lines=lines,
             ids=ids,
             cameras=cameras,
-            front=fronts[0],
-            finest_front=fronts[1],
+            front=front,
+            finest_front=finest_front,
             command=command,
             box_encoder=self.det_head.anchor_encoder,
             past=past.queue if past else None,
@@ -193,10 +195,9 @@ class SparseNetwork(nn.Module):
         cameras = CameraFeatures.of(maps, projections, config.image_height_px, config.image_width_px)
         drawn = self.frame_noise(inputs) if noise is None else noise
         predictions: SparsePredictions
-        fronts = maps[-1][FRONT : FRONT + 1], maps[0][FRONT : FRONT + 1]
-        predictions, self.memory = self.head(
-            cameras, fronts, pose_of(inputs), inputs.command, drawn.to(images.device, torch.float32), past
-        )
+        front, finest_front = (level[FRONT : FRONT + 1] for level in (maps[-1], maps[0]))
+        noise = drawn.to(images.device, torch.float32)
+        predictions, self.memory = self.head(cameras, front, finest_front, pose_of(inputs), inputs.command, noise, past)
         return predictions
 
     def frame_noise(self, inputs: SparseInputs) -> Tensor:

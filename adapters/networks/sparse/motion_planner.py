@@ -269,19 +269,20 @@ class Planner(nn.Module):
         x, y = anchors.unbind(-1)
         return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
-    def read_front(self, finest: Tensor) -> tuple[Tensor | None, Tensor | None]:
-        """What plans take from the front camera.
+    def with_front(self, ego: Tensor, finest: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Tokens of the egos with what their plans take from the front camera.
 
         Args:
-            finest: (B, C, h, w) feature maps.
+            ego: (1, C), or (B, 1, C) of several key frames.
+            finest: (B, C, h, w) finest feature maps of the front cameras.
 
         Returns:
-            (B, numbers), and (B, C) what is added to the tokens of the egos; nothing where they do not look there.
+            The tokens, and (B, numbers) what was taken; ``None`` where plans do not look there.
         """
         if self.front_reader is None:
-            return None, None
+            return ego, None
         numbers = self.front_reader(finest)
-        return numbers, self.front_reader.tell(numbers)
+        return ego + self.front_reader.tell(numbers).view_as(ego), numbers
 
     def plan_queries(self, ego: Tensor) -> Tensor:
         """(commands, modes, C) tokens, one for each plan that is thought of, from that of the ego, (1, C)."""

@@ -24,8 +24,7 @@ class RegressionPlanner(Planner):
         """
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
-        front, told = self.read_front(scene.finest_front)
-        ego = found.tokens[-1:] if told is None else found.tokens[-1:] + told
+        ego, front = self.with_front(found.tokens[-1:], scene.finest_front)
         queries = self.plan_queries(ego)
         motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
         status = self.refinement.plan_status_branch(ego)[0].float()

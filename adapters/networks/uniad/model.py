@@ -181,7 +181,7 @@ class UniAD(nn.Module):
         entering, moved = self.entering_queries(memory, pose)
         detections = self.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
         fresh = self.config.queries + 1
-        instances, next_id = updated(entering, detections, fresh, self._next_id.to(device), self.config.tracks_apart)
+        instances, next_id = updated(entering, detections, fresh, self._next_id.to(device), self.config)
         chosen = chosen_tracks(instances, self.vehicle_classes, self.config)
         tracks = decoded(instances.kept(chosen.reported))
         ego = decoded(instances.kept(slice(fresh - 1, fresh)))
@@ -206,6 +206,7 @@ class UniAD(nn.Module):
             ego.states[0],
             inputs.command,
             maps[0][FRONT : FRONT + 1],
+            motion.can_bus,
         )
         self._memory = Memory(inputs.scene_token, bev, next_instances, pose)
         self._can_bus = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from adapters.networks.layers.front_reader import FrontReader
+from adapters.networks.layers.motion_teller import MotionTeller
 from adapters.networks.uniad.config import UniADConfig
 
 
@@ -43,6 +44,7 @@ class PlanningHead(nn.Module):
         self.pos_embed = nn.Embedding(1, channels)
         numbers = config.plan_sees_front
         self.front_reader = FrontReader(channels, numbers, 2 * channels) if numbers else None
+        self.motion_teller = MotionTeller(2 * channels) if config.plan_knows_motion else None
         self.bev_adapter = nn.Sequential(
             *(
                 nn.Sequential(
@@ -60,6 +62,7 @@ class PlanningHead(nn.Module):
         state: Tensor,
         command: int,
         finest_front: Tensor,
+        can_bus: Tensor,
     ) -> UniADPlan:
         """Plan.
 
@@ -70,14 +73,20 @@ class PlanningHead(nn.Module):
             state: (C,) its track.
             command: 0 right, 1 left, 2 straight.
             finest_front: (1, C, h, w) finest feature map of the front camera.
+            can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.EgoMotion` has it.
 
         Returns:
             The plan.
         """
-        front, told = None, None
+        front: Tensor | None = None
+        told: list[Tensor] = []
         if self.front_reader is not None:
             front = self.front_reader(finest_front)
-            to_state, told = self.front_reader.tell(front)[0].chunk(2)
+            told.append(self.front_reader.tell(front))
+        if self.motion_teller is not None:
+            told.append(self.motion_teller(can_bus))
+        to_state, to_plan = torch.cat(told).sum(0).chunk(2) if told else (None, None)
+        if to_state is not None:
             state = state + to_state
         shared = torch.cat([state, self.navi_embed.weight[command]]).expand(len(mode_queries), -1)
         fused = self.mlp_fuser(torch.cat([mode_queries, shared], -1))
@@ -86,7 +95,7 @@ class PlanningHead(nn.Module):
         image = (bev + bev_positions).view(1, rows, columns, -1).permute(0, 3, 1, 2)
         image = image + self.bev_adapter(image)
         attended = self.attn_module(query[None], image.flatten(2).transpose(1, 2))[0, 0]
-        if told is not None:
-            attended = attended + told
+        if to_plan is not None:
+            attended = attended + to_plan
         steps = self.reg_branch(attended).float().view(self.config.plan_steps, 2)
         return UniADPlan(fused, attended, steps.cumsum(0), front)

@@ -12,10 +12,6 @@ from adapters.networks.layers.reporting import said_once
 from adapters.networks.uniad.bev import Detections
 from adapters.networks.uniad.config import UniADConfig
 
-BORN_SCORE = 0.4
-"""A query that is more certain becomes a track."""
-ASLEEP_SCORE = 0.35
-"""A track that is less certain is not reported."""
 PATIENCE = 5
 """Key frames without an awake one after which a track ends."""
 NO_TRACK, EGO = -1, -2
@@ -150,7 +146,7 @@ def _rows_times(rows: Tensor, matrix: Tensor) -> Tensor:
 
 
 def updated(
-    instances: Instances, detections: Detections, fresh: int, next_id: Tensor, apart: float = 0.0
+    instances: Instances, detections: Detections, fresh: int, next_id: Tensor, config: UniADConfig
 ) -> tuple[Instances, Tensor]:
     """Instances after the decoder: births, naps and ends of tracks.
 
@@ -159,7 +155,7 @@ def updated(
         detections: Of these.
         fresh: How many are fresh; the last of them is the ego.
         next_id: () int64, the first id that has not been given.
-        apart: As `UniADConfig.tracks_apart`.
+        config: Says how certain a track is, and how far apart from others.
 
     Returns:
         The instances, and the next id.
@@ -168,15 +164,15 @@ def updated(
     scores = logits.sigmoid().amax(-1)
     ids = instances.track_ids.clone()
     ids[fresh - 1 : fresh].fill_(EGO)
-    awake = scores >= BORN_SCORE
-    if apart > 0:
-        again = _again(detections.box_codes[-1], scores, ids, apart)
+    awake = scores >= config.born_score
+    if config.tracks_apart > 0:
+        again = _again(detections.box_codes[-1], scores, ids, config)
         awake &= ~again
         ids = torch.where(again, NO_TRACK, ids)
     asleep_for = instances.frames_asleep.masked_fill(awake, 0)
     born = (ids == NO_TRACK) & awake
     order = born.cumsum(0)
-    naps = (ids >= 0) & (scores < ASLEEP_SCORE)
+    naps = (ids >= 0) & (scores < config.asleep_score)
     asleep_for = asleep_for + naps
     ids = torch.where(naps & (asleep_for >= PATIENCE), NO_TRACK, ids)
     ids = torch.where(born, next_id + order - 1, ids)
@@ -193,12 +189,12 @@ def updated(
     return after, next_id + order[-1]
 
 
-def _again(box_codes: Tensor, scores: Tensor, ids: Tensor, apart: float) -> Tensor:
+def _again(box_codes: Tensor, scores: Tensor, ids: Tensor, config: UniADConfig) -> Tensor:
     """(Q,) which instances follow, or would follow, what another does; tracks that are awake go before all others."""
     boxes, again = decode_boxes(box_codes), torch.zeros_like(ids, dtype=torch.bool)
-    alive = ((ids >= 0) | ((ids == NO_TRACK) & (scores >= BORN_SCORE))).nonzero()[:, 0]
-    certainty = scores[alive] + ((ids[alive] >= 0) & (scores[alive] >= ASLEEP_SCORE))
-    again[alive] = ~said_once(boxes[alive, :2], boxes[alive, 4], certainty, apart)
+    alive = ((ids >= 0) | ((ids == NO_TRACK) & (scores >= config.born_score))).nonzero()[:, 0]
+    certainty = scores[alive] + ((ids[alive] >= 0) & (scores[alive] >= config.asleep_score))
+    again[alive] = ~said_once(boxes[alive, :2], boxes[alive, 4], certainty, config.tracks_apart)
     return again
 
 
@@ -285,7 +281,7 @@ def chosen_tracks(instances: Instances, vehicle_classes: Tensor, config: UniADCo
         The choice.
     """
     living = instances.track_ids >= 0
-    awake = living & (instances.scores >= ASLEEP_SCORE)
+    awake = living & (instances.scores >= config.asleep_score)
     scores, strongest = torch.where(awake, instances.scores, -1.0).topk(min(config.max_boxes, len(awake)))
     reported = (scores >= 0) & _near(instances.box_codes[strongest], config)
     vehicles = reported & vehicle_classes[instances.class_logits[strongest].argmax(-1)]

@@ -23,6 +23,7 @@ class VADConfig(BEVConfig):
         image_size: Width and height of input images, if they are not 1600 x 900 scaled.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside agents and
             map elements; the published networks have none.
+        plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate itself, beside what it looks at.
     """
 
     backbone_outputs: tuple[int, ...]
@@ -39,6 +40,7 @@ class VADConfig(BEVConfig):
     max_lines: int = 50
     image_size: tuple[int, int] | None = None
     plan_sees_front: int = 0
+    plan_knows_motion: bool = False
 
     @property
     def image_format(self) -> ImageFormat:
@@ -85,6 +87,7 @@ class VADConfig(BEVConfig):
             image_scale=0.14,
             image_size=(224, 128),
             plan_sees_front=64,
+            plan_knows_motion=True,
             channels=64,
             feedforward_channels=128,
             heads=2,

@@ -9,9 +9,10 @@ from adapters.networks.layers.coders import box_codes, line_extent, metres
 from adapters.networks.layers.deformable_decoder import Decoded
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.front_reader import FRONT, FrontReader
+from adapters.networks.layers.motion_teller import MotionTeller
 from adapters.networks.layers.positional import LearnedGridEncoding
 from adapters.networks.vad.config import VADConfig
-from adapters.networks.vad.predictions import VADPredictions
+from adapters.networks.vad.predictions import VADOutlook, VADPredictions, VADSights
 from adapters.networks.vad.transformer import VADTransformer
 
 BOX_CODE = 10
@@ -54,6 +55,7 @@ class VADHead(nn.Module):
         self.ego_fut_decoder = plain_branch(2 * channels, config.commands * config.steps * 2)
         numbers = config.plan_sees_front
         self.front_reader = FrontReader(channels, numbers, 2 * channels) if numbers else None
+        self.motion_teller = MotionTeller(2 * channels) if config.plan_knows_motion else None
         self.agent_fus_mlp = nn.Sequential(
             nn.Linear(config.modes * 2 * channels, channels),
             nn.LayerNorm(channels),
@@ -74,13 +76,16 @@ class VADHead(nn.Module):
 
         map_points = self._by_line(lines.references)
         map_logits = self._classes_of_lines(lines)
-        lane_features, lane_places = self._lanes(lines, map_points[-1])
-        agent_places = agents.references[-1, :, :2]
-        seen = map_logits[-1].sigmoid().amax(-1) > self.config.lane_score
-        forecasts = self._forecast(agents.states[-1], agent_places, lane_features, lane_places, seen)
-        mode_offsets = self.traj_branches[0](forecasts).float()
-        front = None if self.front_reader is None else self.front_reader(maps[0][FRONT : FRONT + 1])
-        plan_offsets = self._plan(forecasts, agent_places, lane_features, lane_places, front)
+        sights = VADSights(
+            agent_states=agents.states[-1],
+            agent_places=agents.references[-1, :, :2],
+            map_states=lines.states[-1],
+            map_points=map_points[-1],
+            map_scores=map_logits[-1].sigmoid().amax(-1),
+            finest_front=maps[0][FRONT : FRONT + 1],
+            can_bus=motion.can_bus,
+        )
+        outlook = self.look_ahead(sights)
 
         lower, upper = self.config.perception_range_m[:3], self.config.perception_range_m[3:]
         logits = [branch(states).float() for branch, states in zip(self.cls_branches, agents.states, strict=True)]
@@ -91,17 +96,40 @@ class VADHead(nn.Module):
             agent_references=agents.references,
             class_logits=torch.stack(logits),
             box_codes=box_codes(metres(agents.references, lower, upper), agents.corrections),
-            mode_offsets=mode_offsets.view(*mode_offsets.shape[:2], self.config.steps, 2),
-            mode_logits=self.traj_cls_branches[0](forecasts)[..., 0].float(),
+            mode_offsets=outlook.mode_offsets,
+            mode_logits=outlook.mode_logits,
             map_states=lines.states,
             map_first_references=lines.first_references,
             map_references=lines.references,
             map_class_logits=map_logits,
             map_extents=line_extent(map_points),
             map_points=map_points,
-            plan_offsets=plan_offsets,
-            front=front,
+            plan_offsets=outlook.plan_offsets,
+            front=outlook.front,
         )
+
+    def look_ahead(self, sights: VADSights) -> VADOutlook:
+        """Forecasts and plan from what was seen in one key frame."""
+        lane_features, lane_places = self._lanes(sights)
+        seen = sights.map_scores > self.config.lane_score
+        forecasts = self._forecast(sights.agent_states, sights.agent_places, lane_features, lane_places, seen)
+        mode_offsets = self.traj_branches[0](forecasts).float()
+        front = None if self.front_reader is None else self.front_reader(sights.finest_front)
+        return VADOutlook(
+            mode_offsets.view(*mode_offsets.shape[:2], self.config.steps, 2),
+            self.traj_cls_branches[0](forecasts)[..., 0].float(),
+            self._plan(forecasts, sights.agent_places, lane_features, lane_places, self._told(front, sights.can_bus)),
+            front,
+        )
+
+    def _told(self, front: Tensor | None, can_bus: Tensor) -> Tensor | None:
+        """(1, 2 C) what the plan is told beside agents and map elements, if anything."""
+        told = []
+        if self.front_reader is not None and front is not None:
+            told.append(self.front_reader.tell(front))
+        if self.motion_teller is not None:
+            told.append(self.motion_teller(can_bus))
+        return torch.stack(told).sum(0) if told else None
 
     def _by_line(self, points: Tensor) -> Tensor:
         """(K, M * P, D) to (K, M, P, D)."""
@@ -113,15 +141,16 @@ class VADHead(nn.Module):
         found = [branch(states).float() for branch, states in zip(self.map_cls_branches, means, strict=True)]
         return torch.stack(found)
 
-    def _lanes(self, lines: Decoded, points: Tensor) -> tuple[Tensor, Tensor]:
+    def _lanes(self, sights: VADSights) -> tuple[Tensor, Tensor]:
         """(M, C) features of the map elements, and (M, 2) where they are, as shares.
 
         An element is where its point nearest to the corner with the least x and y is: the published code takes norms of
         shares, whose origin is that corner and not the ego.
         """
+        points = sights.map_points
         nearest = points.square().sum(-1).sqrt().argmin(1)
         places = points.gather(1, nearest[:, None, None].expand(-1, 1, 2))[:, 0]
-        features: Tensor = self.lane_encoder(self._by_line(lines.states)[-1])
+        features: Tensor = self.lane_encoder(sights.map_states.view(*points.shape[:2], -1))
         return features, places
 
     def _forecast(
@@ -159,11 +188,11 @@ class VADHead(nn.Module):
         return torch.cat([among_agents, among_lanes], -1)
 
     def _plan(
-        self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, front: Tensor | None
+        self, forecasts: Tensor, places: Tensor, lanes: Tensor, lane_places: Tensor, told: Tensor | None
     ) -> Tensor:
         """(commands, steps, 2) metres from step to step: the ego query looks at the agents, then at the lanes.
 
-        What it takes from the front camera, if anything, is added to what it has seen there.
+        What it is told, if anything, is added to what it has seen there.
         """
         agents = self.agent_fus_mlp(forecasts.flatten(1))
         origin = torch.zeros_like(places[:1])
@@ -180,8 +209,8 @@ class VADHead(nn.Module):
             lanes,
         )
         seen = torch.cat([after_agents, after_lanes], -1)
-        if self.front_reader is not None and front is not None:
-            seen = seen + self.front_reader.tell(front)
+        if told is not None:
+            seen = seen + told
         offsets: Tensor = self.ego_fut_decoder(seen)
         return offsets.float().view(self.config.commands, self.config.steps, 2)
 

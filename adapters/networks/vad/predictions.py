@@ -46,3 +46,36 @@ class VADPredictions:
     map_points: Tensor
     plan_offsets: Tensor
     front: Tensor | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VADSights:
+    """What forecasts and the plan of one key frame are made from.
+
+    Attributes:
+        agent_states: (A, C) after the last layer.
+        agent_places: (A, 2) as shares.
+        map_states: (M * P, C) after the last layer.
+        map_points: (M, P, 2) as shares.
+        map_scores: (M,) of the most likely class.
+        finest_front: (1, C, h, w) finest feature map of the front camera.
+        can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.EgoMotion` has it.
+    """
+
+    agent_states: Tensor
+    agent_places: Tensor
+    map_states: Tensor
+    map_points: Tensor
+    map_scores: Tensor
+    finest_front: Tensor
+    can_bus: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class VADOutlook:
+    """Forecasts and plan; the attributes are those of `VADPredictions`."""
+
+    mode_offsets: Tensor
+    mode_logits: Tensor
+    plan_offsets: Tensor
+    front: Tensor | None

@@ -36,6 +36,7 @@ CENTRE_M: Final = 4.0
 """A centre that is missed by this much has the quality 1 / e."""
 FORECAST: Final = 0.3
 FORECAST_CLASS: Final = 0.5
+FORECAST_CHOSEN: Final = 0.15
 PLAN: Final = 0.5
 CHOSEN: Final = 1.0
 PLAN_CLASS: Final = 0.5
@@ -47,6 +48,15 @@ NEIGHBOUR: Final = 0.5
 """Weight of their boxes."""
 STATUS: Final = 0.1
 SPEED: Final = 0.3
+
+
+def matches_of_boxes(stage: Stage, targets: Targets) -> Matches:
+    """Which predictions of a stage stand for which boxes; arguments as in `stage_of_boxes`."""
+    boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
+    weights = boxes.new_tensor(BOX_WEIGHTS)
+    distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)
+    cost = CLASS * class_cost(logits, targets.box_labels) + BOX * distance
+    return assigned(cost, stage.anchors.shape[1], targets.box_counts)
 
 
 def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], Matches]:
@@ -62,9 +72,7 @@ def stage_of_boxes(stage: Stage, targets: Targets) -> tuple[dict[str, Tensor], M
     boxes, logits = stage.anchors.flatten(0, 1), stage.logits.flatten(0, 1)
     assert stage.qualities is not None
     weights = boxes.new_tensor(BOX_WEIGHTS)
-    distance = torch.cdist(boxes.detach() * weights, targets.boxes * weights, p=1)
-    cost = CLASS * class_cost(logits, targets.box_labels) + BOX * distance
-    matches = assigned(cost, stage.anchors.shape[1], targets.box_counts)
+    matches = matches_of_boxes(stage, targets)
     found, wanted = boxes[matches.queries], targets.boxes[matches.wanted]
     missed = (found - wanted)[:, :3].detach().norm(dim=-1)
     alike = ((found[:, 6:8] * wanted[:, 6:8]).sum(-1) > 0).float()
@@ -174,10 +182,14 @@ def forecast_losses(
     counted = valid.any(-1)
     logits, paths, wanted, valid = logits[counted], offsets[counted].cumsum(2), wanted[counted], valid[counted]
     best = winners(anchors[counted], wanted, valid)
-    error = (paths[torch.arange(len(best), device=best.device), best] - wanted).abs().sum(-1) * valid
+    error = ((paths - wanted[:, None]).abs().sum(-1) * valid[:, None]).sum(-1)
+    steps = max(int(valid.sum()), 1)
+    own = error[torch.arange(len(best), device=best.device), best].sum() / steps
     nearest = F.one_hot(best, logits.shape[1]).to(logits.dtype)
     return {
-        "forecast": FORECAST * error.sum() / max(int(valid.sum()), 1),
+        "forecast": FORECAST * own,
+        # As with plans, what is chosen wrongly should do little harm.
+        "forecast chosen": FORECAST_CHOSEN * (logits.softmax(-1) * error).sum() / steps,
         "forecast class": FORECAST_CLASS * focal_loss(logits, nearest),
     }
 

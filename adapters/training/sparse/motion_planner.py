@@ -168,9 +168,8 @@ def interacted(
     lanes, places = rows_of(lines.features, seen), rows_of(lines.embeddings, seen)
     features = planner.looked(features, embeddings, past, allowed, watched, (lanes, places))
     tokens = features + embeddings
-    front, told = planner.read_front(finest_front)
-    if told is not None:
-        tokens = torch.cat([tokens[:, :-1], tokens[:, -1:] + told[:, None]], 1)
+    ego, front = planner.with_front(tokens[:, -1:], finest_front)
+    tokens = torch.cat([tokens[:, :-1], ego], 1)
     status: Tensor = planner.refinement.plan_status_branch(tokens[:, -1])
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
     after = LearnedQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)

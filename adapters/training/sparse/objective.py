@@ -1,23 +1,20 @@
 """How the miniatures of SparseDrive and DiffusionDrive learn: what ``challenger-bench train planner`` runs for them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import torch
 from torch import Tensor, nn
 
-from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.sparse.aggregation import CameraFeatures
-from adapters.networks.sparse.decoder import Decoded, Remembered, Stage
+from adapters.networks.sparse.decoder import Decoded, Stage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
-from adapters.networks.sparse.keyframe_pose import KeyframePose
 from adapters.networks.sparse.model import SparseInputs, SparseNetwork
 from adapters.training.frames import TrainingFrame
-from adapters.training.front import front_phase, mean_front_losses
+from adapters.training.front import mean_front_losses
 from adapters.training.image_encoder import miniature_images
-from adapters.training.phases import Phase
+from adapters.training.losses import Matches
 from adapters.training.sparse.keyframe_motions import KeyframeMotions
 from adapters.training.sparse.losses import (
     decoder_losses,
@@ -27,18 +24,14 @@ from adapters.training.sparse.losses import (
     summed,
 )
 from adapters.training.sparse.motion_planner import Cleaned, Interacted, denoised, interacted, queued
+from adapters.training.sparse.perceived import Perceived, perceived
 from adapters.training.sparse.targets import Targets
-from adapters.training.trainer import Recipe
 from benchmark.machine.storage import content_seed
 
 STREAM_FRAMES: Final = 4
 """Key frames that are seen one after the other, the first of them without a past."""
 FROZEN: Final = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1")
 """Layers of the image network that stay as its own training left them: to change them would cost most."""
-_RECIPE: Final = Recipe(
-    steps=2600, learning_rate=1e-3, encoder_rate=0.3, warmup=60, average=0.995, clips=2, gradient_norm=10.0
-)
-PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +39,12 @@ class Seen:
     """What a network says about B key frames.
 
     Attributes:
-        agents: Boxes.
-        lines: Map elements.
-        kept: What to remember of boxes and of map elements.
+        perceived: Boxes and map elements, and what they were found in.
         planned: Tokens of agents and the ego.
         cleaned: Of the diffusion planner.
     """
 
-    agents: Decoded
-    lines: Decoded
-    kept: tuple[Remembered, Remembered]
+    perceived: Perceived
     planned: Interacted
     cleaned: tuple[Cleaned, ...]
 
@@ -67,19 +56,18 @@ class SparseObjective:
 
     Args:
         network: To be trained.
-        perception: Whether what finds boxes and lines learns too, and not the planner alone.
 
     Attributes:
         network: The same.
         clip_frames: Key frames of a clip.
     """
 
-    def __init__(self, network: SparseNetwork, *, perception: bool = True) -> None:
+    def __init__(self, network: SparseNetwork) -> None:
         self.network: nn.Module = network
         self.clip_frames = STREAM_FRAMES
         self._sparse = network
         network.img_neck.requires_grad_(True)
-        for name in FROZEN if perception else PERCEPTION:
+        for name in FROZEN:
             network.get_submodule(name).requires_grad_(False)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -111,9 +99,9 @@ class SparseObjective:
         device = next(self._sparse.parameters()).device
         targets = Targets.of(frames, config.points_per_line, device)
         seen = self.seen(frames, len(clips), targets)
-        found, matches = decoder_losses([each.agents for each in seen], [each.lines for each in seen], targets)
+        found, matches = self._perception_losses([each.perceived for each in seen], targets)
         planner = self._sparse.head.motion_plan_head
-        agents = _flattened([each.agents for each in seen])
+        agents = _flattened([each.perceived.agents for each in seen])
         tokens = torch.cat([each.planned.tokens[:, :-1] for each in seen]).flatten(0, 1)
         last = Stage(agents.anchors[matches.queries], agents.logits[matches.queries], None)
         matched = Decoded((last,), last.anchors, last.anchors)
@@ -141,6 +129,10 @@ class SparseObjective:
         offsets = planner.refinement.plan_reg_branch(queries).unflatten(-1, (-1, 2))
         return found | plan_losses(logits, offsets, anchors, targets)
 
+    def _perception_losses(self, perceived: Sequence[Perceived], targets: Targets) -> tuple[dict[str, Tensor], Matches]:
+        """Losses of boxes and lines, and which boxes stand for which."""
+        return decoder_losses([each.agents for each in perceived], [each.lines for each in perceived], targets)
+
     def seen(self, frames: Sequence[TrainingFrame], batch: int, targets: Targets) -> list[Seen]:
         """What the network says, for one key frame of each clip after the other.
 
@@ -152,37 +144,31 @@ class SparseObjective:
         Returns:
             Of all first frames, of all second ones, ...
         """
-        network, head = self._sparse, self._sparse.head
-        config, device = network.config, targets.plans.device
+        head, device = self._sparse.head, targets.plans.device
+        planner = head.motion_plan_head
+        found: list[Seen] = []
+        for start, now in zip(range(0, len(frames), batch), self._perceived(frames, batch, device), strict=True):
+            past = found[-1] if found else None
+            motions = KeyframeMotions.between(past.perceived.poses, now.poses, device) if past else None
+            queue = queued(planner, now.agents, now.front, past.planned.left if past else None, motions)
+            planned = interacted(
+                planner, head.det_head.anchor_encoder, now.agents, now.lines, queue, now.kept_agents, now.finest_front
+            )
+            present = slice(start, start + batch)
+            cleaned = self._cleaned(now.views, planned, targets.commands[present], frames[present])
+            found.append(Seen(now, planned, cleaned))
+        return found
+
+    def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
+        """What is seen in one key frame of each clip after the other; arguments as of `seen`."""
+        network = self._sparse
         images = torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device)
         maps = network.img_neck(network.img_backbone(miniature_images(images)))
-        found: list[Seen] = []
-        before: list[KeyframePose] = []
+        past: Perceived | None = None
         for start in range(0, len(frames), batch):
-            present = frames[start : start + batch]
-            rows = slice(start * config.cameras, (start + batch) * config.cameras)
-            projections = torch.stack([frame.lidar2img for frame in present]).to(device, torch.float32)
-            views = CameraFeatures.of(
-                [level[rows] for level in maps], projections, config.image_height_px, config.image_width_px
-            )
-            poses = [KeyframePose(frame.timestamp_s, frame.global_T_lidar, frame.scene) for frame in present]
-            motions = KeyframeMotions.between(before, poses, device) if before else None
-            past = found[-1] if found else None
-            old_agents, old_lines = past.kept if past else (None, None)
-            agents, kept = head.det_head(views, old_agents, motions)
-            lines, kept_lines = head.map_head(views, old_lines, motions)
-            left = past.planned.left if past else None
-            coarsest, finest = (
-                level[rows].unflatten(0, (batch, config.cameras))[:, FRONT] for level in (maps[-1], maps[0])
-            )
-            planner = head.motion_plan_head
-            queue = queued(planner, agents, coarsest, left, motions)
-            planned = interacted(planner, head.det_head.anchor_encoder, agents, lines, queue, kept, finest)
-            commands = targets.commands[start : start + batch]
-            cleaned = self._cleaned(views, planned, commands, present)
-            found.append(Seen(agents, lines, (kept, kept_lines), planned, cleaned))
-            before = poses
-        return found
+            rows = slice(start * network.config.cameras, (start + batch) * network.config.cameras)
+            past = perceived(network, [level[rows] for level in maps], frames[start : start + batch], past)
+            yield past
 
     def _cleaned(
         self, views: CameraFeatures, planned: Interacted, commands: Tensor, frames: Sequence[TrainingFrame]
@@ -226,23 +212,3 @@ def _flattened(agents: Sequence[Decoded]) -> Stage:
     """The last stages of several key frames, (F * N, ...)."""
     anchors = torch.cat([each.anchors.detach() for each in agents]).flatten(0, 1)
     return Stage(anchors, torch.cat([each.stages[-1].logits for each in agents]).flatten(0, 1), None)
-
-
-def front_reader(network: SparseNetwork) -> FrontReader | None:
-    """The part of a network that reads the front camera for its plan, if it has one."""
-    return network.head.motion_plan_head.front_reader
-
-
-def phases() -> tuple[Phase, ...]:
-    """The parts of the training of SparseDrive-mini."""
-    # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.
-    return front_phase(front_reader, ("",)), Phase("all", SparseObjective, _RECIPE)
-
-
-def diffusion_phases() -> tuple[Phase, ...]:
-    """The parts of the training of DiffusionDrive-mini.
-
-    It starts from SparseDrive (``--start-from``): what it sees is seen already, it learns to plan.
-    """
-    recipe = replace(_RECIPE, steps=1000, clips=3)
-    return (Phase("planner", partial(SparseObjective, perception=False), recipe),)

@@ -1,9 +1,8 @@
 """How UniAD learns from clips: tracks follow the annotated agents, and every head has its loss."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import torch
@@ -21,9 +20,7 @@ from adapters.training.dense_targets import dense_loss
 from adapters.training.frames import TrainingFrame
 from adapters.training.front import mean_front_losses
 from adapters.training.losses import Matches, aside_loss, plan_loss
-from adapters.training.phases import Phase
 from adapters.training.plan_constraints import agent_constraint, boundary_constraint
-from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus, untold
 from adapters.training.uniad.losses import (
     detection_losses,
@@ -48,9 +45,11 @@ PLAN_WEIGHT, ASIDE_WEIGHT, CONSTRAINT_WEIGHT = 1.5, 6.0, 0.4
 DENSE_WEIGHT = 6.0
 LOST = 0.1
 """Share of tracks that are dropped between frames, so that their agents are found anew."""
-FALSE_TRACKS = 0.3
-"""For each track that is handed on, how often one that follows nothing, or what another follows, is as well (UniAD's
-``fp_ratio``)."""
+FALSE_FROM = 0.25
+"""Whoever stands for nobody and is more certain than this is handed on as a track, as it would be when the network runs
+(the published training draws some of them, ``fp_ratio``)."""
+MOST_FALSE = 12
+"""Of them, the most certain."""
 FROZEN = ("img_backbone.conv1", "img_backbone.bn1", "img_backbone.layer1", "img_backbone.layer2")
 """What stays as the pre-training left it: half of a frame's cost would be its gradients."""
 SEES = (
@@ -66,17 +65,24 @@ SEES = (
 """What the bird's-eye view is made with."""
 MOST_FORECAST = 8
 """Agents of a frame whose forecasts are learned."""
-OCCUPANCY_SHARE = 0.3
+OCCUPANCY_SHARE = 0.6
 """Of clips, in which the occupancy is learned; it is the dearest head."""
-MOST_OCCUPYING = 6
+MOST_OCCUPYING = 8
 """Vehicles of a frame whose occupancy is learned."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Past:
-    """What a frame of a clip leaves for the next."""
+class View:
+    """What is seen in a key frame.
 
-    memory: Memory
+    Attributes:
+        bev: (cells, C) bird's-eye view.
+        finest_front: (1, C, h, w) finest feature map of the front camera.
+        can_bus: (18,) float32, how the ego moves, as far as it is told.
+    """
+
+    bev: Tensor
+    finest_front: Tensor
     can_bus: Tensor
 
 
@@ -104,7 +110,7 @@ class UniADObjective:
         *,
         sees_already: bool = False,
     ) -> None:
-        self.unaware = unaware
+        self.unaware, self.view_learns = unaware, not sees_already
         self.network, self.stage, self.clip_frames = network, stage, clip_frames
         self.learned_frames = clip_frames if learned_frames is None else learned_frames
         for name, parameter in network.named_parameters():
@@ -140,89 +146,89 @@ class UniADObjective:
         Raises:
             InputError: If predictions are not finite.
         """
-        network, cameras = self.network, self.network.config.cameras
+        network = self.network
         if network.training:
             network.eval()
         inputs = [network_inputs(frame) for frame in clip]
         inputs = [replace(each, can_bus=turned_can_bus(each.can_bus, turn_rad)) for each in inputs]
-        past: _Past | None = None
+        views = self._views(inputs, aware)
+        past: Memory | None = None
         found: list[dict[str, Tensor]] = []
-        for first, end in self._parts(len(clip)):
-            with torch.set_grad_enabled(end == len(clip)):
-                images = torch.cat([each.images for each in inputs[first:end]])
-                maps = network.img_neck(network.img_backbone(images.contiguous(memory_format=torch.channels_last)))
-                for number in range(first, end):
-                    place = slice((number - first) * cameras, (number - first + 1) * cameras)
-                    own = [level[place] for level in maps]
-                    last = number == len(clip) - 1
-                    past, losses = self._frame(clip[number], inputs[number], own, past, aware, last=last)
-                    if end == len(clip):
-                        found.append(losses)
+        for number, (frame, given) in enumerate(zip(clip, inputs, strict=True)):
+            learned = number >= self._first_learned(len(clip))
+            with torch.set_grad_enabled(learned):
+                past, losses = self._frame(frame, given, next(views), past, last=number == len(clip) - 1)
+            if learned:
+                found.append(losses)
         return {name: torch.stack([each[name] for each in found if name in each]).mean() for name in found[-1]}
 
-    def _parts(self, frames: int) -> list[tuple[int, int]]:
-        """First and end of the frames without and of those with gradients."""
-        learned = max(frames - self.learned_frames, 0)
-        return [part for part in ((0, learned), (learned, frames)) if part[0] < part[1]]
+    def _first_learned(self, frames: int) -> int:
+        """The first frame of a clip with gradients."""
+        return max(frames - self.learned_frames, 0)
+
+    def _views(self, inputs: Sequence[UniADInputs], aware: bool) -> Iterator[View]:
+        """What is seen in the frames of a clip, one after the other; the images of those with gradients together."""
+        network, config = self.network, self.network.config
+        learned = self._first_learned(len(inputs))
+        previous: Tensor | None = None
+        maps: list[Tensor] = []
+        for number, given in enumerate(inputs):
+            if number in (0, learned):
+                seen = inputs[number : learned if number < learned else len(inputs)]
+                images = torch.cat([each.images for each in seen])
+                maps = network.img_neck(network.img_backbone(images.contiguous(memory_format=torch.channels_last)))
+            place = number - (learned if number >= learned else 0)
+            own = [level[place * config.cameras : (place + 1) * config.cameras] for level in maps]
+            before = inputs[number - 1].can_bus if number else None
+            motion = EgoMotion.between(before, given.can_bus, config.grid, config.rotation_centre)
+            motion = motion.to(given.images.device)
+            if not aware:
+                motion = untold(motion)
+            previous = network.pts_bbox_head.encode(own, given.images, given.lidar2img.float(), motion, previous)
+            yield View(previous, own[0][FRONT : FRONT + 1], motion.can_bus)
 
     def _frame(
-        self,
-        frame: TrainingFrame,
-        inputs: UniADInputs,
-        maps: list[Tensor],
-        past: _Past | None,
-        aware: bool,
-        *,
-        last: bool,
-    ) -> tuple[_Past, dict[str, Tensor]]:
-        network, config = self.network, self.network.config
-        before = None if past is None else past.can_bus
-        motion = EgoMotion.between(before, inputs.can_bus, config.grid, config.rotation_centre)
-        motion = motion.to(inputs.images.device)
-        if not aware:
-            motion = untold(motion)
-        bev = network.pts_bbox_head.encode(
-            maps, inputs.images, inputs.lidar2img.float(), motion, None if past is None else past.memory.bev
-        )
-        pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, inputs.images.device)
-        entering, _ = network.entering_queries(None if past is None else past.memory, pose)
+        self, frame: TrainingFrame, inputs: UniADInputs, view: View, past: Memory | None, *, last: bool
+    ) -> tuple[Memory, dict[str, Tensor]]:
+        network, config, bev = self.network, self.network.config, view.bev
+        pose = Pose.of(inputs.l2g_r_mat, inputs.l2g_t, inputs.timestamp, bev.device)
+        entering, _ = network.entering_queries(past, pose)
         detections = network.pts_bbox_head.detect(bev, entering.queries, entering.reference_logits)
         agents = Agents.of(frame, config)
         matches = matched_agents(detections, agents, entering.track_ids[config.queries + 1 :], config.queries)
         ego_codes = box_targets(ego_box(frame), config)
         losses = detection_losses(detections, agents, matches, ego_codes, config.queries)
-        losses["dense"] = dense_loss(bev, frame, config.grid, DENSE_WEIGHT)
+        if self.view_learns:
+            losses["dense"] = dense_loss(bev, frame, config.grid, DENSE_WEIGHT)
         instances = _followed(entering, detections, agents, matches)
         memory = Memory(frame.scene, bev, self._handed_on(instances, matches), pose)
         if last:
-            losses |= self._road_and_plan(frame, bev, instances, agents, matches, maps[0][FRONT : FRONT + 1])
-        return _Past(memory, inputs.can_bus), losses
+            losses |= self._road_and_plan(frame, view, instances, agents, matches)
+        return memory, losses
 
     def _handed_on(self, instances: Instances, matches: Matches) -> Instances:
-        """Queries of the next frame: fresh ones, and tracks of most of the agents."""
+        """Queries of the next frame: fresh ones, tracks of most of the agents, and tracks of nobody."""
         network = self.network
         kept = matches.queries[torch.rand(len(matches.queries)) >= LOST]
         kept = torch.cat([kept, self._false_tracks(instances, matches)])
         return network.fresh_queries().then(network.query_interact(network.memory_bank(instances).kept(kept)))
 
     def _false_tracks(self, instances: Instances, matches: Matches) -> Tensor:
-        """The most certain of the fresh queries and tracks that stand for nobody, which are to be given up."""
-        wrong = torch.ones(len(instances.scores), dtype=torch.bool)
-        wrong[matches.queries] = False
-        wrong[self.network.config.queries] = False
-        count = min(int((torch.rand(len(matches.queries)) < FALSE_TRACKS).sum()), int(wrong.sum()))
-        return instances.scores.detach().masked_fill(~wrong, -1.0).topk(count).indices
+        """Fresh queries and tracks that stand for nobody and would be tracks all the same, which are to be given up."""
+        scores = instances.scores.detach().index_fill(0, matches.queries, 0.0)
+        scores[self.network.config.queries] = 0.0
+        count = min(int((scores >= FALSE_FROM).sum()), MOST_FALSE)
+        return scores.topk(count).indices
 
     def _road_and_plan(
         self,
         frame: TrainingFrame,
-        bev: Tensor,
+        view: View,
         instances: Instances,
         agents: Agents,
         matches: Matches,
-        finest_front: Tensor,
     ) -> dict[str, Tensor]:
-        network, config = self.network, self.network.config
+        network, config, bev = self.network, self.network.config, view.bev
         elements = network.seg_head(bev)
         road = Road.of(frame, config)
         lines = matched_elements(elements, road)
@@ -246,7 +252,8 @@ class UniADObjective:
             forecasts.queries[-1, -1],
             ego.states[0],
             frame.command,
-            finest_front,
+            view.finest_front,
+            view.can_bus,
         )
         losses |= _plan_losses(plan, frame)
         return losses | self._occupancy(bev, tracks, agents, wanted, forecasts)
@@ -302,14 +309,3 @@ def _futures(frame: TrainingFrame, agents: Agents, wanted: Tensor) -> tuple[Tens
     own = torch.cat([frame.ego_future, frame.ego_future.new_zeros(rest, 2)])[None]
     known = torch.cat([frame.ego_future_valid, frame.ego_future_valid.new_zeros(rest)])[None]
     return torch.cat([offsets, own]), torch.cat([agents.futures_valid[wanted], known])
-
-
-def phases() -> tuple[Phase, ...]:
-    """The parts of the training of UniAD-mini."""
-    # What it sees is seen already (`seen_by_vad`): first what follows from it is learned, then what the past adds.
-    heads = Recipe(steps=1500, learning_rate=1e-3, warmup=100, average=0.99, clips=2)
-    clips = Recipe(steps=5000, learning_rate=6e-4, encoder_rate=0.3, warmup=100, average=0.998)
-    return (
-        Phase("heads", partial(UniADObjective, clip_frames=1, sees_already=True), heads),
-        Phase("clips", partial(UniADObjective, clip_frames=4, learned_frames=2), clips),
-    )

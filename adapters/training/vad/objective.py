@@ -10,12 +10,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from adapters.networks.layers.ego_motion import EgoMotion
-from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
 from adapters.training.frames import TrainingFrame
-from adapters.training.front import front_losses, front_phase
+from adapters.training.front import front_losses
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
     Matches,
@@ -30,9 +29,7 @@ from adapters.training.losses import (
     query_class_loss,
     trajectory_losses,
 )
-from adapters.training.phases import Phase
 from adapters.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
-from adapters.training.trainer import Recipe
 from adapters.training.turned_worlds import turned_can_bus, untold
 
 COARSE: Final = "lateral_convs.1."
@@ -133,6 +130,21 @@ class VADObjective:
         return {name: WEIGHTS[name] * torch.stack([each[name] for each in found]).mean() for name in WEIGHTS}
 
 
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """Annotated agents of a key frame and the queries that stand for them.
+
+    Attributes:
+        inside: (N,) which of the annotated ones are in the perception range.
+        wanted: (G, 10) their boxes as `adapters.training.losses.normalised_boxes`, in the network's convention.
+        layers: After each layer of the decoder.
+    """
+
+    inside: Tensor
+    wanted: Tensor
+    layers: Sequence[Matches]
+
+
 def inputs_of(frame: TrainingFrame) -> VADInputs:
     """A frame as `adapters.networks.vad.planner.VADPlanner` makes it of an observation.
 
@@ -169,9 +181,8 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
         **_map_losses(network, predictions, frame),
         "dense": dense_loss(predictions.bev, frame, network.config.grid, CHANNELS),
         "offsets": offset_loss(predictions.bev[:, OFFSETS_FROM : OFFSETS_FROM + OFFSETS], frame, network.config.grid),
-        **_front_losses(predictions, frame),
         "pace": _pace_loss(predictions, frame),
-        **_plan_losses(predictions, frame),
+        **plan_losses(predictions.plan_offsets, predictions.front, frame),
     }
 
 
@@ -202,28 +213,58 @@ def predictions_of(
     return found
 
 
-def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
-    """Boxes after every layer, forecasts of the queries that the last layer found boxes for."""
+def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:
+    """Which queries stand for which annotated agents after each layer."""
     low, high = (torch.tensor(network.config.perception_range_m[each : each + 2]) for each in (0, 3))
     inside = ((frame.boxes[:, :2] > low) & (frame.boxes[:, :2] < high)).all(-1)
     boxes, labels = frame.boxes[inside], frame.labels[inside]
     # The network's yaw is that of mmdet3d before version 1.0.
     wanted = normalised_boxes(torch.cat([boxes[:, :6], -boxes[:, 6:7] - math.pi / 2, boxes[:, 7:]], 1))
     weights = network.pts_bbox_head.code_weights
-    classes, codes, matches = [], [], Matches(labels[:0], labels[:0])
-    for logits, found in zip(predictions.class_logits, predictions.box_codes, strict=True):
-        matches = match_boxes(logits, found, labels, wanted, weights)
+    layers = zip(predictions.class_logits, predictions.box_codes, strict=True)
+    return Matched(inside, wanted, [match_boxes(logits, found, labels, wanted, weights) for logits, found in layers])
+
+
+def _agent_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Boxes after every layer, forecasts of the queries that the last layer found boxes for."""
+    matched = matched_agents(network, predictions, frame)
+    labels, weights = frame.labels[matched.inside], network.pts_bbox_head.code_weights
+    classes, codes = [], []
+    for logits, found, matches in zip(predictions.class_logits, predictions.box_codes, matched.layers, strict=True):
         classes.append(query_class_loss(logits, labels, matches))
-        codes.append(box_loss(found, wanted, matches, weights))
-    steps = network.config.steps
-    future = frame.futures[inside][matches.wanted, :steps, :2] - boxes[matches.wanted, None, :2]
+        codes.append(box_loss(found, matched.wanted, matches, weights))
+    return {
+        "class": torch.stack(classes).sum(),
+        "box": torch.stack(codes).sum(),
+        **forecast_losses(network, predictions.mode_offsets, predictions.mode_logits, matched, frame),
+    }
+
+
+def forecast_losses(
+    network: VAD, mode_offsets: Tensor, mode_logits: Tensor, matched: Matched, frame: TrainingFrame
+) -> dict[str, Tensor]:
+    """Of the forecasts of one key frame, not weighted.
+
+    Args:
+        network: Whose forecasts.
+        mode_offsets: (A, modes, steps, 2) metres from step to step.
+        mode_logits: (A, modes).
+        matched: Which queries stand for agents.
+        frame: The key frame.
+
+    Returns:
+        Scalars by name.
+    """
+    steps, matches = network.config.steps, matched.layers[-1]
+    boxes = frame.boxes[matched.inside]
+    future = frame.futures[matched.inside][matches.wanted, :steps, :2] - boxes[matches.wanted, None, :2]
     forecast, mode = trajectory_losses(
-        predictions.mode_offsets[matches.queries].cumsum(2),
-        predictions.mode_logits[matches.queries],
+        mode_offsets[matches.queries].cumsum(2),
+        mode_logits[matches.queries],
         future,
-        frame.futures_valid[inside][matches.wanted, :steps],
+        frame.futures_valid[matched.inside][matches.wanted, :steps],
     )
-    return {"class": torch.stack(classes).sum(), "box": torch.stack(codes).sum(), "forecast": forecast, "mode": mode}
+    return {"forecast": forecast, "mode": mode}
 
 
 def _map_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
@@ -263,18 +304,23 @@ def _pace_loss(predictions: VADPredictions, frame: TrainingFrame) -> Tensor:
     return torch.stack([(tokens[:, CHANNELS] - wanted).abs().mean() for tokens in read]).sum()
 
 
-def _front_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
-    """How well the plan knows from the front camera where the lane is; nothing where it does not look there."""
-    if predictions.front is None:
-        return dict.fromkeys(("lane", "ahead", "gap"), predictions.bev.sum() * 0)
-    return front_losses(predictions.front[0], frame)
+def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Of the plan of one key frame and what it took from the front camera, not weighted.
 
+    Args:
+        plan_offsets: (commands, steps, 2) metres from step to step.
+        front: (1, numbers), ``None`` where it does not look there.
+        frame: The key frame.
 
-def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str, Tensor]:
-    offsets = predictions.plan_offsets[frame.command]
+    Returns:
+        Scalars by name.
+    """
+    offsets = plan_offsets[frame.command]
     plan = offsets.cumsum(0)
     recorded = torch.diff(frame.ego_future, dim=0, prepend=torch.zeros_like(frame.ego_future[:1]))
+    nothing = dict.fromkeys(("lane", "ahead", "gap"), plan.sum() * 0)
     return {
+        **(nothing if front is None else front_losses(front[0], frame)),
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),
         "plan_steps": plan_loss(offsets, recorded, frame.ego_future_valid),
         "plan_aside": aside_loss(plan[:, 0], frame.ego_future[:, 0], frame.ego_future_valid),
@@ -282,14 +328,3 @@ def _plan_losses(predictions: VADPredictions, frame: TrainingFrame) -> dict[str,
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
     }
-
-
-def front_reader(network: VAD) -> FrontReader | None:
-    """The part of a network that reads the front camera for its plan, if it has one."""
-    return network.pts_bbox_head.front_reader
-
-
-def phases() -> tuple[Phase, ...]:
-    """The parts of the training of VAD-mini."""
-    recipe = Recipe(steps=6000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
-    return front_phase(front_reader, (COARSE,)), Phase("all", VADObjective, recipe)

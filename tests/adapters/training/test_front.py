@@ -30,7 +30,8 @@ from adapters.training.front import (
     gap_ahead,
 )
 from adapters.training.losses import aside_loss
-from adapters.training.vad.objective import COARSE, front_reader, inputs_of, phases
+from adapters.training.vad.objective import COARSE, inputs_of
+from adapters.training.vad.phases import front_reader, phases
 from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network
 from tests.adapters.training.vad.road_frames import a_frame, empty
 

@@ -85,10 +85,10 @@ def test_the_file_says_what_it_is_and_drives(town: Path, trained: Path) -> None:
 def test_the_card_names_data_seed_steps_and_scores(trained: Path) -> None:
     facts = json.loads(trained.with_suffix(".json").read_text())
     card = trained.with_suffix(".md").read_text()
-    assert facts["seed"] == 0 and facts["phases"]["all"]["steps"] == 2 and facts["frames"] == 40
+    assert facts["seed"] == 0 and facts["phases"]["all"]["steps"] == 1 and facts["frames"] == 40
     for said in (
         "| seed | 0 |",
-        "2 (all, learning rate",
+        "1 (all, learning rate",
         "40 key frames of 2 scenes",
         "its own images",
         "blank images",
@@ -127,16 +127,40 @@ def test_it_starts_from_the_weights_that_are_given(encoder: Path, trained: Path)
     assert max(float((eyes[name].float() - own[name].float()).abs().max()) for name in names) < 0.05
 
 
+def test_of_several_weights_the_last_count(town: Path, encoder: Path, trained: Path, tmp_path: Path) -> None:
+    """One step at a rate of nearly nothing: eyes of the one, everything else of the other."""
+    out = tmp_path / "w.safetensors"
+    done = challenger_bench(
+        "train", "planner", "--model", MODEL, "--data", town, "--split", "val", "--out", out, "--steps", "1",
+        "--only", "planner", "--learning-rate", "1e-9", "--start-from", trained, "--start-from", encoder,
+        "--workers", "1",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert list(done.json["phases"]) == ["planner"] and list(done.json["started_from"]) == ["start_from"]
+    eyes, first, found = load_file(encoder), load_file(trained), load_file(out)
+    for name, value in found.items():
+        given = eyes[name] if name in eyes and eyes[name].shape == value.shape else first[name]
+        torch.testing.assert_close(value.float(), given.float(), rtol=1e-2, atol=1e-3, msg=name)
+    assert any(not torch.equal(eyes[name].float(), first[name].float()) for name in eyes if name in first)
+
+
+@pytest.mark.parametrize("model", [MODEL, ENCODER_NAME])
+def test_a_part_that_no_training_has_is_a_sentence(town: Path, tmp_path: Path, model: str) -> None:
+    training = PlannerTraining(model, town, "val", tmp_path / "w.safetensors", only=("everything",))
+    with pytest.raises(InputError, match=f"--only everything: the parts of the training of {model} are .*all"):
+        train_planner(training)
+
+
 def test_weights_that_cannot_be_started_from_are_a_sentence(town: Path, encoder: Path, tmp_path: Path) -> None:
     training = PlannerTraining(MODEL, town, "val", tmp_path / "w.safetensors", steps=1)
     (tmp_path / "broken.safetensors").write_bytes(b"no")
     with pytest.raises(InputError, match="cannot read the weights"):
-        train_planner(replace(training, start_from=tmp_path / "broken.safetensors"))
+        train_planner(replace(training, start_from=(tmp_path / "broken.safetensors",)))
     save_file({"other": torch.zeros(2)}, tmp_path / "other.safetensors")
     with pytest.raises(InputError, match="no weights of an image encoder"):
         train_planner(replace(training, image_encoder=tmp_path / "other.safetensors"))
     with pytest.raises(InputError, match="none of the weights to start from belongs to this model"):
-        train_planner(replace(training, start_from=tmp_path / "other.safetensors"))
+        train_planner(replace(training, start_from=(tmp_path / "other.safetensors",)))
     assert not (tmp_path / "w.safetensors").exists()
 
 

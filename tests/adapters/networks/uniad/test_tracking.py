@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.networks.uniad.bev import Detections
+from adapters.networks.uniad.config import UniADConfig
 from adapters.networks.uniad.track_memory import SAVE_EVERY, MemoryBank, QueryInteraction
 from adapters.networks.uniad.tracking import (
-    ASLEEP_SCORE,
-    BORN_SCORE,
     EGO,
     NO_TRACK,
     PATIENCE,
@@ -28,6 +27,8 @@ from adapters.networks.uniad.tracking import (
 from tests.adapters.networks.uniad.small_uniad import SMALL
 
 FRESH = 5
+APART = replace(SMALL, tracks_apart=0.5)
+EASY = replace(SMALL, born_score=0.35, asleep_score=0.2)
 CPU = torch.device("cpu")
 
 
@@ -49,20 +50,23 @@ def detections(scores: list[float]) -> Detections:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.lists(st.sampled_from([0.1, 0.34, 0.36, 0.39, 0.41, 0.9]), min_size=9, max_size=9), max_size=12))
-def test_life_cycle_against_a_loop(history: list[list[float]]) -> None:
+@given(
+    st.lists(st.lists(st.sampled_from([0.1, 0.34, 0.36, 0.39, 0.41, 0.9]), min_size=9, max_size=9), max_size=12),
+    st.sampled_from([SMALL, EASY]),
+)
+def test_life_cycle_against_a_loop(history: list[list[float]], config: UniADConfig) -> None:
     """Nine instances over many frames, none of which is dropped here."""
     known, next_id = instances(9), torch.tensor(7)
     ids, asleep, number = [NO_TRACK] * 9, [0] * 9, 7
     for scores in history:
-        known, next_id = updated(known, detections(scores), FRESH, next_id)
+        known, next_id = updated(known, detections(scores), FRESH, next_id, config)
         ids[FRESH - 1] = EGO
         for place, score in enumerate(scores):
-            if score >= BORN_SCORE:
+            if score >= config.born_score:
                 asleep[place] = 0
-            if ids[place] == NO_TRACK and score >= BORN_SCORE:
+            if ids[place] == NO_TRACK and score >= config.born_score:
                 ids[place], number = number, number + 1
-            elif ids[place] >= 0 and score < ASLEEP_SCORE:
+            elif ids[place] >= 0 and score < config.asleep_score:
                 asleep[place] += 1
                 if asleep[place] >= PATIENCE:
                     ids[place] = NO_TRACK
@@ -172,7 +176,7 @@ def test_what_is_chosen_at_once_is_what_is_chosen_one_by_one(
     vehicle = torch.arange(SMALL.agent_classes) < 5
     found = chosen_tracks(known, vehicle, SMALL)
     living = [p for p in range(count) if known.track_ids[p] >= 0]
-    awake = sorted((p for p in living if known.scores[p] >= ASLEEP_SCORE), key=lambda p: -float(known.scores[p]))
+    awake = sorted((p for p in living if known.scores[p] >= SMALL.asleep_score), key=lambda p: -float(known.scores[p]))
     best = awake[: SMALL.max_boxes]
     near = [p for p in best if abs(codes[p, 0]) <= 22 and abs(codes[p, 1]) <= 18 and abs(codes[p, 4]) <= 10]
     assert found.reported.tolist() == near and found.surviving.tolist() == living
@@ -193,23 +197,23 @@ def placed(scores: list[float], places_m: list[tuple[float, float]]) -> Detectio
 def test_what_a_track_follows_is_not_born_again_and_of_two_tracks_on_one_thing_the_surer_lives() -> None:
     """Fresh ones are 0 to 4, of these the last is the ego; 5 to 8 may be tracks."""
     far = [(100.0 * place, 0.0) for place in range(9)]
-    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9, 0.8, 0.7, 0.1], far), FRESH, torch.tensor(0), 0.5)
+    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9, 0.8, 0.7, 0.1], far), FRESH, torch.tensor(0), APART)
     assert known.track_ids.tolist()[5:] == [0, 1, 2, NO_TRACK] and int(next_id) == 3
     near = list(far)
     # A fresh one beside a track, surer than it; two tracks on one thing; a fresh one beside the ego, which is no track.
     near[0], near[6], near[1] = (far[7][0] + 2.2, 0.0), (far[5][0], 2.2), far[4]
     scores = [0.95, 0.9, 0.1, 0.1, 0.9, 0.6, 0.8, 0.7, 0.1]
-    after, then = updated(known, placed(scores, near), FRESH, next_id, 0.5)
+    after, then = updated(known, placed(scores, near), FRESH, next_id, APART)
     assert after.track_ids.tolist() == [NO_TRACK, 3, NO_TRACK, NO_TRACK, EGO, NO_TRACK, 1, 2, NO_TRACK]
     assert int(then) == 4
     # As published nothing is compared.
-    as_published, last = updated(known, placed(scores, near), FRESH, next_id)
+    as_published, last = updated(known, placed(scores, near), FRESH, next_id, SMALL)
     assert as_published.track_ids.tolist() == [3, 4, NO_TRACK, NO_TRACK, EGO, 0, 1, 2, NO_TRACK] and int(last) == 5
 
 
 def test_what_sleeps_gives_way_to_what_is_seen_again() -> None:
     far = [(100.0 * place, 0.0) for place in range(9)]
-    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9] + [0.1] * 3, far), FRESH, torch.tensor(0), 0.5)
+    known, next_id = updated(instances(9), placed([0.1] * 5 + [0.9] + [0.1] * 3, far), FRESH, torch.tensor(0), APART)
     near = [far[5], *far[1:]]
-    after, _ = updated(known, placed([0.9] + [0.1] * 8, near), FRESH, next_id, 0.5)
+    after, _ = updated(known, placed([0.9] + [0.1] * 8, near), FRESH, next_id, APART)
     assert after.track_ids.tolist() == [1, NO_TRACK, NO_TRACK, NO_TRACK, EGO] + [NO_TRACK] * 4

@@ -23,7 +23,8 @@ from adapters.training.frames import TrainingFrame
 from adapters.training.front import WEIGHTS
 from adapters.training.losses import assigned
 from adapters.training.sparse.losses import FORECAST, forecast_losses, plan_losses
-from adapters.training.sparse.objective import SparseObjective, front_reader, network_inputs, phases
+from adapters.training.sparse.objective import SparseObjective, network_inputs
+from adapters.training.sparse.phases import front_reader, phases
 from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained, untrained_diffusion
 from adapters.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
 from benchmark.datasets.nuscenes import NuScenesData
@@ -112,10 +113,10 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numb
             for step, each in enumerate(clip):
                 own = built.predict(network_inputs(each), objective.noise_of(each))
                 seen = learned[step]
-                for expected, found in zip(own.agents.stages, seen.agents.stages, strict=True):
+                for expected, found in zip(own.agents.stages, seen.perceived.agents.stages, strict=True):
                     assert torch.allclose(expected.logits, found.logits[number], atol=1e-3)
                     assert torch.allclose(expected.anchors[:, :8], found.anchors[number, :, :8], atol=1e-3)
-                for expected, found in zip(own.lines.stages, seen.lines.stages, strict=True):
+                for expected, found in zip(own.lines.stages, seen.perceived.lines.stages, strict=True):
                     assert torch.allclose(expected.anchors, found.anchors[number], atol=1e-3)
                 if own.planner.front is not None and seen.planned.front is not None:
                     assert torch.allclose(own.planner.front[0], seen.planned.front[number], atol=1e-3)
@@ -152,12 +153,15 @@ def test_what_plans_read_in_the_front_camera_is_taught() -> None:
     torch.stack([losses[name] for name in WEIGHTS]).sum().backward()  # type: ignore[no-untyped-call]
     taught = {name for name, parameter in objective.network.named_parameters() if parameter.grad is not None}
     assert any("front_reader.read" in name for name in taught) and any(name.startswith("img_neck") for name in taught)
-    front, everything = phases()
+    front, everything, planner = phases()
     built = network("sparsedrive", config)
     front.objective(built)
     assert not any(parameter.requires_grad for parameter in built.img_neck.parameters())
     everything.objective(built)
     assert all(parameter.requires_grad for parameter in built.img_neck.parameters())
+    planner.objective(built)
+    learns = {name for name, parameter in built.named_parameters() if parameter.requires_grad}
+    assert learns and all(name.startswith(("head.motion_plan_head.", "depth_branch.")) for name in learns)
 
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
@@ -340,15 +344,13 @@ def test_untrained_networks_start_at_the_anchors() -> None:
     )
 
 
-@pytest.mark.parametrize("perception", [True, False])
-def test_what_learns(perception: bool) -> None:
-    objective = SparseObjective(network("diffusiondrive"), perception=perception)
+def test_what_learns() -> None:
+    objective = SparseObjective(network("diffusiondrive"))
     torch.stack(list(objective.losses([frame(0), frame(1)]).values())).sum().backward()  # type: ignore[no-untyped-call]
     learned = {name for name, parameter in objective.network.named_parameters() if parameter.grad is not None}
     assert {PLANS, FORECASTS, "img_backbone.conv1.weight", "img_backbone.layer1.0.conv1.weight"}.isdisjoint(learned)
     parts = ["img_backbone.layer4", "img_neck", "head.det_head", "head.map_head", "head.motion_plan_head"]
-    taught = [part for part in parts if any(name.startswith(part) for name in learned)]
-    assert taught == (parts if perception else parts[-1:])
+    assert all(any(name.startswith(part) for name in learned) for part in parts)
 
 
 def test_diffusiondrive_starts_where_sparsedrive_ended() -> None:

@@ -26,8 +26,10 @@ from adapters.networks.vad.model import VAD, VADInputs
 from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
 from adapters.training.losses import Matches
+from adapters.training.uniad.heads_objective import HeadsObjective
 from adapters.training.uniad.losses import detection_losses, mask_loss, matched_agents
-from adapters.training.uniad.objective import FROZEN, SEES, UniADObjective, phases
+from adapters.training.uniad.objective import FALSE_FROM, FROZEN, SEES, UniADObjective
+from adapters.training.uniad.phases import phases
 from adapters.training.uniad.start import seen_by_vad, untrained
 from adapters.training.uniad.targets import (
     LINE_HALF_WIDTH_M,
@@ -41,6 +43,7 @@ from adapters.training.uniad.targets import (
     query_places,
 )
 from benchmark.datasets.nuscenes import NuScenesData
+from tests.adapters.training.test_looked_at import Two
 from tests.adapters.training.uniad.objectives import LEARNER, a_frame, many_frames, without_annotations
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
@@ -239,8 +242,8 @@ def test_tracks_keep_their_agents_and_lose_those_that_go() -> None:
 
 
 def test_false_tracks_are_the_most_certain_that_stand_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adapters.training.uniad.objective.FALSE_TRACKS", 1.0)
     monkeypatch.setattr("adapters.training.uniad.objective.LOST", 0.0)
+    monkeypatch.setattr("adapters.training.uniad.objective.MOST_FALSE", 2)
     network = learner()
     objective = UniADObjective(network, clip_frames=2)
     instances, own = network.fresh_queries(), LEARNER.queries
@@ -249,6 +252,9 @@ def test_false_tracks_are_the_most_certain_that_stand_for_nobody(monkeypatch: py
     handed_on = objective._handed_on(replace(instances, scores=scores), matches)
     tracks = handed_on.kept(slice(own + 1, None))
     assert torch.equal(tracks.scores, scores[[own - 1, 2, own - 2, own - 3]])
+    # Who is hardly certain would not be a track when the network runs.
+    faint = objective._handed_on(replace(instances, scores=scores * FALSE_FROM / 0.75), matches)
+    assert len(faint.scores) == own + 1 + 2 + 1
     # In the next frame nobody is theirs: they learn that nothing is there.
     carried = torch.tensor([3, 7, NO_TRACK, NO_TRACK])
     entering = instances.then(replace(tracks, track_ids=carried))
@@ -298,10 +304,18 @@ def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:
     assert published.planning_head.front_reader is None and not any("front" in name for name in published.state_dict())
 
 
-def test_the_heads_learn_first_and_what_sees_boxes_stays() -> None:
-    network = learner()
+def test_the_heads_learn_first_from_the_views_of_the_network_when_it_runs() -> None:
+    network, frames = learner(), clip(3)
     heads, clips = phases()
-    total(heads.objective(network).losses(clip(1))).backward()  # type: ignore[no-untyped-call]
+    objective = heads.objective(network)
+    assert isinstance(objective, HeadsObjective)
+    store, _ = objective.look(Two(frames), range(3))
+    seen = list(objective._views([network_inputs(frame) for frame in frames], aware=True))
+    network.reset()
+    for frame, view in zip(frames, seen, strict=True):
+        with torch.inference_mode():
+            torch.testing.assert_close(view.bev, network.predict(network_inputs(frame)).bev, rtol=2e-3, atol=2e-3)
+    total(objective.losses(store.clip(2, 3))).backward()  # type: ignore[no-untyped-call]
     learned = {name for name, parameter in network.named_parameters() if parameter.grad is not None}
     assert learned and not any(name.startswith(SEES) for name in learned)
     clips.objective(network)

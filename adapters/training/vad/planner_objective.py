@@ -1,0 +1,112 @@
+"""How forecasts and the plan of VAD-mini learn from what frozen eyes have seen: dozens of frames a step."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from adapters.networks.layers.front_reader import FRONT
+from adapters.networks.vad.model import VAD
+from adapters.networks.vad.predictions import VADSights
+from adapters.training.frames import Frames, TrainingFrame
+from adapters.training.looked_at import LookedAt, weighed
+from adapters.training.vad.objective import (
+    WEIGHTS,
+    Matched,
+    forecast_losses,
+    inputs_of,
+    matched_agents,
+    plan_losses,
+)
+
+PERCEPTION: Final = (
+    "img_backbone",
+    "img_neck",
+    *(
+        f"pts_bbox_head.{name}"
+        for name in (
+            "positional_encoding",
+            "transformer",
+            "cls_branches",
+            "reg_branches",
+            "map_cls_branches",
+            "map_reg_branches",
+            "bev_embedding",
+            "query_embedding",
+            "map_instance_embedding",
+            "map_pts_embedding",
+        )
+    ),
+)
+"""What stays as it is."""
+FORGOTTEN: Final = 0.15
+"""Share of what is remembered of agents and lines that a step does not have."""
+
+
+class PlannerObjective:
+    """Forecasts and plans alone. Agents and lines of each key frame are found once, as when the network plans.
+
+    Nine tenths of a step of `adapters.training.vad.objective.VADObjective` are images and the bird's-eye view. A small
+    network would know the frames by heart: some of what is remembered is forgotten anew in each step, and what is read
+    in the front camera stays as it is.
+
+    Args:
+        network: To be trained.
+
+    Attributes:
+        network: The same.
+    """
+
+    clip_frames = 1
+
+    def __init__(self, network: VAD) -> None:
+        self.network = network
+        for name in PERCEPTION:
+            network.get_submodule(name).requires_grad_(False)
+        reader = network.pts_bbox_head.front_reader
+        if reader is not None:
+            reader.requires_grad_(False).tell.requires_grad_(True)
+        self._memory: dict[tuple[str, int], tuple[VADSights, Matched]] = {}
+
+    def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
+        """As `adapters.training.frames.ForesightedObjective` describes."""
+        looked = LookedAt(store, frames, self._look)
+        return looked, weighed(looked, frames)
+
+    def _look(self, scene: Sequence[TrainingFrame]) -> None:
+        network = self.network
+        network.reset()
+        with torch.no_grad():
+            for frame in scene:
+                inputs = inputs_of(frame)
+                motion = network.ego_motion(inputs).to(inputs.images.device)
+                predictions = network.predict(inputs)
+                finest = network.img_neck(network.img_backbone(inputs.images[FRONT : FRONT + 1]))[0]
+                sights = VADSights(
+                    agent_states=predictions.agent_states[-1],
+                    agent_places=predictions.agent_references[-1, :, :2],
+                    map_states=predictions.map_states[-1],
+                    map_points=predictions.map_points[-1],
+                    map_scores=predictions.map_class_logits[-1].sigmoid().amax(-1),
+                    finest_front=finest,
+                    can_bus=motion.can_bus,
+                )
+                self._memory[frame.scene, frame.index] = sights, matched_agents(network, predictions, frame)
+        network.reset()
+
+    def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
+        """Losses of the last frame of a clip; weighted scalars by name."""
+        frame = clip[-1]
+        sights, matched = self._memory[frame.scene, frame.index]
+        if self.network.training:
+            agents, lines = (F.dropout(each, FORGOTTEN) for each in (sights.agent_states, sights.map_states))
+            sights = replace(sights, agent_states=agents, map_states=lines)
+        outlook = self.network.pts_bbox_head.look_ahead(sights)
+        found = {
+            **forecast_losses(self.network, outlook.mode_offsets, outlook.mode_logits, matched, frame),
+            **plan_losses(outlook.plan_offsets, outlook.front, frame),
+        }
+        return {name: WEIGHTS[name] * loss for name, loss in found.items()}
