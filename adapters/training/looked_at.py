@@ -6,6 +6,7 @@ from typing import Final
 
 import torch
 
+from adapters.networks.layers.motion_teller import READ
 from adapters.training.frames import Frames, TrainingFrame
 from benchmark.machine.progress import Count, progress
 
@@ -15,8 +16,8 @@ SHORT_WAY_M: Final = 3.0
 """Who gets no further in 3 s stands, or is about to."""
 OFTEN: Final = 3
 """How often a round of learning has a frame of either."""
-SPEED: Final = 13
-"""Of the CAN bus vector: forward."""
+SPEED: Final = READ[0]
+"""Place in the CAN bus vector."""
 STEP_S: Final = 0.5
 
 
