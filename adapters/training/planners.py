@@ -319,7 +319,7 @@ def _frames_for_anchors(store: Frames, learned: Sequence[int]) -> list[TrainingF
 def _phases(training: PlannerTraining) -> tuple[Phase, ...]:
     """Those that are asked for."""
     if training.model == ENCODER_NAME:
-        phases = (Phase("all", lambda network: ImageEncoderObjective(network), _ENCODER_RECIPE),)
+        phases = (Phase("all", ImageEncoderObjective, _ENCODER_RECIPE),)
     else:
         phases = resolve(miniature(training.model).small.phases)()
     names = [phase.name for phase in phases]

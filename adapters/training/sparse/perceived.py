@@ -72,7 +72,7 @@ def remembered(seen: Perceived, cameras: int) -> Perceived:
 
     Args:
         seen: One key frame.
-        cameras: Of how many cameras, the front one first, what they saw is kept.
+        cameras: Of how many cameras what they saw is kept; none where plans do not look at images.
 
     Returns:
         The last stages alone, and no qualities of boxes.

@@ -11,7 +11,7 @@ from adapters.networks.sparse.decoder import Stage
 from adapters.networks.sparse.diffusion import DiffusionPlanner
 from adapters.networks.sparse.model import SparseNetwork
 from adapters.training.frames import Frames, TrainingFrame
-from adapters.training.looked_at import LookedAt, weighed
+from adapters.training.looked_at import FORGOTTEN, LookedAt, weighed
 from adapters.training.losses import Matches
 from adapters.training.sparse.losses import matches_of_boxes
 from adapters.training.sparse.objective import SparseObjective
@@ -20,10 +20,6 @@ from adapters.training.sparse.targets import Targets
 
 PERCEPTION: Final = ("img_backbone", "img_neck", "head.det_head", "head.map_head")
 """What stays as it is."""
-
-
-FORGOTTEN: Final = 0.15
-"""Share of what is remembered of agents, lines and the front camera that a step does not have."""
 
 
 class PlannerObjective(SparseObjective):
@@ -40,11 +36,10 @@ class PlannerObjective(SparseObjective):
 
     def __init__(self, network: SparseNetwork) -> None:
         super().__init__(network)
-        self._eyes = [network.get_submodule(name) for name in PERCEPTION]
-        for part in self._eyes:
-            part.requires_grad_(False)
+        for name in PERCEPTION:
+            network.get_submodule(name).requires_grad_(False)
         plans_look = isinstance(network.head.motion_plan_head, DiffusionPlanner)
-        self._cameras = network.config.cameras if plans_look else 1
+        self._cameras = network.config.cameras if plans_look else 0
         self._memory: dict[tuple[str, int], Perceived] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:

@@ -95,6 +95,7 @@ class UniADObjective:
         learned_frames: The last frames of a clip, through which gradients pass; earlier ones only leave a past.
         unaware: Share of clips in which the network is not told how the ego moves, so that it looks.
         stage: What is learned.
+        view_learns: Whether the bird's-eye view learns; only then has it to say what stands where.
 
     Args:
         sees_already: Whether what makes the bird's-eye view stays as it is.

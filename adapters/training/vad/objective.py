@@ -189,6 +189,13 @@ def frame_losses(network: VAD, predictions: VADPredictions, frame: TrainingFrame
 def predictions_of(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
 ) -> VADPredictions:
+    """The predictions alone of `looked`, with the same arguments."""
+    return looked(network, inputs, previous, speed_known)[0]
+
+
+def looked(
+    network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
+) -> tuple[VADPredictions, list[Tensor], EgoMotion]:
     """As `VAD.predict`, with a past that the caller holds.
 
     Args:
@@ -198,7 +205,7 @@ def predictions_of(
         speed_known: As in `Disguise`.
 
     Returns:
-        Everything that the network computed.
+        Everything that the network computed; the feature maps of the images, fine to coarse; and the motion as told.
     """
     can_bus, view = previous or (None, None)
     config = network.config
@@ -207,10 +214,9 @@ def predictions_of(
         motion = untold(motion)
     maps = network.img_neck(network.img_backbone(inputs.images))
     projections = inputs.lidar2img.float()
-    found: VADPredictions = network.pts_bbox_head(
-        maps, inputs.images, projections, motion.to(inputs.images.device), view
-    )
-    return found
+    motion = motion.to(inputs.images.device)
+    found: VADPredictions = network.pts_bbox_head(maps, inputs.images, projections, motion, view)
+    return found, maps, motion
 
 
 def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:

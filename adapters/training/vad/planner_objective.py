@@ -12,12 +12,13 @@ from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.predictions import VADSights
 from adapters.training.frames import Frames, TrainingFrame
-from adapters.training.looked_at import LookedAt, weighed
+from adapters.training.looked_at import FORGOTTEN, LookedAt, weighed
 from adapters.training.vad.objective import (
     WEIGHTS,
     Matched,
     forecast_losses,
     inputs_of,
+    looked,
     matched_agents,
     plan_losses,
 )
@@ -42,8 +43,6 @@ PERCEPTION: Final = (
     ),
 )
 """What stays as it is."""
-FORGOTTEN: Final = 0.15
-"""Share of what is remembered of agents and lines that a step does not have."""
 
 
 class PlannerObjective:
@@ -73,29 +72,28 @@ class PlannerObjective:
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
         """As `adapters.training.frames.ForesightedObjective` describes."""
-        looked = LookedAt(store, frames, self._look)
-        return looked, weighed(looked, frames)
+        seen = LookedAt(store, frames, self._look)
+        return seen, weighed(seen, frames)
 
     def _look(self, scene: Sequence[TrainingFrame]) -> None:
         network = self.network
-        network.reset()
+        previous: tuple[Tensor, Tensor] | None = None
         with torch.no_grad():
             for frame in scene:
                 inputs = inputs_of(frame)
-                motion = network.ego_motion(inputs).to(inputs.images.device)
-                predictions = network.predict(inputs)
-                finest = network.img_neck(network.img_backbone(inputs.images[FRONT : FRONT + 1]))[0]
+                predictions, maps, motion = looked(network, inputs, previous, True)
+                previous = inputs.can_bus, predictions.bev
+                # Copies, so that what is no longer needed of the same tensors is let go.
                 sights = VADSights(
-                    agent_states=predictions.agent_states[-1],
-                    agent_places=predictions.agent_references[-1, :, :2],
-                    map_states=predictions.map_states[-1],
-                    map_points=predictions.map_points[-1],
+                    agent_states=predictions.agent_states[-1].clone(),
+                    agent_places=predictions.agent_references[-1, :, :2].clone(),
+                    map_states=predictions.map_states[-1].clone(),
+                    map_points=predictions.map_points[-1].clone(),
                     map_scores=predictions.map_class_logits[-1].sigmoid().amax(-1),
-                    finest_front=finest,
+                    finest_front=maps[0][FRONT : FRONT + 1].clone(),
                     can_bus=motion.can_bus,
                 )
                 self._memory[frame.scene, frame.index] = sights, matched_agents(network, predictions, frame)
-        network.reset()
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
         """Losses of the last frame of a clip; weighted scalars by name."""

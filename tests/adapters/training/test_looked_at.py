@@ -12,6 +12,7 @@ from adapters.training.frame_store import FrameStore, build_frames
 from adapters.training.frames import Frames, TrainingFrame
 from adapters.training.looked_at import OFTEN, SPEED, LookedAt, weighed
 from adapters.training.trainer import Recipe, fit
+from tests.adapters.training.one_scene import OneScene
 from tests.adapters.training.test_trainer import GlanceObjective
 from tests.adapters.training.uniad.objectives import a_frame
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
@@ -38,27 +39,6 @@ def test_scenes_that_are_learned_from_are_looked_at_from_their_beginnings(store:
             assert torch.equal(own[-1].ego_future, other[-1].ego_future)
 
 
-class Two:
-    """Frames in a list, of one scene."""
-
-    identity = "two"
-
-    def __init__(self, frames: Sequence[TrainingFrame]) -> None:
-        self._frames, self.scenes = list(frames), ("a",)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def frames_of(self, scene: str) -> range:
-        return range(len(self._frames))
-
-    def frame(self, number: int) -> TrainingFrame:
-        return self._frames[number]
-
-    def clip(self, number: int, length: int) -> list[TrainingFrame]:
-        return self._frames[max(number - length + 1, 0) : number + 1]
-
-
 def driven(speed: float, future: Tensor, known: bool = True) -> TrainingFrame:
     frame = a_frame()
     can_bus = frame.can_bus.clone()
@@ -71,7 +51,7 @@ def test_who_brakes_turns_or_stands_is_seen_more_often_than_who_drives_on() -> N
     on = torch.stack([torch.zeros(6), 8.0 * steps], -1)
     braking, standing = on * torch.linspace(1, 0.7, 6)[:, None], torch.zeros(6, 2)
     turning = torch.stack([0.5 * steps**2, 8.0 * steps], -1)
-    frames = Two(
+    frames = OneScene(
         [
             driven(8.0, on),
             driven(8.0, braking),

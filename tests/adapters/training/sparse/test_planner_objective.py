@@ -10,8 +10,8 @@ from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.planner_objective import PERCEPTION, PlannerObjective
 from adapters.training.sparse.targets import Targets
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
+from tests.adapters.training.one_scene import OneScene
 from tests.adapters.training.sparse.test_objective import CPU, TINY, frame, network
-from tests.adapters.training.test_looked_at import Two
 
 CLOSE = 2e-2
 """Features of images are kept in half precision."""
@@ -21,7 +21,7 @@ CLOSE = 2e-2
 def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str) -> None:
     built = filled(name, replace(MINIATURE, plan_sees_front=16))
     objective, frames = PlannerObjective(built), [frame(index, "one") for index in range(3)]
-    store, _ = objective.look(Two(frames), range(3))
+    store, _ = objective.look(OneScene(frames), range(3))
     clip = store.clip(2, 3)
     assert isinstance(store, LookedAt) and all(len(each.images) == 0 for each in clip)
     targets = Targets.of(clip, MINIATURE.points_per_line, CPU)
@@ -46,7 +46,7 @@ def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name:
     with torch.no_grad():
         everything = SparseObjective(built).losses(frames)
     objective = PlannerObjective(built)
-    store, _ = objective.look(Two(frames), range(3))
+    store, _ = objective.look(OneScene(frames), range(3))
     found = objective.losses(store.clip(2, 3))
     assert set(found) == {each for each in everything if not each.startswith(("box", "line"))}
     for each, loss in found.items():
@@ -59,7 +59,7 @@ def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name:
 def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
     built = network("sparsedrive", replace(TINY, plan_sees_front=16))
     objective, frames = PlannerObjective(built), [frame(index) for index in range(3)]
-    store, _ = objective.look(Two(frames), range(3))
+    store, _ = objective.look(OneScene(frames), range(3))
 
     def forecast_loss(seed: int) -> float:
         torch.manual_seed(seed)
@@ -73,7 +73,7 @@ def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
 def test_no_plan_is_learned_where_the_past_is_missing() -> None:
     built = network("sparsedrive", replace(TINY, plan_sees_front=16))
     objective, frames = PlannerObjective(built), [frame(index) for index in range(4)]
-    store, _ = objective.look(Two(frames), range(4))
+    store, _ = objective.look(OneScene(frames), range(4))
     first, later = (objective.losses([store.clip(number, 1)[0]]) for number in (0, 3))
     assert float(first["plan"].detach()) > 0 == float(later["plan"].detach())
     assert float(later["forecast"].detach()) > 0 and float(later["status"].detach()) > 0

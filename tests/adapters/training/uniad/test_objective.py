@@ -43,7 +43,7 @@ from adapters.training.uniad.targets import (
     query_places,
 )
 from benchmark.datasets.nuscenes import NuScenesData
-from tests.adapters.training.test_looked_at import Two
+from tests.adapters.training.one_scene import OneScene
 from tests.adapters.training.uniad.objectives import LEARNER, a_frame, many_frames, without_annotations
 from tests.generation.nuscenes_writer.written_roots import short_scene, write_root
 
@@ -309,7 +309,7 @@ def test_the_heads_learn_first_from_the_views_of_the_network_when_it_runs() -> N
     heads, clips = phases()
     objective = heads.objective(network)
     assert isinstance(objective, HeadsObjective)
-    store, _ = objective.look(Two(frames), range(3))
+    store, _ = objective.look(OneScene(frames), range(3))
     seen = list(objective._views([network_inputs(frame) for frame in frames], aware=True))
     network.reset()
     for frame, view in zip(frames, seen, strict=True):

@@ -10,7 +10,7 @@ from adapters.training.looked_at import LookedAt
 from adapters.training.vad.objective import WEIGHTS, frame_losses, inputs_of
 from adapters.training.vad.planner_objective import PERCEPTION, PlannerObjective
 from tests.adapters.networks.vad.small_vad import SMALL, small_network
-from tests.adapters.training.test_looked_at import Two
+from tests.adapters.training.one_scene import OneScene
 from tests.adapters.training.vad.road_frames import clip, empty
 
 
@@ -20,7 +20,7 @@ def looked_at(frames: list[TrainingFrame]) -> tuple[PlannerObjective, LookedAt]:
     assert head.motion_teller is not None
     nn.init.normal_(head.motion_teller.tell.weight)
     objective = PlannerObjective(network)
-    store, _ = objective.look(Two(frames), range(len(frames)))
+    store, _ = objective.look(OneScene(frames), range(len(frames)))
     assert isinstance(store, LookedAt)
     return objective, store
 
