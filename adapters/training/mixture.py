@@ -64,6 +64,41 @@ class MixedFrames:
         return self._stores[which], number - self._firsts[which]
 
 
+class ApartScenes:
+    """A store whose scenes have another name in front: two roots of the town name their scenes alike.
+
+    Attributes:
+        scenes: ``NAME/SCENE``.
+        identity: Key of the store and of the name.
+    """
+
+    def __init__(self, store: Frames, name: str) -> None:
+        self._store, self._name = store, name
+        self.scenes = tuple(self._apart(scene) for scene in store.scenes)
+        self.identity = content_key("scenes apart", store.identity, name)
+
+    def __len__(self) -> int:
+        return len(self._store)
+
+    def frames_of(self, scene: str) -> range:
+        """Numbers of the frames of a scene, in time order."""
+        return self._store.frames_of(scene.removeprefix(self._apart("")))
+
+    def frame(self, number: int) -> TrainingFrame:
+        """One frame; raises as the store."""
+        return self._renamed(self._store.frame(number))
+
+    def clip(self, number: int, length: int) -> list[TrainingFrame]:
+        """A frame and those before it in its scene; raises as the store."""
+        return [self._renamed(frame) for frame in self._store.clip(number, length)]
+
+    def _apart(self, scene: str) -> str:
+        return f"{self._name}/{scene}"
+
+    def _renamed(self, frame: TrainingFrame) -> TrainingFrame:
+        return replace(frame, scene=self._apart(frame.scene))
+
+
 class FollowedAsRecorded:
     """Adversarial scenes, of whose ego a planner learns what it learns from the scene that each was made from.
 
@@ -113,6 +148,24 @@ def gathered(data_root: Path, split: str, *, workers: int) -> FrameStore:
     """The frames of a split, in the user's cache; raises as `build_frames`."""
     folder = cache_root() / "training" / frames_key(open_data(data_root), split)[:16]
     return build_frames(data_root, split, folder, workers=workers)
+
+
+def require_others(roots: Sequence[Path], data: DataSet) -> None:
+    """Refuse a data set that would be learned from twice.
+
+    Args:
+        roots: Of data sets that are learned from as well.
+        data: The data set that is learned from.
+
+    Raises:
+        InputError: If a root cannot be used, or two hold the same data set.
+    """
+    known = {data.fingerprint(): data.root}
+    for root in roots:
+        fingerprint = open_data(root).fingerprint()
+        if fingerprint in known:
+            raise InputError(f"{root} is the same data set as {known[fingerprint]}; leave one of them out")
+        known[fingerprint] = root
 
 
 def require_made_from(root: Path, data: DataSet, split: str) -> dict[str, str]:

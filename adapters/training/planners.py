@@ -18,10 +18,12 @@ from adapters.training.frames import Frames, TrainingFrame
 from adapters.training.image_encoder import ImageEncoder, ImageEncoderObjective
 from adapters.training.mixture import (
     ADVERSARIAL_SPLIT,
+    ApartScenes,
     FollowedAsRecorded,
     MixedFrames,
     gathered,
     require_made_from,
+    require_others,
 )
 from adapters.training.phases import Phase
 from adapters.training.plan_figures import Images, JudgedPlans, Loss, judged_plans, plan_figures
@@ -76,6 +78,7 @@ class PlannerTraining:
         device: Where to compute: cpu, cuda, auto.
         workers: Processes that gather the frames.
         adversarial: Roots of adversarial scenes made from scenes of the split, learned from as well.
+        also: Roots of other data sets whose scenes of the split are learned from as well; none of these is held out.
         only: Names of the phases that are run; all by default.
     """
 
@@ -92,6 +95,7 @@ class PlannerTraining:
     device: str = "auto"
     workers: int = 1
     adversarial: tuple[Path, ...] = ()
+    also: tuple[Path, ...] = ()
     only: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -124,15 +128,17 @@ def train_planner(training: PlannerTraining) -> dict[str, Any]:
     data = open_data(training.data_root)
     judge = None if training.judged_on is None else open_data(training.judged_on)
     sources = {root: require_made_from(root, data, training.split) for root in training.adversarial}
+    require_others(training.also, data)
     recorded = gathered(training.data_root, training.split, workers=training.workers)
     held_out = recorded.scenes[::HELD_OUT_EVERY] if len(recorded.scenes) > 1 else ()
-    store: Frames = recorded
-    if sources:
-        more = [
-            FollowedAsRecorded(gathered(root, ADVERSARIAL_SPLIT, workers=training.workers), recorded, made_from_of)
-            for root, made_from_of in sources.items()
-        ]
-        store = MixedFrames([recorded, *more])
+    more: list[Frames] = [
+        FollowedAsRecorded(gathered(root, ADVERSARIAL_SPLIT, workers=training.workers), recorded, made_from_of)
+        for root, made_from_of in sources.items()
+    ]
+    for place, root in enumerate(training.also, start=1):
+        # By its place, not by the folder's name: the same data give the same weights wherever they lie.
+        more.append(ApartScenes(gathered(root, training.split, workers=training.workers), f"also-{place}"))
+    store: Frames = MixedFrames([recorded, *more]) if more else recorded
     # What was made from a held-out scene is held out as well.
     made_from = {name: source for of_root in sources.values() for name, source in of_root.items()}
     learned = [
@@ -364,6 +370,7 @@ def _facts(
         "data": training.data_root.resolve().name,
         "split": training.split,
         **({"adversarial": [root.resolve().name for root in training.adversarial]} if training.adversarial else {}),
+        **({"also": [root.resolve().name for root in training.also]} if training.also else {}),
         "frames_identity": store.identity,
         "frames": len(learned),
         "scenes": len(store.scenes),

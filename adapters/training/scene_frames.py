@@ -15,8 +15,10 @@ from adapters.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STE
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses
-from benchmark.geometry import Bools, Floats, to_global
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats, to_global, to_local
 from benchmark.planning import Observation
+from benchmark.records.driven import DrivenEgo, driven_ego
 from benchmark.records.off_path import excursions_of, worth_following
 from benchmark.road_map import RoadMap, as_multipolygon
 from benchmark.scene import Scene
@@ -54,16 +56,19 @@ def scene_arrays(data: DataSet, name: str) -> Arrays:
         is put end to end, with ``box_starts`` and ``line_starts`` (K + 1,) where each frame begins.
 
     Raises:
-        InputError: If the scene is broken, or an image is missing.
+        InputError: If the scene is broken, an image is missing, or what is said of the ego cannot be read.
     """
     scene, truths = data.scene(name), data.truth(name)
-    excursions = excursions_of(data.provenance(), name)
+    excursions, driven = excursions_of(data.provenance(), name), driven_ego(data.provenance(), name)
+    if driven is not None and len(driven.commands) != len(truths):
+        raise InputError(f"{name} of {data.root} was driven for another number of key frames; build the data again")
     classes = np.array(detected_classes(scene), np.int64)
     motion = _motion(scene)
     poses = planar_lidar_poses(scene)
     frames = [
         _of_camera(observation)
         | _of_ego(observation, truth, worth_following(excursions, *_seconds(scene, observation.index)))
+        | ({} if driven is None else _of_driven(driven, observation.index, poses[observation.index]))
         | _of_agents(scene, motion, classes, observation)
         | _of_map(scene.road_map, poses[observation.index])
         for observation, truth in zip(data.observations(name), truths, strict=True)
@@ -115,6 +120,18 @@ def _of_ego(observation: Observation, truth: SampleTruth, shows: Bools) -> Array
         "command": np.array(observation.command, np.int64),
         "ego_future": truth.ego_future[:, :2].astype(np.float32),
         "ego_future_valid": truth.ego_future_valid & shows,
+    }
+
+
+def _of_driven(driven: DrivenEgo, keyframe: int, pose: Floats) -> Arrays:
+    """What is to learn where a planner drove: not where it went, but where it should have gone."""
+    local = to_local(driven.wanted[keyframe], pose)
+    known = driven.known[keyframe]
+    future = np.where(known[:, None], np.column_stack([-local[:, 1], local[:, 0]]), 0.0)
+    return {
+        "command": np.array(driven.commands[keyframe], np.int64),
+        "ego_future": future.astype(np.float32),
+        "ego_future_valid": known,
     }
 
 

@@ -232,6 +232,12 @@ def data_build_command(
     off_path: Annotated[
         bool, typer.Option("--off-path", help="The ego of training scenes gets off its path and comes back.")
     ] = False,
+    driven: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder with a record of drives through training scenes: their ego goes where it was driven."
+        ),
+    ] = None,
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
     renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
@@ -239,13 +245,14 @@ def data_build_command(
     workers: WorkersOption = 0,
 ) -> None:
     """Build the embedded town, with any number of scenes; the same command resumes."""
-    from benchmark.cli.beforehand.places import require_place
+    from benchmark.cli.beforehand.places import require_folder, require_place
     from benchmark.machine.workspace import EMBEDDED, cache_root
     from generation.sources.mini import TownSettings, build_town
 
     width, height = image_size(size)
     images = renderer is not QuickRendererName.NONE
-    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images, off_path)
+    require_folder(driven, "--driven")
+    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images, off_path, driven)
     target = root or cache_root() / settings.folder_name(EMBEDDED)
     require_place(target, "--root")
     typer.echo(str(build_town(target, settings, workers=api.worker_count(workers))))

@@ -71,6 +71,10 @@ def train_planner_command(
         list[Path] | None,
         typer.Option(help="Root of adversarial scenes made from the split, learned from as well; repeatable."),
     ] = None,
+    also: Annotated[
+        list[Path] | None,
+        typer.Option(help="Root of another data set with that split, learned from as well; repeatable."),
+    ] = None,
     only: Annotated[list[str] | None, typer.Option(help="A part of the training, instead of all; repeatable.")] = None,
     seed: SeedOption = 0,
     device: DeviceOption = "auto",
@@ -92,6 +96,8 @@ def train_planner_command(
         listed_scenes(judged_on, "val")
     for root in adversarial or ():
         listed_scenes(root, "adv")
+    for root in also or ():
+        listed_scenes(root, split)
     from adapters.training.planners import PlannerTraining, train_planner
 
     training = PlannerTraining(
@@ -108,6 +114,7 @@ def train_planner_command(
         device,
         api.worker_count(workers),
         tuple(adversarial or ()),
+        tuple(also or ()),
         tuple(only or ()),
     )
     print_json(train_planner(training))

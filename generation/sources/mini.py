@@ -10,16 +10,28 @@ from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, only_writer, read_kept_json, write_json
 from benchmark.machine.workers import map_ordered
 from benchmark.machine.workspace import is_finished
+from benchmark.records.driven import DRIVEN
+from benchmark.records.drives import DRIVE_FILE, DriveRecord, find_drives
 from benchmark.records.off_path import OFF_PATH
 from generation.nuscenes_writer import DataSetPlan, finish_data_set
 from generation.nuscenes_writer.plan import SHARED_TABLES_VERSION, STATE_FOLDER
 from generation.nuscenes_writer.scenes import WrittenScene, was_there, written_scene
 from generation.render.schematic import SchematicRenderer
-from generation.sources.town import DEFAULT_VAL_SCENES, TOWN_VERSION, town_scene, town_scene_names, town_scene_off_path
+from generation.sources.town import (
+    DEFAULT_VAL_SCENES,
+    MOST_TRAIN_SCENES,
+    TOWN_VERSION,
+    town_scene,
+    town_scene_driven,
+    town_scene_names,
+    town_scene_off_path,
+)
+from generation.sources.town.driven import Driven, lasting
 
 VERSION_FOLDER = "v1.0-mini"
 
 Split = Literal["val", "train"]
+_Work = tuple[Split, int, Driven | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +47,8 @@ class TownSettings:
         frames: Which frames get images: all 12 Hz frames or the 2 Hz keyframes.
         images: Whether there are cameras at all; without them a thousand scenes are written in minutes.
         off_path: Whether the ego of training scenes gets off its path and comes back.
+        driven: Folder with one record of drives through training scenes of the same seed: these are the training
+            scenes, and their ego goes where it was driven.
         pictures: Which of these frames are drawn now; the same settings with ``all`` draw what is left, and no table
             changes by it.
     """
@@ -47,6 +61,7 @@ class TownSettings:
     frames: Literal["all", "keyframes"] = "all"
     images: bool = True
     off_path: bool = False
+    driven: Path | None = None
     pictures: Literal["all", "keyframes"] = "all"
 
     def drawn_name(self, name: str) -> str:
@@ -64,6 +79,10 @@ class TownSettings:
         if not self.off_path:
             # A town of before is still the same town.
             del settings["off_path"]
+        if self.driven is None:
+            del settings["driven"]
+        else:
+            settings["driven"] = _record(self.driven).content_id
         return settings, TOWN_VERSION, SchematicRenderer(self.width, self.height).version
 
 
@@ -79,7 +98,8 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
         ``root``.
 
     Raises:
-        InputError: If no scene is asked for, or more than have names, or the disk refuses.
+        InputError: If no scene is asked for, or more than have names, the drives are not of this town's training
+            scenes, or the disk refuses.
     """
     if settings.val_scenes < 1 or settings.train_scenes < 0:
         raise InputError("the town needs at least one evaluation scene (--town-scenes) and no negative numbers")
@@ -87,7 +107,11 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
         raise InputError("only training scenes leave the path; give --train-scenes with --off-path")
     # How many there can be is asked before a billion of them are listed.
     town_scene_names("val", settings.val_scenes)
-    train = list(town_scene_names("train", settings.train_scenes))
+    town_scene_names("train", settings.train_scenes)
+    drives = _drives(settings)
+    numbers = list(range(settings.train_scenes)) if settings.driven is None else list(drives)
+    names = town_scene_names("train", max(numbers, default=-1) + 1)
+    train = [names[number] for number in numbers]
     note, whole = root / STATE_FOLDER / "town.json", {"key": settings.folder_name(root.name)}
     made_of = whole if settings.pictures == "all" else {**whole, "pictures": settings.pictures}
     if is_finished(root) and read_kept_json(note) in (made_of, whole):
@@ -97,8 +121,8 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
         root=root, version=VERSION_FOLDER, split="val", renderer=renderer, frames=settings.frames,
         pictures=settings.pictures, source=None,
     )  # fmt: skip
-    work: list[tuple[Split, int]] = [("val", index) for index in range(settings.val_scenes)]
-    work += [("train", index) for index in range(settings.train_scenes)]
+    work: list[_Work] = [("val", index, None) for index in range(settings.val_scenes)]
+    work += [("train", index, drives.get(index)) for index in numbers]
     job = partial(_write_one, plan, settings.seed, settings.off_path)
     with only_writer(root):
         count = Count(kept=was_there)
@@ -108,10 +132,43 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     return root
 
 
-def _write_one(plan: DataSetPlan, seed: int, off_path: bool, work: tuple[Split, int]) -> WrittenScene:
-    split, index = work
+def _record(folder: Path) -> DriveRecord:
+    """The only record of drives in a folder."""
+    found = find_drives(folder)
+    if len(found) != 1:
+        raise InputError(
+            f"{folder} holds {len(found) or 'no'} records of drives ({DRIVE_FILE}); give --driven the folder of one"
+        )
+    return found[0]
+
+
+def _drives(settings: TownSettings) -> dict[int, Driven]:
+    """Drives of training scenes, by the number of the scene."""
+    if settings.driven is None:
+        return {}
+    if settings.off_path or settings.train_scenes:
+        raise InputError(
+            "--driven says itself which training scenes there are; leave --train-scenes and --off-path out"
+        )
+    record = _record(settings.driven)
+    known = {name: number for number, name in enumerate(town_scene_names("train", MOST_TRAIN_SCENES))}
+    drives = lasting(record.rows)
+    strange = next((name for name in drives if name not in known), None)
+    if strange is not None or not drives:
+        raise InputError(
+            f"{settings.driven} holds no drive through training scenes of the town"
+            f"{f', but one through {strange}' if strange else ''}; drive the split train of one (--data, --split train)"
+        )
+    return {known[name]: Driven.of_row(record.planner, row) for name, row in drives.items()}
+
+
+def _write_one(plan: DataSetPlan, seed: int, off_path: bool, work: _Work) -> WrittenScene:
+    split, index, driven = work
     report: dict[str, Any] = {}
-    if off_path and split == "train":
+    if driven is not None:
+        scene, learned = town_scene_driven(index, driven, seed=seed)
+        report[DRIVEN] = learned.as_json()
+    elif off_path and split == "train":
         scene, excursions = town_scene_off_path(index, seed=seed)
         report[OFF_PATH] = [each.as_json() for each in excursions]
     else:

@@ -17,7 +17,7 @@ from benchmark.dynamics.bicycle import DriverLimits
 from benchmark.dynamics.driver_limits import broken_limit
 from benchmark.geometry import Floats, wrap_angle
 from benchmark.records.off_path import Excursion
-from generation.sources.town.curves import between_grid
+from generation.sources.town.beside import beside_path, quintic
 from generation.sources.town.paths import EGO_BODY, STATION_M, Path, body_boxes
 from generation.sources.town.speed import FRAMES
 from generation.sources.town.world import World
@@ -153,22 +153,14 @@ def _rear(planned: PlannedEgo, wanted: Sequence[_Wanted]) -> Floats:
     for each in wanted:
         left, rising = _aside(planned, each, metres)
         aside, slope = aside + left, slope + rising
-    stations = metres / STATION_M
-    pose = between_grid(planned.path.rear, stations)
-    step = 0.5
-    turn = between_grid(planned.path.rear[:, 2:], stations + step) - between_grid(
-        planned.path.rear[:, 2:], stations - step
-    )
-    curvature = turn[:, 0] / (2 * step * STATION_M)
-    heading = pose[:, 2] + np.arctan2(slope, 1 - curvature * aside)
-    return np.column_stack([pose[:, 0] - aside * np.sin(pose[:, 2]), pose[:, 1] + aside * np.cos(pose[:, 2]), heading])
+    return beside_path(planned.path, metres, aside, slope)
 
 
 def _ahead(each: _Wanted, seconds: Floats) -> Floats:
     """(FRAMES,) metres by which the ego is ahead of where it would be."""
     worst, end = each.begin_s + each.departing_s, each.begin_s + each.departing_s + each.returning_s
-    there = _quintic(seconds, each.begin_s, worst, (0.0, 0.0), (each.ahead_m, each.faster_mps))[0]
-    back = _quintic(seconds, worst, end, (each.ahead_m, each.faster_mps), (0.0, 0.0))[0]
+    there = quintic(seconds, each.begin_s, worst, (0.0, 0.0), (each.ahead_m, each.faster_mps))[0]
+    back = quintic(seconds, worst, end, (each.ahead_m, each.faster_mps), (0.0, 0.0))[0]
     return np.asarray(np.where(seconds < worst, there, back))
 
 
@@ -176,8 +168,8 @@ def _aside(planned: PlannedEgo, each: _Wanted, metres: Floats) -> tuple[Floats, 
     """(FRAMES,) metres to the left of the path, and their slope over the station."""
     begin, worst, end = _places(planned, each)
     slope = float(np.tan(each.heading_rad))
-    there = _quintic(metres, begin, worst, (0.0, 0.0), (each.lateral_m, slope))
-    back = _quintic(metres, worst, end, (each.lateral_m, slope), (0.0, 0.0))
+    there = quintic(metres, begin, worst, (0.0, 0.0), (each.lateral_m, slope))
+    back = quintic(metres, worst, end, (each.lateral_m, slope), (0.0, 0.0))
     return (
         np.where(metres < worst, there[0], back[0]),
         np.where(metres < worst, there[1], back[1]),
@@ -192,26 +184,6 @@ def _places(planned: PlannedEgo, each: _Wanted) -> tuple[float, float, float]:
     begin, worst, end = (float(np.interp(time, seconds, metres)) for time in times)
     worst = max(worst, begin + _LEAST_ROOM_M)
     return begin, worst, max(end, worst + 2 * _LEAST_ROOM_M)
-
-
-def _quintic(
-    where: Floats, first: float, last: float, start: tuple[float, float], goal: tuple[float, float]
-) -> tuple[Floats, Floats]:
-    """Values and slopes of the quintic between two values and slopes, its second derivatives zero; held outside.
-
-    Held with the value and without slope: excursions begin and end with neither.
-    """
-    length = last - first
-    u = np.clip((where - first) / length, 0.0, 1.0)
-    inside = (where > first) & (where < last)
-    (p0, v0), (p1, v1) = start, goal
-    v0, v1 = v0 * length, v1 * length
-    a = 10 * (p1 - p0) - 6 * v0 - 4 * v1
-    b = -15 * (p1 - p0) + 8 * v0 + 7 * v1
-    c = 6 * (p1 - p0) - 3 * v0 - 3 * v1
-    value = p0 + u * (v0 + u**2 * (a + u * (b + u * c)))
-    slope = (v0 + u**2 * (3 * a + u * (4 * b + u * 5 * c))) / length
-    return value, np.where(inside, slope, 0.0)
 
 
 def _is_drivable(others: World, rear: Floats) -> bool:

@@ -10,12 +10,14 @@ from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, OFFICIAL_LOCATION
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, quaternion_from_yaw, wrap_angle
 from benchmark.machine.storage import content_seed, token
+from benchmark.records.driven import DrivenEgo
 from benchmark.records.off_path import Excursion
 from benchmark.scene import Agents, EgoTrack, Scene
 from generation.sources.rig import default_cameras, default_lidar
 from generation.sources.town.annotations import annotate
 from generation.sources.town.bystanders import add_crossing_pedestrians, add_parked, add_walkers
 from generation.sources.town.curves import between_grid
+from generation.sources.town.driven import Driven, ways_back
 from generation.sources.town.network import Town
 from generation.sources.town.off_path import KEPT_ON_PATH_EVERY, PlannedEgo, driven_off_path
 from generation.sources.town.paths import EGO_BODY, Leg, build_path, fastest_start, lane_length
@@ -40,6 +42,7 @@ Split = Literal["val", "train"]
 DEFAULT_VAL_SCENES = 10
 
 _NUMBERS: dict[str, tuple[range, ...]] = {"val": (range(8000, 9000),), "train": (range(9000, 10000), range(2000, 8000))}
+MOST_TRAIN_SCENES = sum(map(len, _NUMBERS["train"]))
 _LOCATIONS: dict[str, tuple[str, str]] = {"val": OFFICIAL_LOCATIONS[:2], "train": OFFICIAL_LOCATIONS[2:]}
 _FIRST_DAY_US = 1_767_254_400_000_000
 _DAY_US = 86_400_000_000
@@ -112,10 +115,47 @@ def town_scene_off_path(index: int, *, seed: int = 0) -> tuple[Scene, tuple[Excu
     return _found("train", index, seed, off_path=off_path)
 
 
+def town_scene_driven(index: int, driven: Driven, *, seed: int = 0) -> tuple[Scene, DrivenEgo]:
+    """A training scene of the embedded town in which the ego goes where a planner drove it, as long as that drove.
+
+    Everybody else does what they do in `town_scene`.
+
+    Args:
+        index: Number of the scene in ``train``, from 0.
+        driven: The drive.
+        seed: As for `town_scene`.
+
+    Returns:
+        The scene, and where a good driver would go from each key frame.
+
+    Raises:
+        InputError: As `town_scene`, or if the drive is of another town.
+    """
+    world, planned, programme = _settled("train", index, seed)
+    wanted = ways_back(world, planned, driven)
+    world.place_ego(driven.rear())
+    name = town_scene_names("train", index + 1)[-1]
+    scene = _scene(world, programme, "train", index, seed, name)
+    frames = (len(driven) - 1) * FRAMES_PER_KEYFRAME + 1
+    return scene.first_frames(frames), DrivenEgo(driven.planner, driven.commands, wanted)
+
+
 def _found(split: Split, index: int, seed: int, *, off_path: bool) -> tuple[Scene, tuple[Excursion, ...]]:
+    world, planned, programme = _settled(split, index, seed)
+    excursions: tuple[Excursion, ...] = ()
+    if off_path:
+        leaving = np.random.default_rng(content_seed("off path", TOWN_VERSION, split, index, seed))
+        rear, excursions = driven_off_path(world, planned, leaving)
+        world.place_ego(rear)
+    name = town_scene_names(split, index + 1)[-1]
+    return _scene(world, programme, split, index, seed, name), excursions
+
+
+def _settled(split: Split, index: int, seed: int) -> tuple[World, PlannedEgo, Programme]:
+    """Everybody in a scene, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
-    name = town_scene_names(split, index + 1)[-1]
+    town_scene_names(split, index + 1)
     programme = PROGRAMME[index % len(PROGRAMME)]
     place = (index + index // len(PROGRAMME)) % 2
     for attempt in range(_TRIES):
@@ -126,13 +166,7 @@ def _found(split: Split, index: int, seed: int, *, off_path: bool) -> tuple[Scen
         populated = _populate(town, location, seed, programme, rng)
         if populated is None or not _worth_attacking(populated[0]):
             continue
-        world, planned = populated
-        excursions: tuple[Excursion, ...] = ()
-        if off_path:
-            leaving = np.random.default_rng(content_seed("off path", TOWN_VERSION, split, index, seed))
-            rear, excursions = driven_off_path(world, planned, leaving)
-            world.place_ego(rear)
-        return _scene(world, programme, split, index, seed, name), excursions
+        return *populated, programme
     raise InputError(f"the embedded town finds no traffic for {split} scene {index} with seed {seed}; use another seed")
 
 

@@ -98,7 +98,7 @@ class World:
             own = np.broadcast_to(grown, (*close.shape, 5))[close]
             if boxes_overlap(np.broadcast_to(others, (*close.shape, 5))[close], own).any():
                 return False
-        return body is None or self._on_road(boxes)
+        return body is None or self.is_on_road(boxes)
 
     def _obstacles(self) -> list[Floats]:
         """Boxes of everybody: (J, FRAMES, 5) of those who move and (J, 1, 5) of those who stand."""
@@ -108,7 +108,8 @@ class World:
         standing = [track.boxes for track in self.tracks if len(track.boxes) == 1]
         return [np.stack(group) for group in (moving, standing) if group]
 
-    def _on_road(self, boxes: Floats) -> bool:
+    def is_on_road(self, boxes: Floats) -> bool:
+        """Whether (N, 5) boxes of a vehicle, a frame apart, are within the kerbs where the vehicle is seen."""
         seen = boxes[::_CHECK_FRAMES]
         if self.ego_rear is not None and len(boxes) > 1:
             seen = seen[self.distance_to_ego(boxes)[::_CHECK_FRAMES] < ANNOTATION_RANGE_M]

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from adapters.training.frame_store import FrameStore, build_frames
-from adapters.training.mixture import IN_THE_WAY_M, FollowedAsRecorded, MixedFrames, require_made_from
+from adapters.training.mixture import (
+    IN_THE_WAY_M,
+    ApartScenes,
+    FollowedAsRecorded,
+    MixedFrames,
+    require_made_from,
+    require_others,
+)
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from generation.nuscenes_writer import DataSetPlan, finish_data_set, write_scene
@@ -133,3 +140,47 @@ def test_the_command_learns_from_both_and_says_so(data: NuScenesData, adversaria
     assert done.json["scenes"] == 4
     assert done.json["frames"] == 2 * len(data.truth(SCENES[1]))
     assert done.json["adversarial"] == [adversarial.name]
+
+
+def other_data(folder: Path) -> NuScenesData:
+    """Other scenes with the same names."""
+    write_root(folder, [short_scene(name, seconds=3.0) for name in SCENES], split="train")
+    return NuScenesData.open(folder)
+
+
+def test_two_data_sets_that_name_their_scenes_alike_are_told_apart(data: NuScenesData, tmp_path: Path) -> None:
+    store = build_frames(data.root, "train", tmp_path / "store")
+    other = build_frames(other_data(tmp_path / "other").root, "train", tmp_path / "other store")
+    apart = ApartScenes(other, "also-1")
+    mixed = MixedFrames([store, apart])
+    assert mixed.scenes == (*SCENES, *(f"also-1/{name}" for name in SCENES))
+    for name in SCENES:
+        numbers = mixed.frames_of(f"also-1/{name}")
+        assert [mixed.frame(each).timestamp_s for each in numbers] == [
+            other.frame(each).timestamp_s for each in other.frames_of(name)
+        ]
+        assert {frame.scene for frame in mixed.clip(numbers[-1], 2)} == {f"also-1/{name}"}
+    assert len({each.identity for each in (other, apart, ApartScenes(other, "also-2"))}) == 3
+
+
+def test_a_data_set_is_learned_from_once(data: NuScenesData, tmp_path: Path) -> None:
+    other = other_data(tmp_path / "other")
+    require_others([other.root], data)
+    with pytest.raises(InputError, match="the same data set as"):
+        require_others([data.root], data)
+    with pytest.raises(InputError, match="the same data set as"):
+        require_others([other.root, other.root], data)
+
+
+def test_the_command_learns_from_other_data_sets_as_well(data: NuScenesData, tmp_path: Path) -> None:
+    other = other_data(tmp_path / "other")
+    command = ("train", "planner", "--model", "image-encoder", "--data", data.root, "--steps", "1", "--workers", "1")
+    done = challenger_bench(*command, "--also", other.root, "--out", tmp_path / "eyes.safetensors")
+    assert done.code == 0, done.err
+    assert done.json["scenes"] == 4
+    # One of the two scenes of the first is held out, and none of the other's.
+    assert done.json["frames"] == len(data.truth(SCENES[1])) + sum(len(other.truth(name)) for name in SCENES)
+    assert done.json["also"] == [other.root.name]
+    refused = challenger_bench(*command, "--also", data.root, "--out", tmp_path / "twice.safetensors")
+    assert refused.code == 2
+    assert "the same data set as" in refused.err

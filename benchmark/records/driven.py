@@ -1,0 +1,103 @@
+"""What a data set says of an ego that a planner drove: where a good driver would go from there, frame by frame.
+
+A planner that learned from good drivers alone never saw the places that its own driving leads it to. In scenes of
+``data build --driven`` the ego goes where a record of drives says that it went. Its own future is nothing to learn
+from; the way back to what the town's driver would have done is (Ross et al. 2011, DAgger).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from benchmark.constants import PLAN_STEPS
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
+from benchmark.planning import Command
+
+DRIVEN: Final = "driven"
+"""Where the report of a scene (``challenger.json``) says it."""
+_FURTHEST_M: Final = 1e6
+_AGAIN: Final = "build the data again"
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenEgo:
+    """What is to learn from a scene that a planner drove.
+
+    Attributes:
+        planner: Who drove.
+        commands: One for each of K key frames.
+        wanted: (K, 6, 2) global positions of the lidar origin at the plan's steps from each; NaN where there is none.
+    """
+
+    planner: str
+    commands: tuple[Command, ...]
+    wanted: Floats
+
+    @property
+    def known(self) -> Bools:
+        """(K, 6) whether a position is there."""
+        return np.asarray(np.isfinite(self.wanted).all(-1))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for a report; millimetres."""
+        places = [
+            [[round(float(value), 3) for value in place] if there else None for place, there in zip(*each, strict=True)]
+            for each in zip(self.wanted, self.known, strict=True)
+        ]
+        return {"planner": self.planner, "commands": [int(each) for each in self.commands], "wanted": places}
+
+    @classmethod
+    def from_json(cls, value: object) -> Self:
+        """Read what `as_json` wrote.
+
+        Raises:
+            InputError: If it is something else.
+        """
+        if not isinstance(value, Mapping) or not isinstance(value.get("planner"), str):
+            raise InputError(f"what a driven scene says must name its planner; {_AGAIN}")
+        commands, wanted = value.get("commands"), value.get("wanted")
+        if not isinstance(commands, list) or not isinstance(wanted, list) or len(commands) != len(wanted):
+            raise InputError(f"a driven scene must have a command and a way for each key frame; {_AGAIN}")
+        known = {int(each) for each in Command}
+        if any(type(each) is not int or each not in known for each in commands):
+            raise InputError(f"the commands of a driven scene must be 0, 1 or 2; {_AGAIN}")
+        return cls(value["planner"], tuple(map(Command, commands)), np.array([_way(each) for each in wanted]))
+
+
+def _way(places: object) -> Floats:
+    if not isinstance(places, Sequence) or len(places) != PLAN_STEPS:
+        raise InputError(f"each way of a driven scene must have {PLAN_STEPS} places; {_AGAIN}")
+    found = np.full((PLAN_STEPS, 2), np.nan)
+    for row, place in enumerate(places):
+        if place is None:
+            continue
+        if not isinstance(place, list) or len(place) != 2 or not all(_is_place(each) for each in place):
+            raise InputError(f"a place of a driven scene must be two numbers or null; {_AGAIN}")
+        found[row] = place
+    return found
+
+
+def _is_place(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _FURTHEST_M
+
+
+def driven_ego(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgo | None:
+    """What is to learn from a scene that a planner drove.
+
+    Args:
+        provenance: What a data set says of how it was made (``challenger.json``), if it does.
+        scene: Name of the scene.
+
+    Returns:
+        ``None`` where the ego was not driven by a planner.
+
+    Raises:
+        InputError: If what is said cannot be read.
+    """
+    made = (provenance or {}).get("scenes", {}).get(scene, {})
+    report = made.get("report") if isinstance(made, Mapping) else None
+    said = report.get(DRIVEN) if isinstance(report, Mapping) else None
+    return None if said is None else DrivenEgo.from_json(said)

@@ -1,0 +1,239 @@
+"""An ego that goes where a planner drove it, and the way back to what the town's driver would have done.
+
+From each key frame the way back is that of `generation.sources.town.off_path`: offsets aside and along the path that
+fade as quintics, at the heading of the motion. Of several, from gentle to a full stop, the first counts that a driver
+can drive, that touches nobody as everybody moves in the scene, and that ends on the road.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, PLAN_STEPS
+from benchmark.dynamics.bicycle import DriverLimits
+from benchmark.dynamics.driver_limits import broken_limit
+from benchmark.errors import InputError
+from benchmark.geometry import Floats, to_local, wrap_angle
+from benchmark.planning import Command
+from benchmark.records.drive_schema import DriveRow
+from generation.sources.rig import default_lidar
+from generation.sources.town.beside import beside_path, curvature_at, quintic
+from generation.sources.town.curves import between_grid
+from generation.sources.town.off_path import PlannedEgo
+from generation.sources.town.paths import EGO_BODY, STATION_M, body_boxes
+from generation.sources.town.speed import FRAMES
+from generation.sources.town.world import Track, World
+
+KEYFRAME_US: Final = 500_000
+LEAST_KEYFRAMES: Final = 4
+"""A drive that was over sooner shows nothing."""
+_SAME_PLACE_M: Final = 0.01
+_SEARCH_M: Final = 40.0
+_FURTHEST_ASIDE_M: Final = 3.0
+_FURTHEST_TURNED_RAD: Final = 0.6
+_FURTHEST_ALONG_M: Final = 20.0
+_SOONEST_BACK_S: Final = 2.5
+_HASTE_MPS: Final = 2.0
+_PEAK: Final = 1.875
+"""Steepest slope of a quintic from one value to another, of the mean one."""
+_BACK_ASIDE_S: Final = 3.0
+_LEAST_ASIDE_M: Final = 12.0
+_QUICKER: Final = (1.0, 0.6, 0.4)
+_BRAKING_MPS2: Final = (1.5, 3.0, 4.5)
+_HORIZON: Final = PLAN_STEPS * FRAMES_PER_KEYFRAME
+_ROAD_FROM: Final = _HORIZON * 2 // 3
+_GAP_M: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """Where a planner drove the ego of a scene.
+
+    Attributes:
+        planner: Its name.
+        poses: (K, 3) rear axle at the key frames until the drive was over.
+        speeds: (K,) m/s.
+        commands: K commands.
+    """
+
+    planner: str
+    poses: Floats
+    speeds: Floats
+    commands: tuple[Command, ...]
+
+    @classmethod
+    def of_row(cls, planner: str, row: DriveRow) -> "Driven":
+        """A drive of a record.
+
+        Args:
+            planner: Who drove.
+            row: The drive.
+
+        Returns:
+            Its key frames.
+
+        Raises:
+            InputError: If it was not planned from at the town's key frames.
+        """
+        ticks = row.ticks
+        at_keyframes = np.diff(ticks.time_us[: len(ticks.command)]) == KEYFRAME_US
+        if not at_keyframes.all():
+            raise InputError(f"the drive of {row.scene} was not planned every half second; drive it with this version")
+        states = np.array(ticks.ego[: len(ticks.command)]).reshape(-1, 7)
+        return cls(planner, states[:, :3], states[:, 3], tuple(map(Command, ticks.command)))
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def rear(self) -> Floats:
+        """(FRAMES, 3) rear-axle poses at 12 Hz: cubic between key frames, held after the last."""
+        yaw = np.unwrap(self.poses[:, 2])
+        knots = np.column_stack([self.poses[:, :2], yaw])
+        seconds = FRAMES_PER_KEYFRAME / FRAME_HZ
+        rates = np.gradient(yaw, seconds) if len(yaw) > 1 else np.zeros(1)
+        slopes = np.column_stack([self.speeds * np.cos(yaw), self.speeds * np.sin(yaw), rates]) * seconds
+        where = np.minimum(np.arange(FRAMES) / FRAMES_PER_KEYFRAME, len(knots) - 1)
+        base = np.minimum(where.astype(np.int64), max(len(knots) - 2, 0))
+        after = np.minimum(base + 1, len(knots) - 1)
+        u = (where - base)[:, None]
+        return np.asarray(
+            (1 + 2 * u) * (1 - u) ** 2 * knots[base]
+            + u * (1 - u) ** 2 * slopes[base]
+            + u**2 * (3 - 2 * u) * knots[after]
+            + u**2 * (u - 1) * slopes[after]
+        )
+
+
+def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
+    """From each key frame, where a good driver would go.
+
+    Args:
+        world: Everybody else.
+        planned: The ego as the town's driver would drive.
+        driven: As it was driven.
+
+    Returns:
+        (K, 6, 2) global positions of the lidar origin at the plan's steps; NaN where no way was found, and beyond the
+        end of the scene.
+
+    Raises:
+        InputError: If the drive did not begin where the town's driver does.
+    """
+    begin = between_grid(planned.path.rear, planned.stations[:1])[0]
+    if np.hypot(*(begin - driven.poses[0])[:2]) > _SAME_PLACE_M:
+        raise InputError(
+            "the drives are of another town, their ego begins elsewhere; give the seed of the town that was driven in"
+        )
+    found = np.full((len(driven), PLAN_STEPS, 2), np.nan)
+    ahead_m = float(default_lidar().translation[0])
+    for keyframe in range(len(driven)):
+        first = keyframe * FRAMES_PER_KEYFRAME
+        rear = _way_back(world, planned, driven.poses[keyframe], float(driven.speeds[keyframe]), first)
+        if rear is not None:
+            steps = rear[FRAMES_PER_KEYFRAME::FRAMES_PER_KEYFRAME][:PLAN_STEPS]
+            lidar = steps[:, :2] + ahead_m * np.column_stack([np.cos(steps[:, 2]), np.sin(steps[:, 2])])
+            found[keyframe, : len(lidar)] = lidar
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Away:
+    """Where the ego is, seen from the planned drive.
+
+    Attributes:
+        metres: Along the path.
+        aside_m: To the left of it.
+        turned_rad: Heading against the path's.
+        speed_mps: Along the path.
+    """
+
+    metres: float
+    aside_m: float
+    turned_rad: float
+    speed_mps: float
+
+
+def _way_back(world: World, planned: PlannedEgo, pose: Floats, speed: float, first: int) -> Floats | None:
+    """(N, 3) rear-axle poses at 12 Hz from a frame on, as far as the scene goes, 3 s at most."""
+    schedule = planned.stations[first : first + _HORIZON + 1] * STATION_M
+    if len(schedule) <= FRAMES_PER_KEYFRAME:
+        return None
+    away = _away(planned, pose, speed, float(schedule[0]))
+    if away is None:
+        return None
+    others = World(world.town, tracks=[_during(track, first, len(schedule)) for track in world.tracks])
+    for metres in _ways_along(schedule, away):
+        aside, slope = _fading(metres, away)
+        rear = beside_path(planned.path, metres, aside, slope)
+        boxes = body_boxes(rear, EGO_BODY)
+        free = others.is_free(boxes, gap_m=_GAP_M) and others.is_on_road(boxes[_ROAD_FROM:])
+        if free and broken_limit(boxes, DriverLimits()) is None:
+            return rear
+    return None
+
+
+def _away(planned: PlannedEgo, pose: Floats, speed: float, expected_m: float) -> _Away | None:
+    """``None`` where it has gone astray."""
+    first = max(int((expected_m - _SEARCH_M) / STATION_M), 0)
+    near = planned.path.rear[first : first + int(2 * _SEARCH_M / STATION_M) + 1]
+    station = first + int(np.argmin(np.hypot(near[:, 0] - pose[0], near[:, 1] - pose[1])))
+    # The foot of the perpendicular, from the nearest station: once more for bends.
+    where = float(station)
+    for _ in range(2):
+        there = between_grid(planned.path.rear, np.array([where]))[0]
+        along, aside = to_local(pose[:2], there)
+        where += float(along) / STATION_M
+    there = between_grid(planned.path.rear, np.array([where]))[0]
+    _, aside = to_local(pose[:2], there)
+    turned = float(wrap_angle(np.array(pose[2] - there[2])))
+    curvature = float(curvature_at(planned.path, np.array([where]))[0])
+    astray = abs(float(aside)) > _FURTHEST_ASIDE_M or abs(turned) > _FURTHEST_TURNED_RAD
+    if astray or abs(where * STATION_M - expected_m) > _FURTHEST_ALONG_M:
+        return None
+    along_mps = speed * np.cos(turned) / max(1 - curvature * float(aside), 0.5)
+    return _Away(where * STATION_M, float(aside), turned, float(along_mps))
+
+
+def _ways_along(schedule: Floats, away: _Away) -> Iterator[Floats]:
+    """(N,) metres along the path at 12 Hz: back to the schedule, sooner and sooner, and then to a stop."""
+    seconds = np.arange(len(schedule)) / FRAME_HZ
+    ahead = away.metres - float(schedule[0])
+    planned_mps = float(schedule[1] - schedule[0]) * FRAME_HZ
+    back_s = max(_SOONEST_BACK_S, _PEAK * abs(ahead) / _HASTE_MPS)
+    for quicker in _QUICKER:
+        fading = quintic(seconds, 0.0, quicker * back_s, (ahead, away.speed_mps - planned_mps), (0.0, 0.0))[0]
+        fading[0] = ahead
+        # Nobody drives backwards to be where they should.
+        yield np.maximum.accumulate(schedule + fading)
+    for braking in _BRAKING_MPS2:
+        until = np.minimum(seconds, away.speed_mps / braking)
+        yield away.metres + away.speed_mps * until - 0.5 * braking * until**2
+
+
+def _fading(metres: Floats, away: _Away) -> tuple[Floats, Floats]:
+    """(N,) metres to the left of the path and their slope, from where the ego is."""
+    reach = max(_LEAST_ASIDE_M, _BACK_ASIDE_S * away.speed_mps)
+    slope = float(np.tan(away.turned_rad))
+    aside, rising = quintic(metres, away.metres, away.metres + reach, (away.aside_m, slope), (0.0, 0.0))
+    standing = metres <= away.metres
+    return np.where(standing, away.aside_m, aside), np.where(standing, slope, rising)
+
+
+def _during(track: Track, first: int, count: int) -> Track:
+    boxes = track.boxes if len(track.boxes) == 1 else track.boxes[first : first + count]
+    return Track(track.category, track.height, boxes, track.parked)
+
+
+def lasting(rows: Sequence[DriveRow]) -> dict[str, DriveRow]:
+    """Drives by scene: those that went on for a while and did not fail.
+
+    Raises:
+        InputError: If a scene was driven more than once.
+    """
+    scenes = [row.scene for row in rows]
+    twice = next((name for name in scenes if scenes.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{twice} was driven more than once; give a record with one run of each scene")
+    return {row.scene: row for row in rows if row.status == "ok" and len(row.ticks.command) >= LEAST_KEYFRAMES}

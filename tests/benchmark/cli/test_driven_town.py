@@ -1,0 +1,79 @@
+"""From a drive to a data set that is learned from: what the commands hand on to one another."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adapters.training.frame_store import build_frames
+from benchmark.datasets.roots import open_data
+from benchmark.records.driven import driven_ego
+from benchmark.records.drives import DriveRecord, find_drives
+from tests.benchmark.cli.cli_runs import challenger_bench
+
+SMALL = ("--town-scenes", "1", "--size", "64x40", "--frames", "keyframes", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A town of two training scenes that constant velocity was driven through."""
+    place = tmp_path_factory.mktemp("driven")
+    built = challenger_bench(
+        "data", "build", "--root", place / "road", "--train-scenes", "2", "--renderer", "none", *SMALL
+    )
+    assert built.code == 0, built.err
+    done = drive(place, "train")
+    assert done.planner == "constant-velocity"
+    return place
+
+
+def drive(place: Path, split: str) -> DriveRecord:
+    done = challenger_bench(
+        "drive", "--model", "constant-velocity", "--no-baselines", "--data", place / "road", "--split", split,
+        "--out", place / split, "--workers", "1",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    (record,) = find_drives(place / split)
+    return record
+
+
+def test_the_ego_goes_where_it_was_driven_and_learns_the_way_back(folder: Path) -> None:
+    (record,) = find_drives(folder / "train")
+    command = ("data", "build", "--root", folder / "driven", "--driven", folder / "train", *SMALL)
+    built = challenger_bench(*command)
+    assert built.code == 0, built.err
+    data = open_data(folder / "driven")
+    assert data.scene_names("train") == tuple(row.scene for row in record.rows)
+    store = build_frames(data.root, "train", folder / "frames")
+    for row in record.rows:
+        scene, learned = data.scene(row.scene), driven_ego(data.provenance(), row.scene)
+        assert learned is not None and learned.planner == "constant-velocity"
+        states = np.array(row.ticks.ego)[: len(row.ticks.command)]
+        assert len(scene.keyframes) == len(states)
+        assert np.abs(scene.ego.position[scene.keyframes, :2] - states[:, :2]).max() < 1e-3
+        frames = [store.frame(number) for number in store.frames_of(row.scene)]
+        assert [frame.command for frame in frames] == row.ticks.command
+        assert np.array_equal([frame.ego_future_valid.numpy() for frame in frames], learned.known)
+        for frame, wanted, known in zip(frames, learned.wanted, learned.known, strict=True):
+            right, forward = frame.ego_future.numpy().T
+            turn = frame.global_T_lidar.numpy()
+            told = turn[:2, 3] + right[:, None] * turn[:2, 0] + forward[:, None] * turn[:2, 1]
+            assert np.abs(told - wanted)[known].max(initial=0.0) < 2e-3
+    again = challenger_bench(*command)
+    assert again.code == 0 and again.out == built.out
+
+
+def test_drives_of_another_town_or_of_no_training_scene_are_refused(folder: Path) -> None:
+    (record,) = find_drives(folder / "train")
+    other = challenger_bench(
+        "data", "build", "--root", folder / "other", "--driven", record.directory, "--seed", "7", *SMALL
+    )
+    assert other.code == 2
+    assert "give the seed of the town" in other.err
+    evaluated = drive(folder, "val")
+    refused = challenger_bench("data", "build", "--root", folder / "val town", "--driven", evaluated.directory, *SMALL)
+    assert refused.code == 2
+    assert "no drive through training scenes" in refused.err
+    both = challenger_bench("data", "build", "--root", folder / "both", "--driven", folder, *SMALL)
+    assert both.code == 2
+    assert "2 records of drives" in both.err
