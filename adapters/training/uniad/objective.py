@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.front_reader import FRONT
@@ -90,7 +90,8 @@ class UniADObjective:
     """An objective as `adapters.training.frames.Objective` describes; drawn numbers are of PyTorch's generator.
 
     Attributes:
-        network: What learns. It stays as in inference: no dropout, normalisation as stored.
+        network: What learns. It stays as in inference, without dropout and with normalisation as stored, but for the
+            occupancy, whose normalisation learns what it normalises.
         clip_frames: Frames of a clip.
         learned_frames: The last frames of a clip, through which gradients pass; earlier ones only leave a past.
         unaware: Share of clips in which the network is not told how the ego moves, so that it looks.
@@ -266,6 +267,9 @@ class UniADObjective:
         vehicles = network.vehicle_classes[agents.labels[wanted]].nonzero()[:MOST_OCCUPYING, 0]
         if len(vehicles) == 0 or float(torch.rand(())) >= OCCUPANCY_SHARE:
             return {"occupancy": bev.sum() * 0}
+        for module in network.occ_head.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.train()
         occupancy = network.occ_head(
             bev,
             forecasts.queries[-1, :-1][vehicles],

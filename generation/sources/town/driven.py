@@ -1,8 +1,10 @@
 """An ego that goes where a planner drove it, and the way back to what the town's driver would have done.
 
 From each key frame the way back is that of `generation.sources.town.off_path`: offsets aside and along the path that
-fade as quintics, at the heading of the motion. Of several, from gentle to a full stop, the first counts that a driver
-can drive, that touches nobody as everybody moves in the scene, and that ends on the road.
+fade as quintics, at the heading of the motion. Along the path the first of these counts that a driver can drive, that
+touches nobody as everybody moves in the scene, and that ends on the road: as the town's driver drives at the same
+places, which needs no knowledge of when that was, with room to whoever is ahead; back to where that driver is at the
+same time, sooner and sooner; and to a stop, harder and harder.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,8 +43,14 @@ _PEAK: Final = 1.875
 _BACK_ASIDE_S: Final = 3.0
 _LEAST_ASIDE_M: Final = 12.0
 _QUICKER: Final = (1.0, 0.6, 0.4)
+_SAME_STATION_M: Final = 0.5
+_SOONEST_SPEED_S: Final = 2.0
+_GENTLY_MPS2: Final = 1.5
+_ROOM_M: Final = 1.5
+_ROOM_S: Final = 0.6
 _BRAKING_MPS2: Final = (1.5, 3.0, 4.5)
 _HORIZON: Final = PLAN_STEPS * FRAMES_PER_KEYFRAME
+_FORESEEN: Final = 5 * FRAME_HZ + 1
 _ROAD_FROM: Final = _HORIZON * 2 // 3
 _GAP_M: Final = 0.1
 
@@ -157,16 +165,22 @@ class _Away:
 
 def _way_back(world: World, planned: PlannedEgo, pose: Floats, speed: float, first: int) -> Floats | None:
     """(N, 3) rear-axle poses at 12 Hz from a frame on, as far as the scene goes, 3 s at most."""
-    schedule = planned.stations[first : first + _HORIZON + 1] * STATION_M
-    if len(schedule) <= FRAMES_PER_KEYFRAME:
+    metres = planned.stations * STATION_M
+    count = min(FRAMES - first, _FORESEEN)
+    if count <= FRAMES_PER_KEYFRAME:
         return None
-    away = _away(planned, pose, speed, float(schedule[0]))
+    away = _away(planned, pose, speed, float(metres[first]))
     if away is None:
         return None
-    others = World(world.town, tracks=[_during(track, first, len(schedule)) for track in world.tracks])
-    for metres in _ways_along(schedule, away):
-        aside, slope = _fading(metres, away)
-        rear = beside_path(planned.path, metres, aside, slope)
+    others = World(world.town, tracks=[_during(track, first, count) for track in world.tracks])
+    going_on = _going_on(metres, first, count, away)
+    # With room ahead: who would only just not touch somebody has to do something else.
+    roomy = others.is_free(_boxes(planned, going_on + _ROOM_M + _ROOM_S * np.gradient(going_on) * FRAME_HZ, away))
+    count = min(count, _HORIZON + 1)
+    others = World(world.town, tracks=[_during(track, first, count) for track in world.tracks])
+    ways = _back_on_time(metres[first : first + count], away)
+    for way in (going_on[:count], *ways) if roomy else ways:
+        rear = _rear(planned, way, away)
         boxes = body_boxes(rear, EGO_BODY)
         free = others.is_free(boxes, gap_m=_GAP_M) and others.is_on_road(boxes[_ROAD_FROM:])
         if free and broken_limit(boxes, DriverLimits()) is None:
@@ -196,7 +210,25 @@ def _away(planned: PlannedEgo, pose: Floats, speed: float, expected_m: float) ->
     return _Away(where * STATION_M, float(aside), turned, float(along_mps))
 
 
-def _ways_along(schedule: Floats, away: _Away) -> Iterator[Floats]:
+def _going_on(planned: Floats, first: int, count: int, away: _Away) -> Floats:
+    """(N,) metres along the path at 12 Hz of who soon drives as the town's driver does at the same places."""
+    seconds = np.arange(FRAMES) / FRAME_HZ
+    # Where that driver stands, from the moment nearest to now.
+    near = np.flatnonzero(np.abs(planned - away.metres) <= _SAME_STATION_M)
+    if len(near):
+        begin = float(np.clip(seconds[first], seconds[near[0]], seconds[near[-1]]))
+    else:
+        begin = float(np.interp(away.metres, planned, seconds))
+    last_mps = float(planned[-1] - planned[-2]) * FRAME_HZ
+    later = begin + np.arange(count + 1) / FRAME_HZ
+    there = np.interp(later, seconds, planned) + last_mps * np.maximum(later - seconds[-1], 0.0)
+    faster = away.speed_mps - float(there[1] - there[0]) * FRAME_HZ
+    fading_s = max(_SOONEST_SPEED_S, abs(faster) / _GENTLY_MPS2)
+    more = quintic(later - begin, 0.0, fading_s, (0.0, faster), (0.5 * faster * fading_s, 0.0))[0]
+    return np.maximum.accumulate(away.metres + (there - there[0] + more)[:count])
+
+
+def _back_on_time(schedule: Floats, away: _Away) -> Iterator[Floats]:
     """(N,) metres along the path at 12 Hz: back to the schedule, sooner and sooner, and then to a stop."""
     seconds = np.arange(len(schedule)) / FRAME_HZ
     ahead = away.metres - float(schedule[0])
@@ -204,12 +236,20 @@ def _ways_along(schedule: Floats, away: _Away) -> Iterator[Floats]:
     back_s = max(_SOONEST_BACK_S, _PEAK * abs(ahead) / _HASTE_MPS)
     for quicker in _QUICKER:
         fading = quintic(seconds, 0.0, quicker * back_s, (ahead, away.speed_mps - planned_mps), (0.0, 0.0))[0]
-        fading[0] = ahead
         # Nobody drives backwards to be where they should.
         yield np.maximum.accumulate(schedule + fading)
     for braking in _BRAKING_MPS2:
         until = np.minimum(seconds, away.speed_mps / braking)
         yield away.metres + away.speed_mps * until - 0.5 * braking * until**2
+
+
+def _rear(planned: PlannedEgo, metres: Floats, away: _Away) -> Floats:
+    """(N, 3) rear-axle poses of who is back on the path soon."""
+    return beside_path(planned.path, metres, *_fading(metres, away))
+
+
+def _boxes(planned: PlannedEgo, metres: Floats, away: _Away) -> Floats:
+    return body_boxes(_rear(planned, metres, away), EGO_BODY)
 
 
 def _fading(metres: Floats, away: _Away) -> tuple[Floats, Floats]:

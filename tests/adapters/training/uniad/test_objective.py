@@ -363,6 +363,19 @@ def test_frames_without_annotations_only_teach_that_nothing_is_there() -> None:
     )
 
 
+def test_only_the_occupancy_learns_what_it_normalises() -> None:
+    objective = UniADObjective(learner())
+    objective.network.train()
+    before = {name: value.clone() for name, value in objective.network.named_buffers() if "running_" in name}
+    for seed in range(8):
+        torch.manual_seed(seed)
+        objective.losses(clip())
+    changed = {name for name, value in objective.network.named_buffers() if name in before and
+               not torch.equal(value, before[name])}  # fmt: skip
+    assert changed == {name for name in before if name.startswith("occ_head.")} != set()
+    assert not objective.network.motion_head.training
+
+
 def test_masks_are_right_when_values_are() -> None:
     targets = torch.tensor([[1.0, 1.0, 0.0, 0.0, 0.0]])
     right, empty, full = (float(mask_loss(values, targets)) for values in (targets, 0 * targets, 1 + 0 * targets))

@@ -76,6 +76,22 @@ def test_who_is_beside_the_path_is_to_come_back_to_it(planned: Scene, aside_m: f
         assert abs(first[1]) < 0.5
 
 
+def test_who_is_late_is_to_drive_as_the_town_does_at_the_same_places(planned: Scene) -> None:
+    late = 3
+    on_time = driven_as(planned)
+    begun = np.maximum(np.arange(KEYFRAMES) - late, 0)
+    driven = Driven("somebody", on_time.poses[begun], on_time.speeds[begun], on_time.commands)
+    _, learned = town_scene_driven(INDEX, driven)
+    lidar = planar_lidar_poses(planned)
+    apart = []
+    for keyframe in range(late, KEYFRAMES - PLAN_STEPS):
+        place = keyframe - late
+        future = lidar[place + 1 : place + 1 + PLAN_STEPS, :2]
+        apart.append(np.abs(learned.wanted[keyframe] - future).max())
+    # Others did not wait for it, so that now and then it has to do something else.
+    assert np.nanquantile(apart, 0.5) < 0.2
+
+
 def test_the_way_back_touches_nobody_and_no_driver_brakes_harder(planned: Scene) -> None:
     scene, learned = town_scene_driven(INDEX, driven_as(planned, faster=1.3))
     agents = scene.agents
