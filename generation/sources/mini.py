@@ -151,6 +151,12 @@ def _drives(settings: TownSettings) -> dict[int, Driven]:
             "--driven says itself which training scenes there are; leave --train-scenes and --off-path out"
         )
     record = _record(settings.driven)
+    measured = record.facts.measured
+    if measured.engine != "default" or measured.agents != "replay":
+        raise InputError(
+            f"{settings.driven} was driven with --engine {measured.engine} --agents {measured.agents}; only where "
+            "others do what they did (default, replay) is the scene the one that was driven through"
+        )
     known = {name: number for number, name in enumerate(town_scene_names("train", MOST_TRAIN_SCENES))}
     drives = lasting(record.rows)
     strange = next((name for name in drives if name not in known), None)

@@ -27,19 +27,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def drive(place: Path, split: str) -> DriveRecord:
+def drive(place: Path, split: str, agents: str = "replay") -> DriveRecord:
+    out = place / f"{split} {agents}"
     done = challenger_bench(
         "drive", "--model", "constant-velocity", "--no-baselines", "--data", place / "road", "--split", split,
-        "--out", place / split, "--workers", "1",
+        "--agents", agents, "--out", out, "--workers", "1",
     )  # fmt: skip
     assert done.code == 0, done.err
-    (record,) = find_drives(place / split)
+    (record,) = find_drives(out)
     return record
 
 
 def test_the_ego_goes_where_it_was_driven_and_learns_the_way_back(folder: Path) -> None:
-    (record,) = find_drives(folder / "train")
-    command = ("data", "build", "--root", folder / "driven", "--driven", folder / "train", *SMALL)
+    (record,) = find_drives(folder / "train replay")
+    command = ("data", "build", "--root", folder / "driven", "--driven", folder / "train replay", *SMALL)
     built = challenger_bench(*command)
     assert built.code == 0, built.err
     data = open_data(folder / "driven")
@@ -64,7 +65,7 @@ def test_the_ego_goes_where_it_was_driven_and_learns_the_way_back(folder: Path) 
 
 
 def test_drives_of_another_town_or_of_no_training_scene_are_refused(folder: Path) -> None:
-    (record,) = find_drives(folder / "train")
+    (record,) = find_drives(folder / "train replay")
     other = challenger_bench(
         "data", "build", "--root", folder / "other", "--driven", record.directory, "--seed", "7", *SMALL
     )
@@ -77,3 +78,10 @@ def test_drives_of_another_town_or_of_no_training_scene_are_refused(folder: Path
     both = challenger_bench("data", "build", "--root", folder / "both", "--driven", folder, *SMALL)
     assert both.code == 2
     assert "2 records of drives" in both.err
+
+
+def test_drives_in_which_others_answered_are_refused(folder: Path) -> None:
+    answered = drive(folder, "train", "idm")
+    refused = challenger_bench("data", "build", "--root", folder / "answered", "--driven", answered.directory, *SMALL)
+    assert refused.code == 2
+    assert "--agents idm" in refused.err
