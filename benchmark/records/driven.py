@@ -15,6 +15,7 @@ from benchmark.constants import PLAN_STEPS
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
 from benchmark.planning import Command
+from benchmark.records.scene_reports import reported
 
 DRIVEN: Final = "driven"
 """Where the report of a scene (``challenger.json``) says it."""
@@ -97,7 +98,5 @@ def driven_ego(provenance: Mapping[str, Any] | None, scene: str) -> DrivenEgo | 
     Raises:
         InputError: If what is said cannot be read.
     """
-    made = (provenance or {}).get("scenes", {}).get(scene, {})
-    report = made.get("report") if isinstance(made, Mapping) else None
-    said = report.get(DRIVEN) if isinstance(report, Mapping) else None
+    said = reported(provenance, scene, DRIVEN)
     return None if said is None else DrivenEgo.from_json(said)

@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats
+from benchmark.records.scene_reports import reported
 
 OFF_PATH: Final = "off_path"
 """Where the report of a scene (``challenger.json``) names its excursions."""
@@ -80,9 +81,7 @@ def excursions_of(provenance: Mapping[str, Any] | None, scene: str) -> tuple[Exc
     Raises:
         InputError: If what is said cannot be read.
     """
-    made = (provenance or {}).get("scenes", {}).get(scene, {})
-    report = made.get("report") if isinstance(made, Mapping) else None
-    said = report.get(OFF_PATH, []) if isinstance(report, Mapping) else []
+    said = reported(provenance, scene, OFF_PATH, [])
     if not isinstance(said, list):
         raise InputError(f"{OFF_PATH} of scene {scene} must be a list of excursions; build the data again")
     return tuple(Excursion.from_json(each) for each in said)

@@ -28,7 +28,7 @@ from generation.sources.town.paths import EGO_BODY, STATION_M, body_boxes
 from generation.sources.town.speed import FRAMES
 from generation.sources.town.world import Track, World
 
-KEYFRAME_US: Final = 500_000
+_KEYFRAME_US: Final = round(1e6 * FRAMES_PER_KEYFRAME / FRAME_HZ)
 LEAST_KEYFRAMES: Final = 4
 """A drive that was over sooner shows nothing."""
 _SAME_PLACE_M: Final = 0.01
@@ -86,7 +86,7 @@ class Driven:
             InputError: If it was not planned from at the town's key frames.
         """
         ticks = row.ticks
-        at_keyframes = np.diff(ticks.time_us[: len(ticks.command)]) == KEYFRAME_US
+        at_keyframes = np.diff(ticks.time_us[: len(ticks.command)]) == _KEYFRAME_US
         if not at_keyframes.all():
             raise InputError(f"the drive of {row.scene} was not planned every half second; drive it with this version")
         states = np.array(ticks.ego[: len(ticks.command)]).reshape(-1, 7)
