@@ -257,7 +257,7 @@ class UniADObjective:
             view.finest_front,
             view.can_bus,
         )
-        losses |= _plan_losses(plan, frame)
+        losses |= plan_losses(plan, frame)
         return losses | self._occupancy(bev, tracks, agents, wanted, forecasts)
 
     def _occupancy(
@@ -296,7 +296,16 @@ def _followed(entering: Instances, detections: Detections, agents: Agents, match
     )
 
 
-def _plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
+def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
+    """Of a plan and of what it read in the front camera.
+
+    Args:
+        plan: Before it is moved away from occupied cells.
+        frame: The key frame.
+
+    Returns:
+        Weighted scalars by name.
+    """
     points, wanted, valid = plan.positions_m, frame.ego_future, frame.ego_future_valid
     losses = {
         "plan": PLAN_WEIGHT * plan_loss(points, wanted, valid),

@@ -6,6 +6,7 @@ from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from adapters.training.uniad.heads_objective import HeadsObjective
 from adapters.training.uniad.objective import UniADObjective
+from adapters.training.uniad.planner_objective import PlannerObjective
 
 
 def phases() -> tuple[Phase, ...]:
@@ -13,7 +14,9 @@ def phases() -> tuple[Phase, ...]:
     # What it sees is seen already (`seen_by_vad`): first what follows from it is learned, then everything together.
     heads = Recipe(steps=3000, learning_rate=1e-3, warmup=100, average=0.998, clips=6, check_every=1000)
     clips = Recipe(steps=3000, learning_rate=4e-4, encoder_rate=0.3, warmup=100, average=0.998)
+    planner = Recipe(steps=4000, learning_rate=6e-4, warmup=100, average=0.998, clips=24, check_every=1000)
     return (
         Phase("heads", partial(HeadsObjective, clip_frames=4), heads),
         Phase("clips", partial(UniADObjective, clip_frames=4, learned_frames=2), clips),
+        Phase("planner", PlannerObjective, planner),
     )

@@ -306,7 +306,7 @@ def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:
 
 def test_the_heads_learn_first_from_the_views_of_the_network_when_it_runs() -> None:
     network, frames = learner(), clip(3)
-    heads, clips = phases()
+    heads, clips, _ = phases()
     objective = heads.objective(network)
     assert isinstance(objective, HeadsObjective)
     store, _ = objective.look(OneScene(frames), range(3))
