@@ -2,8 +2,9 @@
 
 Run ``challenger-bench drive --model vad-mini --sensor schematic --split val`` first, then
 ``python bench/miniatures_driven.py FOLDER ...`` with the folders of its records of drives. *Completed*: to the end of
-the scene without a contact and never off the road, with at least 80 % of the recorded way. *Clear*: metres along the
-route before the first contact, whoever's fault it is, and before the ego first leaves the road; mean over the drives.
+the scene without a contact that ends the drive and never off the road, with at least 80 % of the recorded way. *Clear*:
+metres along the route before such a contact and before the ego first leaves the road; mean over the drives. What ends a
+drive is any contact, or with ``--until fault`` one that is the ego's fault; contacts are counted whoever's they are.
 """
 
 import sys
@@ -49,12 +50,13 @@ def main(folders: tuple[Path, ...]) -> None:
     for folder in folders:
         record = load_drives(folder)
         rows = [row for row in record.rows if row.scores is not None]
-        contacts = [row.contact for row in rows if row.contact is not None]
+        contacts = [row.first_contact for row in rows if row.first_contact is not None]
+        blamed = sum(row.contact is not None and row.contact.at_fault for row in rows)
         strayed = sum(left_road_s(row) is not None for row in rows)
         print(
-            f"{record.planner} on {record.facts.split}, {record.facts.measured.agents}: completed "
+            f"{record.planner} on {record.facts.split}, {record.facts.measured.world}: completed "
             f"{sum(map(completed, rows))} of {len(record.rows)}; contacts {len(contacts)}, at fault "
-            f"{sum(each.at_fault for each in contacts)}; off the road {strayed}; clear "
+            f"{blamed}; off the road {strayed}; clear "
             f"{np.mean([clear_m(row) for row in rows]):.0f} m"
         )
 

@@ -41,6 +41,7 @@ def drive_settings(
     accept_torch_tensors: bool = False,
     latency_ms: int = 0,
     scenarios: str = "recorded",
+    until: str = "contact",
     runs: int = 1,
     scenes: "Sequence[str] | None" = None,
     limit: int | None = None,
@@ -68,6 +69,8 @@ def drive_settings(
         accept_torch_tensors: Whether a renderer's pictures may be saved tensors, which are pickles.
         latency_ms: So much later does a plan take effect; a multiple of 100, 0 in NeuroNCAP's engine.
         scenarios: In NeuroNCAP's engine: scenes as they are (``recorded``), with ``own`` or ``official`` scenarios.
+        until: What ends a drive before its time: ``contact``, any; ``fault``, one that is the ego's fault, and whoever
+            touches it otherwise is gone from the next planning instant on. NeuroNCAP's engine ends at any.
         runs: Runs of each scene; one where nothing is drawn.
         scenes: Only these scenes.
         limit: Only the first so many.
@@ -117,7 +120,7 @@ def drive_settings(
         )
     return DriveSettings(
         engine=engine,
-        maker=rides_of(engine, agents, latency_ms, scenarios, pursuit),
+        maker=rides_of(engine, agents, latency_ms, scenarios, pursuit, until),
         ladder=tuple(drivers if ladder is None else ladder),
         keep_considered=keep_considered,
         agents=agents,
@@ -125,6 +128,7 @@ def drive_settings(
         runs=runs,
         latency_ms=latency_ms,
         scenarios=scenarios,
+        until=until,
         scenes=None if scenes is None else tuple(scenes),
         limit=limit,
         executor=executor or LocalProcesses(),

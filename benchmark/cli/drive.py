@@ -91,6 +91,13 @@ class ScenariosName(StrEnum):
     OFFICIAL = "official"
 
 
+class UntilName(StrEnum):
+    """What ends a drive before its time."""
+
+    CONTACT = "contact"
+    FAULT = "fault"
+
+
 def drive_command(
     model: Annotated[
         list[str],
@@ -142,6 +149,10 @@ def drive_command(
     ] = ScenariosName.RECORDED,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each scene; one where nothing is drawn.")] = 1,
     latency: Annotated[int, typer.Option(min=0, help="Milliseconds after which a plan takes effect.")] = 0,
+    until: Annotated[
+        UntilName,
+        typer.Option(help="What ends a drive: any contact, or one that is the ego's fault (others who touch it go)."),
+    ] = UntilName.CONTACT,
     timeout: Annotated[float, typer.Option(min=0.001, max=86_400.0, help="Seconds that a plan may take.")] = 120.0,
     baselines: Annotated[
         bool, typer.Option("--baselines/--no-baselines", help="Also the five that every table has.")
@@ -174,7 +185,7 @@ def drive_command(
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
 
-    _require_engine(engine, agents, latency, scenarios)
+    _require_engine(engine, agents, latency, scenarios, until)
     budget = (adversary_every, adversary_rounds, adversary_candidates)
     about_adversary = (adversary_knows, adversary_others, *budget, keep_considered)
     if agents is not AgentsName.ADVERSARY and about_adversary != _USUAL_ADVERSARY:
@@ -235,6 +246,7 @@ def drive_command(
         accept_torch_tensors=accept_torch_tensors,
         latency_ms=latency,
         scenarios=scenarios.value,
+        until=until.value,
         runs=runs,
         scenes=name_list(scenes),
         limit=limit,
@@ -269,7 +281,9 @@ _USUAL_ADVERSARY: Final = (KnowsName.MOTION, OthersName.REPLAY, 1.0, None, None,
 """What says nothing about an adversary."""
 
 
-def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenarios: ScenariosName) -> None:
+def _require_engine(
+    engine: EngineName, agents: AgentsName, latency: int, scenarios: ScenariosName, until: UntilName
+) -> None:
     """Refuse what NeuroNCAP's engine has not, and a latency that no engine has."""
     if engine is not EngineName.DEFAULT:
         if agents is not AgentsName.REPLAY:
@@ -278,6 +292,10 @@ def _require_engine(engine: EngineName, agents: AgentsName, latency: int, scenar
             )
         if latency:
             raise InputError(f"{engine.value} has no latency; leave --latency out or take --engine default")
+        if until is not UntilName.CONTACT:
+            raise InputError(
+                f"every contact ends a run of {engine.value}; leave --until {until.value} out or take --engine default"
+            )
     elif scenarios is not ScenariosName.RECORDED:
         raise InputError(f"--scenarios {scenarios.value} are of NeuroNCAP's engine; add --engine neuroncap@code")
     if latency % STEP_MS or latency > LONGEST_LATENCY_MS:

@@ -1,5 +1,6 @@
 """Scenes as courses: where a drive starts, how long it lasts, who is there."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from benchmark.closed_loop.agents.contract import AgentPolicy
 from benchmark.closed_loop.agents.replay import Replay
 from benchmark.closed_loop.following import Ego
-from benchmark.closed_loop.world import STEP_US, Course
+from benchmark.closed_loop.world import STEP_US, Contact, Course
 from benchmark.constants import EGO_WHEELBASE_M
 from benchmark.encounters.tracks import Tracks
 from benchmark.errors import InputError
@@ -28,6 +29,7 @@ def course_of(
     duration_s: float | None = None,
     seed: int = 0,
     latency_us: int = 0,
+    blamed: Callable[[Contact, Floats], bool] | None = None,
 ) -> Course:
     """The course of a scene.
 
@@ -38,6 +40,7 @@ def course_of(
         duration_s: How long it lasts; to the scene's last keyframe by default.
         seed: Of everything that is drawn.
         latency_us: So much later does a plan take effect.
+        blamed: As of a `Course`; ``None``: every contact ends the drive.
 
     Returns:
         The course, which starts with the recorded motion.
@@ -61,6 +64,7 @@ def course_of(
         policy=policy or replay_of(scene, start_us, end_us),
         seed=seed,
         latency_us=latency_us,
+        blamed=blamed,
     )
 
 

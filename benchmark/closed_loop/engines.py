@@ -1,6 +1,6 @@
 """Engines by name: what ``--engine``, ``--agents`` and ``--latency`` mean together."""
 
-from typing import Final
+from typing import Final, get_args
 
 from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryMaker, GivenTracks
 from benchmark.closed_loop.drives.default_engine import AGENTS, DefaultRides
@@ -9,8 +9,9 @@ from benchmark.closed_loop.neuroncap.riding import RECORDED, SCENARIOS, Neuronca
 from benchmark.closed_loop.neuroncap.switches import Switches
 from benchmark.closed_loop.world import ENGINE
 from benchmark.errors import InputError, did_you_mean
-from benchmark.records.drive_schema import Measured
+from benchmark.records.drive_schema import Measured, UntilName
 
+UNTIL: Final[tuple[UntilName, ...]] = get_args(UntilName)
 ENGINES: Final = (ENGINE, "neuroncap@code", "neuroncap@paper")
 
 
@@ -20,6 +21,7 @@ def rides_of(
     latency_ms: int = 0,
     scenarios: str = RECORDED,
     adversary: AdversaryMaker | None = None,
+    until: str = "contact",
 ) -> RideMaker:
     """What begins rides of an engine.
 
@@ -29,6 +31,7 @@ def rides_of(
         latency_ms: So much later does a plan take effect.
         scenarios: What scenes are driven with, in NeuroNCAP's engine.
         adversary: Who puts an adversary among the agents; without anybody only drives with stored tracks begin.
+        until: What ends a drive before its time, one of `UNTIL`.
 
     Returns:
         It.
@@ -45,12 +48,16 @@ def rides_of(
         raise InputError(f"there are no agents {agents!r}; {did_you_mean(agents, AGENTS)}there are {known}")
     if scenarios not in SCENARIOS:
         raise InputError(f"there are no scenarios {scenarios!r}; there are {', '.join(SCENARIOS)}")
+    if until not in UNTIL:
+        raise InputError(f"no drive ends at {until!r}; {did_you_mean(until, UNTIL)}there are {' and '.join(UNTIL)}")
     if engine == ENGINE:
         if scenarios != RECORDED:
             raise InputError(f"scenarios are of NeuroNCAP's engine; take --engine {ENGINES[1]} or leave them out")
-        return DefaultRides(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None)
+        return DefaultRides(agents, 1000 * latency_ms, adversary if agents == ADVERSARY else None, until)
     if agents != "replay" or latency_ms:
         raise InputError(f"actors of {engine} never react and its plans take effect at once; take --engine {ENGINE}")
+    if until != "contact":
+        raise InputError(f"every contact ends a run of {engine}; take --engine {ENGINE} or leave --until {until} out")
     return NeuroncapRides(Switches.named(engine), scenarios)
 
 
@@ -69,4 +76,4 @@ def rides_as(measured: Measured) -> RideMaker:
     stored = (
         GivenTracks({}, str(measured.agents_facts.get("others", "replay"))) if measured.agents == ADVERSARY else None
     )
-    return rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios, stored)
+    return rides_of(measured.engine, measured.agents, measured.latency_ms, measured.scenarios, stored, measured.until)

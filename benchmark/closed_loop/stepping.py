@@ -5,7 +5,8 @@ The order inside a step is fixed:
 1. the plan joins those in force, `Course.latency_us` after it was made;
 2. the ego moves: five sub-steps of 0.1 s, by the plan in force at each one's beginning (`following`);
 3. the agents move, sub-step by sub-step, each seeing everybody as they are at its beginning (`Course.policy`);
-4. contact is looked for every 0.05 s; the first one is kept.
+4. contact is looked for every 0.05 s; the first one ends the drive, or the first that is the ego's fault
+   (`Course.blamed`): then whoever touches it otherwise is gone from the next planning instant on.
 
 Many worlds can be stepped together. That is faster, and changes no byte of any.
 """
@@ -164,35 +165,63 @@ def _active(plans: tuple[PlanInForce, ...], time_us: int) -> PlanInForce:
 def _with_others(course: Course, world: World, plans: tuple[PlanInForce, ...], egos: Floats) -> World:
     """The world after a step of which the ego's part is known, (11, 6)."""
     own, others, memory = ego_boxes(egos), world.others, world.memory
+    gone = [each.agent for each in world.passed]
     boxes, present, velocities = [], [], []
     for number in range(SUBSTEPS):
         row = INSTANTS * number
         # Making a key costs as much as replaying a sub-step.
         key = content_seed(course.seed, course.scene, world.step, number) if course.policy.draws else 0
         memory, moved = course.policy.act(memory, replace(others, plan=_active(plans, others.time_us)), key)
+        there = _without(moved.present, gone)
         boxes.append(moved.boxes)
-        present.append(moved.present)
+        present.append(there)
         velocities.append(moved.velocity)
         end = row + INSTANTS
         time = world.time_us + (number + 1) * SUBSTEP_US
-        others = Moment(time, own[end], float(egos[end, 3]), moved.boxes[-1], moved.present[-1], moved.velocity)
+        others = Moment(time, own[end], float(egos[end, 3]), moved.boxes[-1], there[-1], moved.velocity)
     trace = Trace(egos, np.concatenate(boxes), np.concatenate(present))
-    contact = world.contact
+    contact, passed = world.contact, world.passed
     if contact is None:
-        contact = _first_contact(course, world, trace, own[1:], velocities)
+        contact, also = _contacts(course, world, trace, own[1:], velocities)
+        if also:
+            passed = (*passed, *also)
+            trace.present[-1, [each.agent for each in also]] = False
+            others = replace(others, present=trace.present[-1])
     assert others.time_us == world.time_us + STEP_US
-    return World(world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace)
+    return World(world.step + 1, Ego.of_row(egos[-1]), others, memory, world.ignored, plans, contact, trace, passed)
+
+
+def _without(present: Bools, gone: Sequence[int]) -> Bools:
+    """(2, N) who is there, less those who are gone."""
+    if not gone:
+        return present
+    left = present.copy()
+    left[:, gone] = False
+    return left
+
+
+def _contacts(
+    course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats]
+) -> tuple[Contact | None, list[Contact]]:
+    """The touch that ends the drive, if any, and those before it that do not."""
+    hits = _overlaps(own, trace.boxes, trace.present & ~world.ignored)
+    passed: list[Contact] = []
+    while hits.any():
+        row, contact = _first_contact(course, world, trace, own, velocities, hits)
+        end_of_substep = -(-(row + 1) // INSTANTS) * INSTANTS
+        if course.blamed is None or course.blamed(contact, trace.egos[end_of_substep]):
+            return contact, passed
+        passed.append(contact)
+        hits[:, contact.agent] = False
+    return None, passed
 
 
 def _first_contact(
-    course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats]
-) -> Contact | None:
-    """The first instant at which somebody overlaps the ego; of several, the first of the list."""
-    hits = _overlaps(own, trace.boxes, trace.present & ~world.ignored)
-    if not hits.any():
-        return None
+    course: Course, world: World, trace: Trace, own: Floats, velocities: Sequence[Floats], hits: Bools
+) -> tuple[int, Contact]:
+    """The first instant at which somebody overlaps the ego, and that touch; of several, the first of the list."""
     row, agent = (int(index) for index in np.argwhere(hits)[0])
-    return Contact(
+    return row, Contact(
         agent=agent,
         uuid=course.ids[agent],
         category=course.categories[agent],

@@ -1,5 +1,6 @@
 """A drive as values: what does not change while it lasts, and the world at one instant."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -32,6 +33,8 @@ class Course:
         policy: How they behave.
         seed: Of everything that is drawn.
         latency_us: So much later than it was made for does a plan take effect.
+        blamed: Whether a contact is the ego's fault, which only then ends the drive; told the contact and (6,) values
+            of `Ego` at the first end of a sub-step that does not come before it. ``None``: every contact ends it.
 
     Raises:
         InputError: If the latency is negative or no whole number of sub-steps, or the end is not after the start.
@@ -46,6 +49,7 @@ class Course:
     policy: AgentPolicy[Any]
     seed: int = 0
     latency_us: int = 0
+    blamed: "Callable[[Contact, Floats], bool] | None" = None
 
     def __post_init__(self) -> None:
         if self.latency_us < 0 or self.latency_us % SUBSTEP_US:
@@ -58,14 +62,14 @@ class Course:
 
     @property
     def name(self) -> str:
-        """What is measured: engine, agents, and the latency if there is one."""
+        """What is measured: engine, agents, the latency if there is one, and what ends a drive if not any contact."""
         late = f" +{self.latency_us // 1000} ms" if self.latency_us else ""
-        return f"{ENGINE} {self.policy.name}{late}"
+        return f"{ENGINE} {self.policy.name}{late}{' until fault' if self.blamed else ''}"
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The first touch of a drive.
+    """A touch.
 
     Attributes:
         agent: Index of the agent.
@@ -125,8 +129,10 @@ class World:
         memory: The policy's.
         ignored: (N,) who overlapped the ego at the start, and never counts.
         plans: Plans that are in force or will be, by when they take effect.
-        contact: The first touch.
+        contact: The touch that ends the drive.
         trace: Of the step that led here.
+        passed: Touches before it that are not the ego's fault, where such do not end the drive; whom they were with is
+            gone from the planning instant after them on.
     """
 
     step: int
@@ -137,6 +143,7 @@ class World:
     plans: tuple[PlanInForce, ...] = ()
     contact: Contact | None = None
     trace: Trace | None = None
+    passed: tuple[Contact, ...] = ()
 
     @property
     def time_us(self) -> int:

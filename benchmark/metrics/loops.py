@@ -201,7 +201,7 @@ def _scene_loops(
     scene: str, drives: DriveRecord, open_fails: bool | None, rows: Sequence[DriveRow]
 ) -> SceneLoops | None:
     driven = [row for row in rows if row.status == "ok"]
-    hits = [row for row in driven if row.contact is not None]
+    hits = [row for row in driven if row.first_contact is not None]
     if open_fails is None or not driven or (len(driven) < len(rows) and not hits):
         return None
     facts = drives.facts.scene_facts

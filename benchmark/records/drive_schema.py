@@ -17,6 +17,8 @@ SCHEMA: Final = 1
 MOST_RUNS: Final = 10_000
 REASONS: Final = ("raised", "no plan", "unusable plan", "timeout", "died")
 EngineName = Literal["default", "neuroncap@code", "neuroncap@paper"]
+UntilName = Literal["contact", "fault"]
+"""What ends a drive before its time: any contact, or one that is the ego's fault."""
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Fraction = Share | None
 
@@ -33,6 +35,7 @@ class Measured(Stored):
         sensor_facts: What else the pictures depend on.
         latency_ms: So much later than it was made did a plan take effect.
         scenarios: What scenes were driven with, in NeuroNCAP's engine: as they are, ours, or NeuroNCAP's own.
+        until: What ended a drive before its time. Not written where it is any contact.
     """
 
     engine: EngineName
@@ -42,18 +45,21 @@ class Measured(Stored):
     latency_ms: Annotated[int, Field(ge=0, le=600_000)] = 0
     scenarios: Literal["recorded", "own", "official"] = "recorded"
     agents_facts: dict[str, Any] = Field(default_factory=dict)
+    until: UntilName = "contact"
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "agents_facts")
+        written = _without_empty(write(self), "agents_facts")
+        return {name: value for name, value in written.items() if (name, value) != ("until", "contact")}
 
     @property
     def world(self) -> str:
-        """Engine, agents and latency, in words: what records of one table share, whatever their planners look at."""
+        """Engine, agents, latency, what ends a drive: what records of one table share, whatever their planners see."""
         said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in sorted(self.agents_facts.items()))
         agents = f", agents {self.agents}{f' ({said})' if said else ''}" if self.engine == "default" else ""
         scenarios = "" if self.scenarios == "recorded" else f", {self.scenarios} scenarios"
-        return f"{self.engine}{scenarios}{agents}{f', latency {self.latency_ms} ms' if self.latency_ms else ''}"
+        late = f", latency {self.latency_ms} ms" if self.latency_ms else ""
+        return f"{self.engine}{scenarios}{agents}{late}{'' if self.until == 'contact' else ', until fault'}"
 
 
 def _without_empty(written: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -92,7 +98,7 @@ class FailureRow(Stored):
 
 
 class ContactRow(Stored):
-    """The first contact (`benchmark.closed_loop.scores.contact.ScoredContact`)."""
+    """A contact (`benchmark.closed_loop.scores.contact.ScoredContact`)."""
 
     seconds: float
     agent: str
@@ -228,11 +234,13 @@ class DriveRow(Stored):
         primed: Planning instants at which the ego was the recorded one.
         ticks: Planning instants.
         plans: One for each instant that has one.
-        contact: The first contact.
+        contact: The contact that ended it.
         scores: Or null.
         failure: Or null.
         adversary: Where an adversary that answers went; not written where there was none.
         ladder: What came of reference drivers in the same encounter; not written where none drove.
+        passed: Contacts before `contact` that did not end it, none of them the ego's fault; not written where there
+            were none.
     """
 
     scene: Name
@@ -248,10 +256,16 @@ class DriveRow(Stored):
     failure: FailureRow | None
     adversary: AdversaryRow | None = None
     ladder: dict[str, LadderRow] | None = None
+    passed: list[ContactRow] = Field(default_factory=list)
 
     @model_serializer(mode="wrap")
     def _as_written(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without_empty(write(self), "adversary", "ladder")
+        return _without_empty(write(self), "adversary", "ladder", "passed")
+
+    @property
+    def first_contact(self) -> ContactRow | None:
+        """The first contact, whether it ended the drive or not."""
+        return self.passed[0] if self.passed else self.contact
 
     @property
     def fair(self) -> bool | None:
@@ -269,6 +283,8 @@ class DriveRow(Stored):
             raise ValueError("a failed drive has a reason and no scores, any other has scores")
         if (self.contact is not None) != (self.end == "contact"):
             raise ValueError("a drive has a contact where one ended it")
+        if any(each.at_fault for each in self.passed):
+            raise ValueError("a contact that is the ego's fault ends a drive")
         if len(self.ticks.time_us) != len(self.ticks.ego):
             raise ValueError("every planning instant has a time and a state")
         return self

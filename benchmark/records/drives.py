@@ -75,7 +75,7 @@ def values_of(row: DriveRow) -> dict[str, float | None]:
 
     Columns of NeuroNCAP's engine and of the default one have different names and are never both there.
     """
-    scores, contact = row.scores, row.contact
+    scores, contact, first = row.scores, row.contact, row.first_contact
     assert scores is not None, "a failed drive adds to no column"
     common: dict[str, float | None] = {
         "route": scores.route_share,
@@ -91,11 +91,11 @@ def values_of(row: DriveRow) -> dict[str, float | None]:
         families = {f"{name}_{row.family}": value for name, value in both.items()} if row.family else {}
         return {**both, "impact_speed": speed, **common, **families}
     own: dict[str, float | None] = {
-        "contact": float(contact is not None),
+        "contact": float(first is not None),
         "at_fault": float(contact is not None and contact.at_fault),
-        "with_adversary": float(contact is not None and contact.adversary),
-        "impact_speed": None if contact is None else contact.impact_speed,
-        "delta_v": None if contact is None else contact.delta_v_ego,
+        "with_adversary": float(any(each is not None and each.adversary for each in (*row.passed, contact))),
+        "impact_speed": None if first is None else first.impact_speed,
+        "delta_v": None if first is None else first.delta_v_ego,
         **common,
     }
     if row.ladder is not None:

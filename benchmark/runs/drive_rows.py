@@ -48,6 +48,7 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
                 for plan in drive.plans
             ],
             "contact": contact,
+            "passed": [] if scores is None else [_rounded(asdict(each)) for each in scores.passed],
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
             "adversary": None if drive.adversary is None else adversary_row(stage, drive.adversary),

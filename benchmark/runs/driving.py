@@ -69,6 +69,7 @@ class DriveSettings:
         runs: Runs of each scene; one where the engine draws nothing.
         latency_ms: So much later does a plan take effect.
         scenarios: What scenes are driven with, in NeuroNCAP's engine.
+        until: What ends a drive before its time, as tables show it; the engine does it.
         scenes: Only these scenes of the split.
         limit: Only the first so many.
         executor: Where units are driven; the result does not depend on it.
@@ -86,6 +87,7 @@ class DriveSettings:
     runs: int = 1
     latency_ms: int = 0
     scenarios: str = "recorded"
+    until: str = "contact"
     scenes: tuple[str, ...] | None = None
     limit: int | None = None
     executor: Executor = field(default_factory=LocalProcesses)
@@ -117,6 +119,7 @@ class DriveSettings:
                 "sensor_facts": dict(self.sensor.facts),
                 "latency_ms": self.latency_ms,
                 "scenarios": self.scenarios,
+                "until": self.until,
                 "agents_facts": agents_facts(self.maker),
             }
         )
@@ -387,6 +390,7 @@ def drives_directory(
     parts = [measured.engine, *([measured.agents] if measured.engine == "default" else []), measured.sensor]
     parts += [measured.scenarios] if measured.scenarios != "recorded" else []
     parts += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
+    parts += ["until-fault"] if measured.until == "fault" else []
     parts += [content_key(facts)[:8] for facts in (measured.agents_facts, measured.sensor_facts) if facts]
     return own.parent / file_name("-".join(parts)) / own.name
 

@@ -157,6 +157,11 @@ def _drives(settings: TownSettings) -> dict[int, Driven]:
             f"{settings.driven} was driven with --engine {measured.engine} --agents {measured.agents}; only where "
             "others do what they did (default, replay) is the scene the one that was driven through"
         )
+    if measured.until != "contact":
+        raise InputError(
+            f"{settings.driven} was driven with --until {measured.until}, in which whoever touches the ego goes; drive "
+            "without it"
+        )
     known = {name: number for number, name in enumerate(town_scene_names("train", MOST_TRAIN_SCENES))}
     drives = lasting(record.rows)
     strange = next((name for name in drives if name not in known), None)

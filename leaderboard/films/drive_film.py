@@ -204,9 +204,12 @@ class DriveFilm:
         return [] if now is None else [f"adversary: {DID[now.did]}"]
 
     def _outcome(self, frame: int) -> list[str]:
-        """How it ended, once it has."""
-        row = self.driven.row
-        over = frame >= self.driven.last
+        """Who touched the ego so far, and how it ended, once it has."""
+        row, driven = self.driven.row, self.driven
+        over = frame >= driven.last
+        since = driven.seconds[frame] - driven.seconds[driven.begins]
+        passed = [each for each in row.passed if since >= each.seconds]
+        lines = [f"touched by {drawable(each.category)}, not at fault: it is gone" for each in passed[-1:]]
         if row.contact is not None and self._state(frame)[1]:
             whom = f"{row.contact.category}{', the adversary' if row.contact.adversary else ''}"
             blame = "at fault" if row.contact.at_fault else "not at fault"
@@ -216,7 +219,7 @@ class DriveFilm:
             ]
         if row.failure is not None and over:
             return [f"the planner failed ({row.failure.reason}): nothing is scored"]
-        return []
+        return lines
 
     def _draw_speed(self, image: Picture, frame: int, top: int, bottom: int) -> None:
         """Speed driven so far, over that of the recording."""

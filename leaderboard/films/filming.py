@@ -186,6 +186,7 @@ def write_drive_film(
     film, facts = DriveFilm(driven, record, name, settings), record.facts
     parts = [driven.row.scene, name, facts.measured.engine, facts.measured.agents, facts.measured.sensor]
     parts += [f"{facts.measured.latency_ms}ms"] if facts.measured.latency_ms else []
+    parts += ["until-fault"] if facts.measured.until == "fault" else []
     parts += [driven.row.family] if driven.row.family else []
     parts += [f"run{driven.row.run}"] if facts.runs > 1 else []
     target, label = to / file_name("-".join(parts)), f"filming {name} in {driven.row.scene}"

@@ -3,7 +3,7 @@
 A drive's script has members of a scene's (`leaderboard.site.scene_data`) that take the place of those of its scene,
 whose key is ``base``: ``frames`` to the drive's end, ``ego`` as driven, ``samples`` (the planning instants), ``models``
 (who drove, with the plan of each instant), no protocols and no pictures; ``agents`` is empty where nobody knows where
-they went. Beyond them:
+they went, and all of the scene, each for as long as it was there, where somebody who touched the ego went. Beyond them:
 
 * ``recordedPath``: x, y in turn of the recorded body, centimetres as steps;
 * ``contact``: ``{t, x, y}`` seconds and metres of the contact that ended it, or null;
@@ -13,7 +13,7 @@ they went. Beyond them:
 The ego is between the stored states, half a second apart, where a cubic through their places and speeds leads.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -175,11 +175,33 @@ def _drive(one: _Shown, sheet: Sheet) -> dict[str, Any]:
         "pictures": [],
         "edges": {},
     }
-    data |= {} if one.everybody else {"agents": []}
-    data |= {} if adversary is None else {"moved": agent_data(adversary)}
+    gone = _gone(row, ticks)
+    if not one.everybody or gone:
+        shown = [_until_gone(agent, seconds, gone) for agent in sheet.agents] if one.everybody else []
+        data["agents"] = [agent_data(agent) for agent in shown if agent.x_m]
+    if adversary is not None:
+        data["moved"] = agent_data(_until_gone(adversary, seconds, gone))
     considered = read_considered(one.record.directory, row)
     data |= {} if considered is None else {"considered": considered_data(sheet, considered)}
     return data | _plans(one, seconds, ticks, states)
+
+
+def _gone(row: DriveRow, ticks: Floats) -> dict[str, float]:
+    """When those who touched the ego without its fault are gone, seconds by identifier: the next planning instant."""
+    found = {}
+    for touch in row.passed:
+        at = int(np.searchsorted(ticks, float(ticks[row.primed - 1]) + touch.seconds - _LATE_S))
+        found[touch.agent] = float(ticks[min(at, len(ticks) - 1)])
+    return found
+
+
+def _until_gone(agent: SheetAgent, seconds: Floats, gone: Mapping[str, float]) -> SheetAgent:
+    """The agent's track for as long as it is there."""
+    if agent.id not in gone:
+        return agent
+    frames = max(int(np.searchsorted(seconds, gone[agent.id] - _LATE_S)) - agent.first, 0)
+    columns = ("x_m", "y_m", "yaw_rad")
+    return agent.model_copy(update={name: getattr(agent, name)[:frames] for name in columns})
 
 
 def driven_adversary(sheet: Sheet, row: DriveRow) -> SheetAgent | None:

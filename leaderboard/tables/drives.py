@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from benchmark.metrics.loops import is_stale
+from benchmark.records.drive_schema import UntilName
 from benchmark.records.drives import COLLISION_RATE, NNS, DriveRecord
 from benchmark.records.run_schema import RateRow
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
@@ -75,11 +76,18 @@ _BRIEF_DEFAULT: Final = (
     "failed",
     "drives",
 )
-_NOTES_DEFAULT: Final = (
+_NOTE_CONTACT: Final = (
     "Contact: any, whoever it is with; at fault: by nuPlan's rules (docs/severity.md). Impact speed and delta-v: means "
-    "over contacts. Route: share of the recorded way. A drive ends at its first contact.",
+    "over contacts. Route: share of the recorded way. "
+)
+_NOTE_UNTIL: Final[dict[UntilName, str]] = {
+    "contact": "A drive ends at its first contact.",
+    "fault": "A drive ends at the first contact that is its fault; whoever touches the ego otherwise is gone from the "
+    "next planning instant on. Impact speed and delta-v are of the first contact of a drive, whoever's fault it is.",
+}
+_NOTE_SCORES: Final = (
     "nuPlan terms: NC DAC MP DDC (5 P + 5 TTC + 2 C) / 12, without speed limits, traffic lights and route blocks, "
-    "which nuScenes lacks: not nuPlan's score. HD formula: HD-Score's formula with our terms, not HUGSIM.",
+    "which nuScenes lacks: not nuPlan's score. HD formula: HD-Score's formula with our terms, not HUGSIM."
 )
 _NOTES_NEURONCAP: Final = (
     "NNS: 5 without contact, else 4 max(0, 1 - impact / reference); CR: drives with a contact. Numbers of this engine "
@@ -118,7 +126,8 @@ def _table(one: World) -> Table:
     heads += [*(_PUBLISHED if published else ()), "failed", "drives"]
     rows = [_row(record, name, columns, published) for record, name in zip(records, one.planners, strict=True)]
     title = one.title
-    notes = (*(_NOTES_DEFAULT if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
+    said = (_NOTE_CONTACT + _NOTE_UNTIL[first.measured.until], _NOTE_SCORES)
+    notes = (*(said if own else _NOTES_NEURONCAP), *([_PUBLISHED_NOTE] if published else ()))
     notes = (*notes, *([_NOTE_FAIRNESS] if climbed else []), _FAILED_NOTE, *notes_of(one))
     places = _brief_places(heads) if own else tuple(range(len(heads)))
     return table_of(

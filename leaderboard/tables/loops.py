@@ -128,7 +128,7 @@ def _scenes_table(one: World, found: Sequence[tuple[str, PlannerLoops]]) -> Tabl
         for scene in each.scenes:
             if not scene.disagrees:
                 continue
-            touched = scene.first.contact if scene.first is not None else None
+            touched = scene.first.first_contact if scene.first is not None else None
             whom = "–" if touched is None else f"{touched.category}{', the adversary' if touched.adversary else ''}"
             blame = "–" if touched is None else ("yes" if touched.at_fault else "no")
             seconds = Cell(None if touched is None else touched.seconds, "s", 1, "drives")

@@ -103,6 +103,7 @@ def _named(found: Sequence[World]) -> list[World]:
         words += [measured.agents] if measured.engine == "default" else []
         words += [measured.scenarios] if measured.scenarios != "recorded" else []
         words += [f"{measured.latency_ms}ms"] if measured.latency_ms else []
+        words += ["until-fault"] if measured.until == "fault" else []
         words += [one.sensor] if one.sensor != NO_SENSOR else []
         words += ["part"] if part else []
         name = "-".join(words)

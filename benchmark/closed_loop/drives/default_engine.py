@@ -9,6 +9,7 @@ import numpy as np
 from benchmark.closed_loop.agents.adversary import ADVERSARY, AdversaryMaker, AdversaryTrack, DrivesAdversary
 from benchmark.closed_loop.agents.contract import AgentPolicy
 from benchmark.closed_loop.agents.idm import Idm
+from benchmark.closed_loop.blame import Blame
 from benchmark.closed_loop.courses import course_of, replay_of
 from benchmark.closed_loop.drives.recorded import ego_columns, recorded_motion
 from benchmark.closed_loop.drives.riding import (
@@ -24,12 +25,13 @@ from benchmark.closed_loop.drives.riding import (
 from benchmark.closed_loop.following import INSTANTS, SUBSTEP_US, Ego
 from benchmark.closed_loop.stepping import UndrivablePlanError as UndrivableWaypointsError
 from benchmark.closed_loop.stepping import begin, drivable, goes_on, step_together
-from benchmark.closed_loop.world import Course, Trace, World
+from benchmark.closed_loop.world import Contact, Course, Trace, World
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
 from benchmark.machine.last_made import LastMade
 from benchmark.pdm.motion import headed
 from benchmark.planning import Plan
+from benchmark.records.drive_schema import UntilName
 from benchmark.scene import Scene
 
 PRIMING_STEPS: Final = 2
@@ -73,11 +75,13 @@ class DefaultRides:
         agents: Name of the policy.
         latency_us: So much later than it was made does a plan take effect.
         adversary: Who puts an adversary among the agents, where their policy is `ADVERSARY`.
+        until: What ends a drive before its time: any contact, or one that is the ego's fault.
     """
 
     agents: str = "replay"
     latency_us: int = 0
     adversary: AdversaryMaker | None = None
+    until: UntilName = "contact"
 
     @property
     def draws(self) -> bool:
@@ -114,6 +118,7 @@ class DefaultRides:
             keyframe=PRIMING_STEPS,
             seed=run,
             latency_us=self.latency_us,
+            blamed=Blame(scene) if self.until == "fault" else None,
         )
 
     def _agents(self, scene: Scene, run: int, start_us: int, end_us: int) -> AgentPolicy[Any]:
@@ -172,11 +177,13 @@ class DefaultRide:
 
     @property
     def touch(self) -> Touch | None:
-        """The first contact."""
-        found = self.world.contact
-        if found is None:
-            return None
-        return Touch(found.time_us, found.agent, found.ego, found.ego_speed, found.other, found.other_velocity)
+        """The contact that ends it."""
+        return None if self.world.contact is None else _touch(self.world.contact)
+
+    @property
+    def passed(self) -> tuple[Touch, ...]:
+        """Contacts before it that do not."""
+        return tuple(_touch(contact) for contact in self.world.passed)
 
     @property
     def adversary(self) -> AdversaryTrack | None:
@@ -229,6 +236,10 @@ class DefaultRide:
             present=trace.present[rows].T,
             ticks=np.array([len(times) - 1]),
         )
+
+
+def _touch(found: Contact) -> Touch:
+    return Touch(found.time_us, found.agent, found.ego, found.ego_speed, found.other, found.other_velocity)
 
 
 def _after_together(rides: "Sequence[DefaultRide]", plans: Sequence[Plan]) -> "list[DefaultRide | UndrivablePlanError]":

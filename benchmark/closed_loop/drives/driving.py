@@ -29,7 +29,7 @@ from benchmark.planning import CameraView, Command, Plan, Planner, PrivilegedPla
 from benchmark.scene import Camera, Scene
 
 End = Literal["contact", "end", "failed"]
-"""What ends a drive: the first contact, the end of the scene, or the planner's failure."""
+"""What ends a drive: a contact, the end of the scene, or the planner's failure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +43,11 @@ class Drive:
         commands: Of the same instants.
         stations: Of the same instants: metres along the route.
         end: What ended it.
-        touch: The first contact.
+        touch: The contact that ended it.
         failure: Why the planner failed.
         neuroncap: The engine's own score; ``None`` of engines without one, and of a failed drive.
         adversary: Where an adversary went, if there was one that answers or was given its track.
+        passed: Contacts before that did not end it; they are not the ego's fault.
     """
 
     motion: Motion
@@ -59,6 +60,7 @@ class Drive:
     failure: Failure | None
     neuroncap: NeuroncapScore | None
     adversary: AdversaryTrack | None = None
+    passed: tuple[Touch, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +231,7 @@ class _Seat:
             failure=self.failure,
             neuroncap=None if failed else ride.neuroncap_score(),
             adversary=ride.adversary,
+            passed=() if failed else ride.passed,
         )
 
 

@@ -82,7 +82,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The first contact of a drive.
+    """A contact of a drive.
 
     Attributes:
         time_us: When.
@@ -149,7 +149,11 @@ class Ride(Protocol):
 
     @property
     def touch(self) -> Touch | None:
-        """The first contact, once the engine knows of it."""
+        """The contact that ends it, once the engine knows of it."""
+
+    @property
+    def passed(self) -> tuple[Touch, ...]:
+        """Contacts before it that do not end it; none where every contact does."""
 
     @property
     def adversary(self) -> AdversaryTrack | None:

@@ -1,4 +1,4 @@
-"""The first contact of a drive in numbers: who, of what kind, at whose fault, how hard."""
+"""A contact of a drive in numbers: who, of what kind, at whose fault, how hard."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The part of a drive that is scored: from the first driven instant to the first contact or the end."""
+"""The part of a drive that is scored: from the first driven instant to the contact that ends it, or the end."""
 
 from dataclasses import dataclass
 

@@ -109,7 +109,7 @@ def nuplan_terms(
         where: Where the ego is on them at each instant.
         route: (M, 2) polyline.
         progress: Along it.
-        contact: The first contact.
+        contact: The contact that ended it.
 
     Returns:
         The terms.
@@ -134,7 +134,7 @@ def nuplan_terms(
 
 
 def no_collision(contact: ScoredContact | None) -> float:
-    """NC of a drive that ends at its first contact."""
+    """NC of a drive that ends at a contact, if at all; contacts that did not end it are nobody's that it counts."""
     if contact is None or not contact.at_fault:
         return 1.0
     return 0.0 if is_agent(contact.category) else 0.5

@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
+from benchmark.closed_loop.blame import scored_road, unsure_of_its_lane
 from benchmark.closed_loop.drives.driving import Drive
+from benchmark.closed_loop.drives.riding import Touch
 from benchmark.closed_loop.drives.route import Route
 from benchmark.closed_loop.scores.contact import ScoredContact, scored_contact
 from benchmark.closed_loop.scores.driven_part import DrivenPart
 from benchmark.closed_loop.scores.hd_score import HdScore, hd_score
 from benchmark.closed_loop.scores.nuplan import NuplanTerms, Progress, comfort, nuplan_terms, places_on
-from benchmark.geometry import Floats
-from benchmark.machine.last_made import LastMade
-from benchmark.pdm.layers import road_of, route_of
-from benchmark.pdm.road import Road
 from benchmark.scene import Scene
 
 VERSION: Final = 1
@@ -24,11 +24,12 @@ class DriveScores:
     """What is said of one drive.
 
     Attributes:
-        contact: The first contact.
+        contact: The contact that ended it.
         progress: Along the route.
         comfortable: Whether the whole drive is within nuPlan's bounds; ``None`` of less than 1.5 s.
         nuplan: nuPlan's terms; ``None`` where the map has no road or no lanes, and of NeuroNCAP's engine.
         hd: HD-Score; ``None`` likewise.
+        passed: Contacts before that did not end it.
     """
 
     contact: ScoredContact | None
@@ -36,6 +37,7 @@ class DriveScores:
     comfortable: float | None
     nuplan: NuplanTerms | None
     hd: HdScore | None
+    passed: tuple[ScoredContact, ...] = ()
 
 
 def score_drive(scene: Scene, drive: Drive) -> DriveScores:
@@ -49,13 +51,18 @@ def score_drive(scene: Scene, drive: Drive) -> DriveScores:
         The scores. NeuroNCAP's own are in the drive, and a drive that has them has no score of another formula.
     """
     part, route = DrivenPart.of(scene, drive), Route.of(scene)
-    line, road = _road_of(scene)
+    line, road = scored_road(scene)
     where = places_on(road, part)
     known = bool(road.drivable and road.lanes)
-    touch, start_us = drive.touch, int(part.times_us[0])
-    unsure = known and bool((where.multiple_lanes | where.non_drivable)[0, -1])
+    unsure = unsure_of_its_lane(road, where)[0]
     pursuer = None if drive.adversary is None else drive.adversary.agent
-    contact = None if touch is None else scored_contact(scene, touch, start_us, unsure=unsure, adversary=pursuer)
+
+    def scored_touch(touch: Touch) -> ScoredContact:
+        at = min(int(np.searchsorted(part.times_us, touch.time_us)), len(unsure) - 1)
+        start_us = int(part.times_us[0])
+        return scored_contact(scene, touch, start_us, unsure=bool(unsure[at]), adversary=pursuer)
+
+    contact = None if drive.touch is None else scored_touch(drive.touch)
     progress = progress_of(route, part)
     scored = known and drive.neuroncap is None
     return DriveScores(
@@ -64,16 +71,8 @@ def score_drive(scene: Scene, drive: Drive) -> DriveScores:
         comfortable=comfort(part.states),
         nuplan=nuplan_terms(part, road, where, line, progress, contact) if scored else None,
         hd=hd_score(scene, route, drive) if scored else None,
+        passed=tuple(scored_touch(touch) for touch in drive.passed),
     )
-
-
-def _recorded_road(scene: Scene) -> tuple[Floats, Road]:
-    line = route_of(scene.ego.pose)
-    return line, road_of(scene.road_map, line)
-
-
-_road_of: Final = LastMade[Scene, tuple[Floats, Road]](_recorded_road, kept=4)
-"""(M, 2) recorded route of a scene and the surfaces along it, which all drives of the scene are scored by."""
 
 
 def progress_of(route: Route, part: DrivenPart) -> Progress:

@@ -27,11 +27,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def drive(place: Path, split: str, agents: str = "replay") -> DriveRecord:
-    out = place / f"{split} {agents}"
+def drive(place: Path, split: str, agents: str = "replay", until: str = "contact") -> DriveRecord:
+    out = place / f"{split} {agents}{'' if until == 'contact' else ' until fault'}"
     done = challenger_bench(
         "drive", "--model", "constant-velocity", "--no-baselines", "--data", place / "road", "--split", split,
-        "--agents", agents, "--out", out, "--workers", "1",
+        "--agents", agents, "--until", until, "--out", out, "--workers", "1",
     )  # fmt: skip
     assert done.code == 0, done.err
     (record,) = find_drives(out)
@@ -85,3 +85,7 @@ def test_drives_in_which_others_answered_are_refused(folder: Path) -> None:
     refused = challenger_bench("data", "build", "--root", folder / "answered", "--driven", answered.directory, *SMALL)
     assert refused.code == 2
     assert "--agents idm" in refused.err
+    left = drive(folder, "train", until="fault")
+    refused = challenger_bench("data", "build", "--root", folder / "left", "--driven", left.directory, *SMALL)
+    assert refused.code == 2
+    assert "--until fault" in refused.err

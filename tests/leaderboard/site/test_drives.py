@@ -12,6 +12,7 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.scenes import Sheet, Sheets
 from leaderboard.build import write_leaderboard
 from leaderboard.site.drive_data import drive_files, drive_index, driven_poses
+from leaderboard.site.scene_data import agent_data
 from leaderboard.site.scene_index import scene_key
 from tests.benchmark.records.test_drives import contact, row, written
 from tests.leaderboard.site.browser import Browser
@@ -74,6 +75,24 @@ def test_a_script_holds_the_drive_and_nothing_of_others_that_answered(site: Site
     assert [sample["t"] for sample in drive["samples"]] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5][: len(drive["samples"])]
     (model,) = drive["models"]
     assert len(model["samples"]) == len(drive["samples"]) >= 5 and model["name"] == "made"
+
+
+def test_whoever_touched_the_ego_without_its_fault_is_shown_until_it_is_gone(site: Site, tmp_path: Path) -> None:
+    sheet = first_sheet(site)
+    agent = next(each for each in sheet.agents if each.first == 0 and len(each.x_m) > 40)
+    touch = {**contact(), "seconds": 0.8, "agent": agent.id, "at_fault": False}
+    measured = {"engine": "default", "agents": "replay", "sensor": "none", "until": "fault"}
+    driven = drive_of(tmp_path, sheet, end="end", contact=None, passed=[touch], measured=measured)
+    (said,) = drive_index([driven], site.sheets)
+    assert said["world"].endswith("until fault") and said["everybody"] and said["contact"] is None
+    drive = value_of(drive_files([driven], site.sheets)[f"data/scenes/{said['key']}.js"])
+    shown = {each["id"]: each for each in drive["agents"]}
+    assert len(shown) == len(sheet.agents)
+    # Driving begins at 1 s; the planning instant after the touch at 1.8 s is at 2 s.
+    left = len(shown[agent.id]["x"])
+    assert drive["frames"][left - 1] < 2.0 <= drive["frames"][left] + 0.01
+    for each in sheet.agents:
+        assert each.id == agent.id or shown[each.id]["x"] == agent_data(each)["x"]
 
 
 def test_other_content_is_listed_and_not_played(site: Site, tmp_path: Path) -> None:
