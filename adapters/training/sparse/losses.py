@@ -22,6 +22,7 @@ from adapters.training.losses import (
     query_class_loss,
     winners,
 )
+from adapters.training.plan_room import missing_room
 from adapters.training.sparse.targets import Targets
 
 BOX_WEIGHTS: Final = (2.0, 2.0, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0, 0.5, 0.5, 0.0)
@@ -41,6 +42,7 @@ PLAN: Final = 0.5
 CHOSEN: Final = 1.0
 PLAN_CLASS: Final = 0.5
 ASIDE: Final = 3.0
+ROOM: Final = 3.0
 """Of the squared offset to the side: half a metre is little beside the metres ahead, and leads off the road."""
 NEIGHBOURS: Final = 3
 """Predictions around a box that learn where it is; one of them learns that it is the box."""
@@ -220,6 +222,7 @@ def plan_losses(logits: Tensor, offsets: Tensor, anchors: Tensor, targets: Targe
         "plan": PLAN * own,
         "plan aside": ASIDE * aside_loss(paths[rows, best, :, 0], targets.plans[..., 0], valid),
         "plan chosen": CHOSEN * expected,
+        "plan room": ROOM * (logits.softmax(-1) * missing_room(paths, targets.around)).sum(-1).mean(),
         "plan class": PLAN_CLASS * (entropy * counted).sum() / max(int(counted.sum()), 1),
     }
 

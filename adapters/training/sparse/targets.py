@@ -10,6 +10,7 @@ from torch import Tensor
 from adapters.networks.sparse.boxes import BOX_CODE
 from adapters.networks.sparse.queue import STATUS
 from adapters.training.frames import LINE_POINTS, TrainingFrame
+from adapters.training.plan_room import Around
 
 LINE_CLASS_OF_LABEL: Final = (1, 0, 2)
 """Place in `adapters.networks.sparse.selection.MAP_CLASSES` for each line label of training frames."""
@@ -36,6 +37,7 @@ class Targets:
         plans_valid: (F, S) bool.
         commands: (F,) int64.
         status: (F, 10) of the ego; the steering angle is 0.
+        around: Everybody, at the S steps of a plan.
     """
 
     boxes: Tensor
@@ -50,6 +52,7 @@ class Targets:
     plans_valid: Tensor
     commands: Tensor
     status: Tensor
+    around: Around
 
     @classmethod
     def of(cls, frames: Sequence[TrainingFrame], points_per_line: int, device: torch.device) -> Self:
@@ -84,6 +87,7 @@ class Targets:
             plans_valid=torch.stack([frame.ego_future_valid for frame in frames]).to(device),
             commands=torch.tensor([frame.command for frame in frames], device=device),
             status=status.to(device),
+            around=Around.of(frames, frames[0].ego_future.shape[0]).on(device),
         )
 
 

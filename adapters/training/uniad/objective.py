@@ -21,6 +21,7 @@ from adapters.training.frames import TrainingFrame
 from adapters.training.front import mean_front_losses
 from adapters.training.losses import Matches, aside_loss, plan_loss
 from adapters.training.plan_constraints import agent_constraint, boundary_constraint
+from adapters.training.plan_room import room_loss
 from adapters.training.turned_worlds import turned_can_bus, untold
 from adapters.training.uniad.losses import (
     detection_losses,
@@ -41,7 +42,7 @@ from adapters.training.uniad.targets import (
 
 Stage = Literal["perception", "all"]
 """``perception``: tracks and map. ``all``: forecasts, occupancy and plan too."""
-PLAN_WEIGHT, ASIDE_WEIGHT, CONSTRAINT_WEIGHT = 1.5, 6.0, 0.4
+PLAN_WEIGHT, ASIDE_WEIGHT, CONSTRAINT_WEIGHT, ROOM_WEIGHT = 1.5, 6.0, 0.4, 3.0
 DENSE_WEIGHT = 6.0
 LOST = 0.1
 """Share of tracks that are dropped between frames, so that their agents are found anew."""
@@ -312,6 +313,7 @@ def plan_losses(plan: UniADPlan, frame: TrainingFrame) -> dict[str, Tensor]:
         "plan aside": ASIDE_WEIGHT * aside_loss(points[:, 0], wanted[:, 0], valid),
         "plan agents": CONSTRAINT_WEIGHT * agent_constraint(points, frame),
         "plan boundary": CONSTRAINT_WEIGHT * boundary_constraint(points, frame),
+        "plan room": ROOM_WEIGHT * room_loss(points, frame),
     }
     return losses if plan.front is None else losses | mean_front_losses(plan.front, [frame])
 

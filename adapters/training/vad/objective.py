@@ -30,6 +30,7 @@ from adapters.training.losses import (
     trajectory_losses,
 )
 from adapters.training.plan_constraints import agent_constraint, boundary_constraint, direction_constraint
+from adapters.training.plan_room import room_loss
 from adapters.training.turned_worlds import turned_can_bus, untold
 
 COARSE: Final = "lateral_convs.1."
@@ -71,6 +72,7 @@ WEIGHTS: Final = {
     "plan_agents": 0.2,
     "plan_boundary": 0.2,
     "plan_direction": 0.2,
+    "plan_room": 2.0,
 }
 """What each loss counts; metres where it has a unit."""
 
@@ -333,4 +335,5 @@ def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame
         "plan_agents": agent_constraint(plan, frame),
         "plan_boundary": boundary_constraint(plan, frame),
         "plan_direction": direction_constraint(plan, frame),
+        "plan_room": room_loss(plan, frame),
     }
