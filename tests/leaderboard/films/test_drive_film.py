@@ -23,12 +23,14 @@ from leaderboard.films.drive_film import DRIVE_FPS, HELD_S, DriveFilm
 from leaderboard.films.film import HEIGHT_PX, TITLE_PX, WIDTH_PX, FilmLayout, FilmSettings
 from leaderboard.films.filming import FilmFormat, write_drive_film
 from tests.benchmark.cli.cli_runs import refusal
+from tests.benchmark.closed_loop.drives.staged import Watching
 from tests.benchmark.fake_data import FakeData
 from tests.benchmark.planners import Failing, Straight
 from tests.benchmark.records.test_drives import written as written_drives
 from tests.benchmark.runs.test_drive_sheets import Clock, driven, town
 from tests.generation.in_the_loop.loops import SETTINGS as ADVERSARY_SETTINGS
 from tests.generation.in_the_loop.loops import rides
+from tests.hand_made import Car, scene_on_straight_road
 from tests.leaderboard.films.test_film import pixels_of
 
 SETTINGS = FilmSettings(fps=DRIVE_FPS)
@@ -104,6 +106,24 @@ def test_a_failure_is_said_at_the_end(tmp_path: Path) -> None:
     frames = list(film_of(made))
     red = [pixels_of(frame, CONTACT) for frame in frames]
     assert red[-1] > 100 and red[0] == 0
+
+
+def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: Path) -> None:
+    scene = scene_on_straight_road((Car(20.0, 198.25, 12.0),), ego_speed=8.0, seconds=12.0)
+    data, maker = FakeData({scene.name: scene}), DefaultRides(until="fault")
+    how = DriveSettings("default", maker, until="fault")
+    record = drive_split(data, "val", Watching(speed=6.0), tmp_path / "out", how)
+    shown = driven_sheet(tmp_path, data, record, record.rows[0], maker, None)
+    (touch,) = record.rows[0].passed
+    film = film_of((record, shown), layout=FilmLayout.BIRDSEYE)
+    red = {frame: pixels_of(image, CONTACT) for frame, image in zip(film.frames, film)}
+    said = [frame for frame, pixels in red.items() if pixels > 50]
+    seconds = shown.seconds - shown.seconds[shown.begins]
+    assert seconds[said[0]] == pytest.approx(touch.seconds, abs=0.15) and said[-1] == film.frames[-1]
+    (agent,) = shown.stored.sheet.agents
+    assert seconds[agent.first + len([x for x in agent.x_m if x is not None]) - 1] < touch.seconds + 0.5
+    path = write_drive_film(shown, record, "watching", tmp_path, FilmFormat.PNG, FilmSettings(fps=DRIVE_FPS, end_s=0.2))
+    assert path.name == "scene-9901-watching-default-replay-none-until-fault"
 
 
 def test_a_film_has_the_name_of_what_was_measured(hit: Made, tmp_path: Path) -> None:
