@@ -103,7 +103,8 @@ def missing_room(plans: Tensor, around: Around) -> Tensor:
     along = ((boxes[..., :2] - body[:, :, None]).detach() * forward[:, :, None]).sum(-1)
     counts = there & (along >= -BEHIND_M)
     lacks = (radii - distance).clamp(min=0).amax(-1).masked_fill(~counts, 0.0)
-    return lacks.amax(2).mean(-1)
+    found: Tensor = lacks.amax(2).mean(-1)
+    return found
 
 
 def room_loss(plan: Tensor, frame: TrainingFrame) -> Tensor:
