@@ -128,7 +128,6 @@ def drive_settings(
         runs=runs,
         latency_ms=latency_ms,
         scenarios=scenarios,
-        until=until,
         scenes=None if scenes is None else tuple(scenes),
         limit=limit,
         executor=executor or LocalProcesses(),

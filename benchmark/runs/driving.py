@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from benchmark.closed_loop.agents.adversary import ADVERSARY
 from benchmark.closed_loop.drives.asking import DEFAULT_TIMEOUT_S, LONGEST_TIMEOUT_S
-from benchmark.closed_loop.drives.default_engine import agents_facts
+from benchmark.closed_loop.drives.default_engine import agents_facts, until_of
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
@@ -69,7 +69,6 @@ class DriveSettings:
         runs: Runs of each scene; one where the engine draws nothing.
         latency_ms: So much later does a plan take effect.
         scenarios: What scenes are driven with, in NeuroNCAP's engine.
-        until: What ends a drive before its time, as tables show it; the engine does it.
         scenes: Only these scenes of the split.
         limit: Only the first so many.
         executor: Where units are driven; the result does not depend on it.
@@ -87,7 +86,6 @@ class DriveSettings:
     runs: int = 1
     latency_ms: int = 0
     scenarios: str = "recorded"
-    until: str = "contact"
     scenes: tuple[str, ...] | None = None
     limit: int | None = None
     executor: Executor = field(default_factory=LocalProcesses)
@@ -119,7 +117,7 @@ class DriveSettings:
                 "sensor_facts": dict(self.sensor.facts),
                 "latency_ms": self.latency_ms,
                 "scenarios": self.scenarios,
-                "until": self.until,
+                "until": until_of(self.maker),
                 "agents_facts": agents_facts(self.maker),
             }
         )

@@ -67,12 +67,12 @@ class PlannerObjective:
         network = self.network.eval()
         network.reset()
         given: list[PlannerSights] = []
-        hook = network.planning_head.register_forward_pre_hook(lambda _, arguments: given.append(_sights(*arguments)))
-        with torch.no_grad(), _nothing_occupied(network):
+        head = network.planning_head
+        hook = head.register_forward_pre_hook(lambda _, arguments: given.append(_sights(*arguments)))
+        with hook, torch.no_grad(), _nothing_occupied(network):
             for frame in scene:
                 network.predict(network_inputs(frame))
                 self._memory[frame.scene, frame.index] = given.pop()
-        hook.remove()
         network.reset()
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:

@@ -271,3 +271,8 @@ def agents_facts(maker: RideMaker) -> dict[str, Any]:
     """What the agents of an engine depend on besides the name of their policy."""
     adversary = maker.adversary if isinstance(maker, DefaultRides) else None
     return {} if adversary is None else dict(adversary.facts)
+
+
+def until_of(maker: RideMaker) -> UntilName:
+    """What ends rides before their time; runs of other engines end at any contact."""
+    return maker.until if isinstance(maker, DefaultRides) else "contact"

@@ -116,7 +116,7 @@ def test_records_say_what_ended_their_drives_and_lie_apart(tmp_path: Path) -> No
     data = FakeData({"scene-9901": road(BEHIND)})
     records = {}
     for until in ("contact", "fault"):
-        how = DriveSettings("default", rides_of("default", until=until), until=until)
+        how = DriveSettings("default", rides_of("default", until=until))
         records[until] = drive_split(data, "val", Watching(speed=6.0), tmp_path, how)
     assert records["contact"].directory != records["fault"].directory
     assert records["fault"].facts.measured.world.endswith(", until fault")

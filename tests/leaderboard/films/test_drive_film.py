@@ -111,7 +111,7 @@ def test_a_failure_is_said_at_the_end(tmp_path: Path) -> None:
 def test_whoever_touched_the_ego_without_its_fault_is_named_and_gone(tmp_path: Path) -> None:
     scene = scene_on_straight_road((Car(20.0, 198.25, 12.0),), ego_speed=8.0, seconds=12.0)
     data, maker = FakeData({scene.name: scene}), DefaultRides(until="fault")
-    how = DriveSettings("default", maker, until="fault")
+    how = DriveSettings("default", maker)
     record = drive_split(data, "val", Watching(speed=6.0), tmp_path / "out", how)
     shown = driven_sheet(tmp_path, data, record, record.rows[0], maker, None)
     (touch,) = record.rows[0].passed
