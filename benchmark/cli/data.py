@@ -238,6 +238,9 @@ def data_build_command(
             help="Folder with a record of drives through training scenes: their ego goes where it was driven."
         ),
     ] = None,
+    crossing: Annotated[
+        int, typer.Option(help="Most pedestrians more who cross the ego's way in each training scene when it comes.")
+    ] = 0,
     size: SizeOption = "448x256",
     frames: FramesOption = Frames.ALL,
     renderer: Annotated[QuickRendererName, typer.Option(help="Who draws the images.")] = QuickRendererName.SCHEMATIC,
@@ -252,7 +255,9 @@ def data_build_command(
     width, height = image_size(size)
     images = renderer is not QuickRendererName.NONE
     require_folder(driven, "--driven")
-    settings = TownSettings(town_scenes, train_scenes, seed, width, height, frames.value, images, off_path, driven)
+    settings = TownSettings(
+        town_scenes, train_scenes, seed, width, height, frames.value, images, off_path, driven, crossing=crossing
+    )
     target = root or cache_root() / settings.folder_name(EMBEDDED)
     require_place(target, "--root")
     typer.echo(str(build_town(target, settings, workers=api.worker_count(workers))))

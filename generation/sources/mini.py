@@ -51,6 +51,7 @@ class TownSettings:
             scenes, and their ego goes where it was driven.
         pictures: Which of these frames are drawn now; the same settings with ``all`` draw what is left, and no table
             changes by it.
+        crossing: Most pedestrians more who cross the way of the ego of a training scene when it comes.
     """
 
     val_scenes: int = DEFAULT_VAL_SCENES
@@ -63,6 +64,7 @@ class TownSettings:
     off_path: bool = False
     driven: Path | None = None
     pictures: Literal["all", "keyframes"] = "all"
+    crossing: int = 0
 
     def drawn_name(self, name: str) -> str:
         """A name for what happens in the scenes and how they look: all that a measured number depends on."""
@@ -79,6 +81,8 @@ class TownSettings:
         if not self.off_path:
             # A town of before is still the same town.
             del settings["off_path"]
+        if not self.crossing:
+            del settings["crossing"]
         if self.driven is None:
             del settings["driven"]
         else:
@@ -105,6 +109,11 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
         raise InputError("the town needs at least one evaluation scene (--town-scenes) and no negative numbers")
     if settings.off_path and not settings.train_scenes:
         raise InputError("only training scenes leave the path; give --train-scenes with --off-path")
+    if settings.crossing < 0 or (settings.crossing and not settings.train_scenes and settings.driven is None):
+        raise InputError(
+            f"--crossing is a number of pedestrians in training scenes, got {settings.crossing}; give 0 or more, with "
+            "--train-scenes or --driven"
+        )
     # How many there can be is asked before a billion of them are listed.
     town_scene_names("val", settings.val_scenes)
     town_scene_names("train", settings.train_scenes)
@@ -123,7 +132,7 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     )  # fmt: skip
     work: list[_Work] = [("val", index, None) for index in range(settings.val_scenes)]
     work += [("train", index, drives.get(index)) for index in numbers]
-    job = partial(_write_one, plan, settings.seed, settings.off_path)
+    job = partial(_write_one, plan, settings)
     with only_writer(root):
         count = Count(kept=was_there)
         written = list(map_ordered(job, work, workers=workers, label="building the town", count=count))
@@ -173,15 +182,16 @@ def _drives(settings: TownSettings) -> dict[int, Driven]:
     return {known[name]: Driven.of_row(record.planner, row) for name, row in drives.items()}
 
 
-def _write_one(plan: DataSetPlan, seed: int, off_path: bool, work: _Work) -> WrittenScene:
+def _write_one(plan: DataSetPlan, settings: TownSettings, work: _Work) -> WrittenScene:
     split, index, driven = work
     report: dict[str, Any] = {}
+    seed, crossing = settings.seed, settings.crossing if split == "train" else 0
     if driven is not None:
-        scene, learned = town_scene_driven(index, driven, seed=seed)
+        scene, learned = town_scene_driven(index, driven, seed=seed, crossing=crossing)
         report[DRIVEN] = learned.as_json()
-    elif off_path and split == "train":
-        scene, excursions = town_scene_off_path(index, seed=seed)
+    elif settings.off_path and split == "train":
+        scene, excursions = town_scene_off_path(index, seed=seed, crossing=crossing)
         report[OFF_PATH] = [each.as_json() for each in excursions]
     else:
-        scene = town_scene(split, index, seed=seed)
+        scene = town_scene(split, index, seed=seed, crossing=crossing)
     return written_scene(plan, scene, name=scene.name, source_scene=scene.name, report=report)

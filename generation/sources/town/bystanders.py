@@ -11,6 +11,11 @@ from generation.sources.town.world import Track, World
 
 _PARKED_REACH_M = 55.0
 _WALK_REACH_M = 38.0
+_CROSSING_REACH_M = 25.0
+_MEETING_TRIES = 6
+_MET_AFTER_S = 2.0, 19.0
+_EARLY_S = 0.0, 8.0
+_WIDEST_M = 24.0
 _ADULT, _CHILD = "human.pedestrian.adult", "human.pedestrian.child"
 
 
@@ -93,20 +98,70 @@ def add_walkers(world: World, near: Floats, rng: np.random.Generator, *, wanted:
 
 def add_crossing_pedestrians(world: World, near: Floats, rng: np.random.Generator, *, wanted: int) -> None:
     """Pedestrians who cross the road ahead of the ego; whoever is planned later gives way to them."""
-    walks = [walk for walk in world.town.crossing_walks if _distance(near, walk.mean(axis=0)) < 25.0]
+    walks = [walk for walk in world.town.crossing_walks if _distance(near, walk.mean(axis=0)) < _CROSSING_REACH_M]
     if not walks:
         return
     for _ in range(wanted):
         walk = walks[int(rng.integers(len(walks)))]
         walk = walk if rng.random() < 0.5 else walk[::-1]
-        begin, speed = float(rng.uniform(1.0, 14.0)), float(rng.uniform(1.2, 1.6))
-        time = np.arange(FRAMES) / FRAME_HZ
-        # Pace builds up over a second on each side of the crossing.
-        length = float(np.hypot(*(walk[1] - walk[0])))
-        eased = np.clip(np.where(time < begin, 0.0, time - begin), 0.0, None)
-        gone = speed * (eased - 0.5 * (1 - np.exp(-2 * eased)))
-        gone = np.where(gone > length - 0.5, length - 0.5 * np.exp(-np.maximum(gone - length + 0.5, 0.0) / 0.5), gone)
-        _add_pedestrian(world, walk, gone, rng, lateral=float(rng.uniform(-1.0, 1.0)))
+        _add_crossing(world, walk, float(rng.uniform(1.0, 14.0)), rng)
+
+
+def add_meeting_pedestrians(
+    world: World, way: Floats, rng: np.random.Generator, *, wanted: int, speed_mps: float
+) -> None:
+    """Pedestrians who walk across the ego's way, from pavement to pavement, when it is about to come there.
+
+    Args:
+        world: Who is there already.
+        way: (K, 2) points of the ego's way, from where it starts.
+        rng: Chance.
+        wanted: How many; fewer where there is no pavement on both sides or somebody is in their way.
+        speed_mps: About how fast the ego drives where nobody hinders it.
+    """
+    length, added = float(lengths_along(way)[-1]), 0
+    for _ in range(_MEETING_TRIES * wanted):
+        if added >= wanted:
+            return
+        comes_s = float(rng.uniform(*_MET_AFTER_S))
+        early_s = float(rng.uniform(*_EARLY_S))
+        if comes_s * speed_mps > length:
+            continue
+        walk = _walk_across(world, way, comes_s * speed_mps)
+        if walk is None:
+            continue
+        walk = walk if rng.random() < 0.5 else walk[::-1]
+        added += _add_crossing(world, walk, max(0.0, comes_s - early_s), rng)
+
+
+def _walk_across(world: World, way: Floats, station_m: float) -> Floats | None:
+    """(2, 2) a line square to the way at a station, from the nearest pavement to its right to that to its left."""
+    at = np.array([station_m])
+    middle, yaw = at_lengths(way, at)[0], float(np.interp(station_m, lengths_along(way), headings(way)))
+    left = np.array([-np.sin(yaw), np.cos(yaw)])
+    found = []
+    for walk in world.town.walks:
+        aside, along = (walk - middle) @ left, (walk - middle) @ np.array([left[1], -left[0]])
+        meets = np.flatnonzero(np.diff(np.sign(along)) != 0)
+        share = along[meets] / (along[meets] - along[meets + 1])
+        found.append(aside[meets] + share * (aside[meets + 1] - aside[meets]))
+    sides = np.concatenate(found) if found else np.empty(0)
+    right_m, left_m = sides[sides < 0], sides[sides > 0]
+    if not len(right_m) or not len(left_m) or left_m.min() - right_m.max() > _WIDEST_M:
+        return None
+    return np.asarray(middle + np.array([right_m.max(), left_m.min()])[:, None] * left)
+
+
+def _add_crossing(world: World, walk: Floats, begin_s: float, rng: np.random.Generator) -> bool:
+    """One who stands at the kerb, walks across from a time on and stands there."""
+    speed = float(rng.uniform(1.2, 1.6))
+    time = np.arange(FRAMES) / FRAME_HZ
+    # Pace builds up over a second on each side of the crossing.
+    length = float(np.hypot(*(walk[1] - walk[0])))
+    eased = np.clip(np.where(time < begin_s, 0.0, time - begin_s), 0.0, None)
+    gone = speed * (eased - 0.5 * (1 - np.exp(-2 * eased)))
+    gone = np.where(gone > length - 0.5, length - 0.5 * np.exp(-np.maximum(gone - length + 0.5, 0.0) / 0.5), gone)
+    return _add_pedestrian(world, walk, gone, rng, lateral=float(rng.uniform(-1.0, 1.0)))
 
 
 def _add_pedestrian(world: World, line: Floats, along: Floats, rng: np.random.Generator, *, lateral: float) -> bool:

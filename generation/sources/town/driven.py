@@ -132,7 +132,8 @@ def ways_back(world: World, planned: PlannedEgo, driven: Driven) -> Floats:
     begin = between_grid(planned.path.rear, planned.stations[:1])[0]
     if np.hypot(*(begin - driven.poses[0])[:2]) > _SAME_PLACE_M:
         raise InputError(
-            "the drives are of another town, their ego begins elsewhere; give the seed of the town that was driven in"
+            "the drives are of another town, their ego begins elsewhere; give the seed (and --crossing) of the town "
+            "that was driven in"
         )
     found = np.full((len(driven), PLAN_STEPS, 2), np.nan)
     ahead_m = float(default_lidar().translation[0])

@@ -15,7 +15,12 @@ from benchmark.records.off_path import Excursion
 from benchmark.scene import Agents, EgoTrack, Scene
 from generation.sources.rig import default_cameras, default_lidar
 from generation.sources.town.annotations import annotate
-from generation.sources.town.bystanders import add_crossing_pedestrians, add_parked, add_walkers
+from generation.sources.town.bystanders import (
+    add_crossing_pedestrians,
+    add_meeting_pedestrians,
+    add_parked,
+    add_walkers,
+)
 from generation.sources.town.curves import between_grid
 from generation.sources.town.driven import Driven, ways_back
 from generation.sources.town.network import Town
@@ -79,13 +84,14 @@ def town_scene_names(split: Split, count: int) -> tuple[str, ...]:
     return tuple(f"scene-{number:04d}" for number in numbers[:count])
 
 
-def town_scene(split: Split, index: int, *, seed: int = 0) -> Scene:
+def town_scene(split: Split, index: int, *, seed: int = 0, crossing: int = 0) -> Scene:
     """One scene of the embedded town, 20 s at 12 Hz; nothing but the arguments decides its bytes.
 
     Args:
         split: ``val`` or ``train``; the two have different towns.
         index: Number of the scene in its split, from 0.
         seed: Different seeds give different towns and traffic.
+        crossing: Most pedestrians more who cross the ego's way when it comes; with any, all is different but the town.
 
     Returns:
         The scene.
@@ -93,10 +99,10 @@ def town_scene(split: Split, index: int, *, seed: int = 0) -> Scene:
     Raises:
         InputError: If the split is unknown or the index has no name.
     """
-    return _found(split, index, seed, off_path=False)[0]
+    return _found(split, index, seed, crossing, off_path=False)[0]
 
 
-def town_scene_off_path(index: int, *, seed: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
+def town_scene_off_path(index: int, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, tuple[Excursion, ...]]:
     """A training scene of the embedded town in which the ego gets off its path and comes back.
 
     Everybody else does what they do in `town_scene`. One of `KEPT_ON_PATH_EVERY` scenes stays as it is.
@@ -104,6 +110,7 @@ def town_scene_off_path(index: int, *, seed: int = 0) -> tuple[Scene, tuple[Excu
     Args:
         index: Number of the scene in ``train``, from 0.
         seed: As for `town_scene`.
+        crossing: As for `town_scene`.
 
     Returns:
         The scene, and when the ego was off its path.
@@ -112,10 +119,10 @@ def town_scene_off_path(index: int, *, seed: int = 0) -> tuple[Scene, tuple[Excu
         InputError: As `town_scene`.
     """
     off_path = index % KEPT_ON_PATH_EVERY != KEPT_ON_PATH_EVERY - 1
-    return _found("train", index, seed, off_path=off_path)
+    return _found("train", index, seed, crossing, off_path=off_path)
 
 
-def town_scene_driven(index: int, driven: Driven, *, seed: int = 0) -> tuple[Scene, DrivenEgo]:
+def town_scene_driven(index: int, driven: Driven, *, seed: int = 0, crossing: int = 0) -> tuple[Scene, DrivenEgo]:
     """A training scene of the embedded town in which the ego goes where a planner drove it, as long as that drove.
 
     Everybody else does what they do in `town_scene`.
@@ -124,6 +131,7 @@ def town_scene_driven(index: int, driven: Driven, *, seed: int = 0) -> tuple[Sce
         index: Number of the scene in ``train``, from 0.
         driven: The drive.
         seed: As for `town_scene`.
+        crossing: As for `town_scene`.
 
     Returns:
         The scene, and where a good driver would go from each key frame.
@@ -131,7 +139,7 @@ def town_scene_driven(index: int, driven: Driven, *, seed: int = 0) -> tuple[Sce
     Raises:
         InputError: As `town_scene`, or if the drive is of another town.
     """
-    world, planned, programme = _settled("train", index, seed)
+    world, planned, programme = _settled("train", index, seed, crossing)
     wanted = ways_back(world, planned, driven)
     world.place_ego(driven.rear())
     name = town_scene_names("train", index + 1)[-1]
@@ -140,8 +148,10 @@ def town_scene_driven(index: int, driven: Driven, *, seed: int = 0) -> tuple[Sce
     return scene.first_frames(frames), DrivenEgo(driven.planner, driven.commands, wanted)
 
 
-def _found(split: Split, index: int, seed: int, *, off_path: bool) -> tuple[Scene, tuple[Excursion, ...]]:
-    world, planned, programme = _settled(split, index, seed)
+def _found(
+    split: Split, index: int, seed: int, crossing: int, *, off_path: bool
+) -> tuple[Scene, tuple[Excursion, ...]]:
+    world, planned, programme = _settled(split, index, seed, crossing)
     excursions: tuple[Excursion, ...] = ()
     if off_path:
         leaving = np.random.default_rng(content_seed("off path", TOWN_VERSION, split, index, seed))
@@ -151,7 +161,7 @@ def _found(split: Split, index: int, seed: int, *, off_path: bool) -> tuple[Scen
     return _scene(world, programme, split, index, seed, name), excursions
 
 
-def _settled(split: Split, index: int, seed: int) -> tuple[World, PlannedEgo, Programme]:
+def _settled(split: Split, index: int, seed: int, crossing: int) -> tuple[World, PlannedEgo, Programme]:
     """Everybody in a scene, and the ego as it would drive."""
     if index < 0:
         raise InputError(f"the number of a town scene starts at 0, got {index}")
@@ -162,8 +172,10 @@ def _settled(split: Split, index: int, seed: int) -> tuple[World, PlannedEgo, Pr
         # Not every town has a place for every theme: after some attempts the other town of the split is tried.
         location = _LOCATIONS[split][(place + attempt // _TRIES_PER_TOWN) % 2]
         town = build_town(location, seed)
-        rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt))
-        populated = _populate(town, location, seed, programme, rng)
+        # Whoever gives a drive the wrong number of them finds another ego, not the same one with others in its way.
+        also = (crossing,) if crossing else ()
+        rng = np.random.default_rng(content_seed("town scene", TOWN_VERSION, split, index, seed, attempt, *also))
+        populated = _populate(town, location, seed, programme, rng, crossing)
         if populated is None or not _worth_attacking(populated[0]):
             continue
         return *populated, programme
@@ -176,7 +188,7 @@ def _lane_points(location: str, seed: int) -> LanePoints:
 
 
 def _populate(
-    town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator
+    town: Town, location: str, seed: int, programme: Programme, rng: np.random.Generator, crossing: int
 ) -> tuple[World, PlannedEgo] | None:
     """One attempt at a scene: a route, then everybody in the order in which they have the right of way."""
     theme = programme.theme
@@ -194,6 +206,9 @@ def _populate(
     add_crossing_pedestrians(world, way[5:], rng, wanted=theme.crossing)
     path = build_path(town, legs, start_m, EGO_BODY)
     eagerness = float(rng.uniform(0.82, 0.98))
+    if crossing:
+        speed = eagerness * float(np.mean(path.speed_limit))
+        add_meeting_pedestrians(world, way, rng, wanted=crossing, speed_mps=speed)
     start = int(min(eagerness * float(path.speed_limit[0]), fastest_start(path)) + 0.3)
     if theme.leader == "slow":
         start = min(start, 9)

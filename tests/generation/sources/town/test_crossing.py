@@ -1,0 +1,80 @@
+"""More pedestrians who cross the ego's way: it meets them, gives way to them, and nothing else of the town changes."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.errors import InputError
+from benchmark.geometry import Bools, boxes_overlap, to_local
+from benchmark.scene import Scene
+from generation.sources.mini import TownSettings, build_town
+from generation.sources.town import town_scene, town_scene_driven, town_scene_off_path
+from generation.sources.town.paths import EGO_BODY, body_boxes
+from tests.generation.sources.town.test_driven import driven_as
+
+INDICES = (1, 8, 17)
+MOST = 6
+
+
+@cache
+def _scene(index: int, crossing: int) -> Scene:
+    return town_scene("train", index, seed=21, crossing=crossing)
+
+
+def _ahead(scene: Scene) -> Bools:
+    """(K,) in which key frames somebody on foot is on the 2 m to both sides of the next 25 m straight ahead."""
+    on_foot = np.array([name.startswith("human.pedestrian") for name in scene.agents.categories])
+    found = []
+    for frame in scene.keyframes:
+        there = on_foot & scene.agents.valid[:, frame]
+        local = to_local(scene.agents.position[there, frame, :2], scene.ego.pose[frame])
+        found.append(bool(((local[:, 0] > 3.5) & (local[:, 0] < 25.0) & (np.abs(local[:, 1]) < 2.0)).any()))
+    return np.array(found)
+
+
+def test_the_ego_meets_them_more_often() -> None:
+    few, many = (sum(int(_ahead(_scene(index, most)).sum()) for index in INDICES) for most in (0, MOST))
+    assert many > few + 10
+
+
+@pytest.mark.parametrize("index", INDICES)
+def test_everybody_gives_way_to_them(index: int) -> None:
+    scene = _scene(index, MOST)
+    ego, agents = body_boxes(scene.ego.pose, EGO_BODY), scene.agents
+    for row, category in enumerate(agents.categories):
+        if not category.startswith("human.pedestrian"):
+            continue
+        walker = np.column_stack(
+            [agents.position[row, :, :2], np.broadcast_to(agents.size[row, :2], (len(ego), 2)), agents.yaw[row]]
+        )[agents.valid[row]]
+        assert not boxes_overlap(walker, ego[agents.valid[row]]).any()
+
+
+def test_same_arguments_same_scene_and_other_numbers_other_egos() -> None:
+    again = town_scene("train", INDICES[0], seed=21, crossing=MOST)
+    assert np.array_equal(again.ego.position, _scene(INDICES[0], MOST).ego.position)
+    assert np.array_equal(again.agents.position, _scene(INDICES[0], MOST).agents.position)
+    assert not np.array_equal(_scene(INDICES[0], 0).ego.position, again.ego.position)
+
+
+def test_the_ego_leaves_its_path_there_too() -> None:
+    scene, excursions = town_scene_off_path(INDICES[1], seed=21, crossing=MOST)
+    assert excursions
+    assert scene.agents.ids == _scene(INDICES[1], MOST).agents.ids
+
+
+def test_a_drive_past_them_is_none_through_the_town_without_them() -> None:
+    driven = driven_as(_scene(INDICES[0], MOST))
+    scene, _ = town_scene_driven(INDICES[0], driven, seed=21, crossing=MOST)
+    assert scene.agents.ids == _scene(INDICES[0], MOST).agents.ids
+    with pytest.raises(InputError, match="crossing"):
+        town_scene_driven(INDICES[0], driven, seed=21)
+
+
+@pytest.mark.parametrize("settings", [TownSettings(1, 2, crossing=-1), TownSettings(1, crossing=3)])
+def test_numbers_that_ask_for_nothing_are_refused(settings: TownSettings, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--crossing"):
+        build_town(tmp_path / "town", settings, workers=1)
+    assert not (tmp_path / "town").exists()
