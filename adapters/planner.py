@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import nn
 from adapters.as_published import CAN_AFTER, CROSS_SCENES
 from adapters.camera_inputs import ImageFormat, Normalisation
 from adapters.networks.layers.folding import channels_last, folded
-from adapters.networks.layers.reporting import Reporting, said_once
+from adapters.networks.layers.reporting import Reporting, said_once, steered
 from benchmark.constants import FARTHEST_WAYPOINT_M, PLAN_STEPS
 from benchmark.geometry import Floats
 from benchmark.machine.devices import Precision, device_of, require_precision, single_precision
@@ -79,6 +80,7 @@ class NativePlanner(ABC, Generic[Network]):
             "precision": precision,
             "forecast_score": self._reporting.least_score,
             **({"forecasts_apart": self._reporting.apart} if self._reporting.apart else {}),
+            **({"steered_from_m": self._reporting.steered_from_m} if self._reporting.steered_from_m else {}),
             **({"as_published": "+".join(as_published)} if as_published else {}),
         }
 
@@ -106,7 +108,12 @@ class NativePlanner(ABC, Generic[Network]):
         """
         half = torch.autocast(self._device.type, torch.bfloat16, enabled=self._half)
         with torch.inference_mode(), single_precision(), half:
-            return self._computed(observation)
+            plan = self._computed(observation)
+        least_m = self._reporting.steered_from_m
+        if not least_m:
+            return plan
+        modes = None if plan.modes is None else steered(plan.modes, least_m)
+        return replace(plan, waypoints=steered(plan.waypoints, least_m), modes=modes)
 
     def _own_settings(self) -> dict[str, Any]:
         """What of the network identifies a run, beside what all of them have."""

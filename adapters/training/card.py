@@ -81,6 +81,7 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
     source = facts["source"]
     commit = source["commit"] or "unknown"
     started = ", ".join(f"{_STARTS[option]} `{key[:16]}`" for option, key in facts["started_from"].items())
+    kept = facts.get("kept_of_start", 0)
     measured, lost = facts["figures"], facts.get("lost", {})
     rows = [
         f"| {title} | {row['samples']:.0f} | {row['l2_1s_m']:.2f} | {row['l2_2s_m']:.2f} | {row['l2_3s_m']:.2f} | "
@@ -100,7 +101,7 @@ def card_of(small: Model, facts: Mapping[str, Any]) -> str:
             f"{phase['steps']:,} ({name}, learning rate {phase['learning_rate']:g})"
             for name, phase in facts["phases"].items()
         ),
-        started=started or "random weights",
+        started=(started or "random weights") + (f", {kept:.0%} of them kept (weighted mean)" if kept else ""),
         commit=f"{commit} with changes" if source["dirty"] else commit,
         tool=facts["tool"],
         bytes=facts["bytes"],

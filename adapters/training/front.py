@@ -13,6 +13,7 @@ from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import aside_loss
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
+from benchmark.constants import DETECTION_CLASSES
 from benchmark.planning import Command
 
 GAP_UNIT_M: Final = 10.0
@@ -21,8 +22,13 @@ FARTHEST_GAP_M: Final = 40.0
 OWN_HALF_WIDTH_M: Final = 1.0
 STANDING_M: Final = 0.05
 """Who moves less in half a second stands still."""
-WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0}
+STRIPS_M: Final = (-6.0, -3.0, -1.0, 1.0, 3.0, 6.0)
+"""Edges of the strips along the ego, to its right, in each of which the nearest walker matters."""
+WALKER_REACH_M: Final = 25.0
+"""Walkers farther ahead than this do not matter yet."""
+WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0, "walkers": 5.0}
 """What each loss counts."""
+_WALKER: Final = DETECTION_CLASSES.index("pedestrian")
 
 
 class FrontObjective:
@@ -82,22 +88,42 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
 
     Args:
         front: (numbers,) where lines are to the left and right (`lane_loss`), then how far to the right one who drives
-            straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`.
+            straight on will be at each step, then the room ahead in units of `GAP_UNIT_M`, then how near walkers are
+            in each strip.
         frame: The key frame.
 
     Returns:
-        ``lane``, ``ahead`` and ``gap``: metres, squared metres and units of `GAP_UNIT_M`. The second is 0 where the
-        command is to turn, the last where it is not known which way the ego goes.
+        ``lane``, ``ahead``, ``gap`` and ``walkers``: metres, squared metres, units of `GAP_UNIT_M` and squares of
+        `walkers_ahead`. The second is 0 where the command is to turn, the third where it is not known which way the ego
+        goes.
     """
     steps = len(frame.ego_future)
     aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
+    walkers = front[LANE_NUMBERS + steps + 1 :][: len(STRIPS_M) - 1]
     counted = frame.ego_future_valid & (frame.command == Command.STRAIGHT)
     gap_m = gap_ahead(frame)
     return {
         "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),
         "lane": lane_loss(front[:LANE_NUMBERS], frame),
         "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
+        "walkers": (walkers - walkers_ahead(frame)).square().sum(),
     }
+
+
+def walkers_ahead(frame: TrainingFrame) -> Tensor:
+    """How near the nearest walker ahead is, in each strip along the ego: what the plan has to brake for in time.
+
+    Args:
+        frame: The key frame.
+
+    Returns:
+        (strips,) 1 beside the lidar, 0 at `WALKER_REACH_M` and where there is none.
+    """
+    right, ahead = frame.boxes[frame.labels == _WALKER, :2].unbind(-1)
+    edges = frame.boxes.new_tensor(STRIPS_M)
+    inside = (right >= edges[:-1, None]) & (right < edges[1:, None]) & (ahead > 0)
+    near = (1 - ahead / WALKER_REACH_M).clamp(min=0) * inside
+    return torch.cat([near, near.new_zeros(len(near), 1)], 1).amax(1)
 
 
 def gap_ahead(frame: TrainingFrame) -> float | None:

@@ -80,6 +80,8 @@ class PlannerTraining:
         adversarial: Roots of adversarial scenes made from scenes of the split, learned from as well.
         also: Roots of other data sets whose scenes of the split are learned from as well; none of these is held out.
         only: Names of the phases that are run; all by default.
+        kept_of_start: Share of the weights that it started from in what is written, a weighted mean of both (Wortsman
+            et al., 2022): what was learned last takes less of what was known before.
     """
 
     model: str
@@ -97,6 +99,7 @@ class PlannerTraining:
     adversarial: tuple[Path, ...] = ()
     also: tuple[Path, ...] = ()
     only: tuple[str, ...] = ()
+    kept_of_start: float = 0.0
 
     def __post_init__(self) -> None:
         if self.model != ENCODER_NAME:
@@ -107,6 +110,10 @@ class PlannerTraining:
             raise InputError(f"--steps must be at least 1, got {self.steps}")
         if self.learning_rate is not None and not 0 < self.learning_rate < 1:
             raise InputError(f"--learning-rate must be between 0 and 1, got {self.learning_rate}")
+        if not 0 <= self.kept_of_start < 1:
+            raise InputError(f"--kept-of-start is a share below 1, got {self.kept_of_start:g}")
+        if self.kept_of_start and (not self.start_from or self.model == ENCODER_NAME):
+            raise InputError("--kept-of-start keeps of the weights of a miniature that are given with --start-from")
 
 
 def train_planner(training: PlannerTraining) -> dict[str, Any]:
@@ -210,9 +217,11 @@ def _train_miniature(
     phases = _scaled(_phases(training), training)
     weights: Mapping[str, Tensor] = {name: value for taken in given.values() for name, value in taken.items()}
     parts = [training.out.with_name(f"{training.out.stem}.{phase.name}.safetensors") for phase in phases]
+    start: dict[str, Tensor] = {}
     for phase, part in zip(phases, parts, strict=True):
         objective = phase.objective(network)
         _take(network, weights)
+        start = start or {name: value.detach().clone() for name, value in network.state_dict().items()}
         weights = fit(
             objective,
             store,
@@ -222,6 +231,7 @@ def _train_miniature(
             check=checked.figures if checked.scenes else None,
             device=training.device,
         )
+    weights = {name: _mean(start[name], value, training.kept_of_start) for name, value in weights.items()}
     started_from = {option: tensors_key(taken) for option, taken in given.items()}
     facts = _write_miniature(training, store, learned, phases, weights, judged, started_from)
     for part in parts:
@@ -241,10 +251,19 @@ def _write_miniature(
     """Weights in half precision, and figures of what the file holds."""
     stored = {name: _halved(value) for name, value in weights.items()}
     write_weights(training.out, stored, _provenance(training, store, stored))
-    facts = _facts(training, store, learned, phases, stored) | {"started_from": started_from, **judged.facts(stored)}
+    facts = _facts(training, store, learned, phases, stored) | {
+        "started_from": started_from,
+        **({"kept_of_start": training.kept_of_start} if training.kept_of_start else {}),
+        **judged.facts(stored),
+    }
     write_json(training.out.with_suffix(".json"), facts)
     write_bytes(training.out.with_suffix(".md"), card_of(judged.small, facts).encode())
     return facts
+
+
+def _mean(start: Tensor, learned: Tensor, kept: float) -> Tensor:
+    """The weighted mean of numbers before and after the training; counters are those after it."""
+    return torch.lerp(learned, start.to(learned), kept) if kept and learned.is_floating_point() else learned
 
 
 @dataclass(frozen=True, slots=True)

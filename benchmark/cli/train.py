@@ -76,6 +76,9 @@ def train_planner_command(
         typer.Option(help="Root of another data set with that split, learned from as well; repeatable."),
     ] = None,
     only: Annotated[list[str] | None, typer.Option(help="A part of the training, instead of all; repeatable.")] = None,
+    kept_of_start: Annotated[
+        float, typer.Option(help="Share of the weights of --start-from in what is written, a weighted mean of both.")
+    ] = 0.0,
     seed: SeedOption = 0,
     device: DeviceOption = "auto",
     workers: WorkersOption = 0,
@@ -116,6 +119,7 @@ def train_planner_command(
         tuple(adversarial or ()),
         tuple(also or ()),
         tuple(only or ()),
+        kept_of_start,
     )
     print_json(train_planner(training))
 

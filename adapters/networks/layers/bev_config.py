@@ -34,7 +34,7 @@ class BEVConfig:
         image_points: Sampling points per head and level in images, a multiple of `height_points`.
         bev_points: Sampling points per head in the bird's-eye view.
         rotation_centre: Column and row of the previous view, in cells, around which it is turned.
-        reporting: Which of its boxes count as what it expects.
+        reporting: Which of its boxes count as what it expects, and which way short plans lead.
     """
 
     bev_rows: int

@@ -9,6 +9,8 @@ FRONT = 0
 """Place of the front camera."""
 FRONT_CELLS = 4, 7
 """Rows and columns of what the plan looks at there; those of images of 224 x 128."""
+KEPT_OF_NOW = 0.5
+"""Share of a key frame's numbers in what is left for the next one."""
 NARROW = 32
 """Channels of what the plan makes of the front camera's map."""
 
@@ -21,16 +23,18 @@ class FrontReader(nn.Module):
     Args:
         channels: Of the map. It is halved twice, and brought to `FRONT_CELLS` where it is not as large by then.
         numbers: That are taken from it.
-        told: Width of what `tell` makes of them for the plan.
+        told: Width of what is made of them for the plan.
+        compares: Whether the plan is also told how they have changed: one image does not say how fast anything moves.
     """
 
-    def __init__(self, channels: int, numbers: int, told: int) -> None:
+    def __init__(self, channels: int, numbers: int, told: int, *, compares: bool = False) -> None:
         super().__init__()
         self.convs = nn.ModuleList([nn.Conv2d(channels, NARROW, 3, 2, 1), nn.Conv2d(NARROW, NARROW, 3, 2, 1)])
         self.read = nn.Sequential(
             nn.Linear(math.prod(FRONT_CELLS) * NARROW, 2 * NARROW), nn.ReLU(), nn.Linear(2 * NARROW, numbers)
         )
         self.tell = nn.Linear(numbers, told)
+        self.tell_change = nn.Linear(numbers, told, bias=False) if compares else None
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, C, h, w) to (B, numbers)."""
@@ -40,7 +44,29 @@ class FrontReader(nn.Module):
         result: Tensor = self.read(F.adaptive_avg_pool2d(found, FRONT_CELLS).flatten(1))
         return result
 
+    def told(self, numbers: Tensor, before: Tensor | None) -> Tensor:
+        """What the plan is told.
+
+        Args:
+            numbers: (B, numbers) of these key frames.
+            before: What the key frames before have left (`left`); ``None`` at the start of a scene.
+
+        Returns:
+            (B, told).
+        """
+        told: Tensor = self.tell(numbers)
+        if self.tell_change is not None and before is not None:
+            told = told + self.tell_change(numbers - before)
+        return told
+
+    @staticmethod
+    def left(numbers: Tensor, before: Tensor | None) -> Tensor:
+        """What is left for the next key frames: a mean that forgets, since each image errs by itself."""
+        return numbers if before is None else before + KEPT_OF_NOW * (numbers - before)
+
     def say_nothing(self) -> None:
         """Begin with nothing to tell, as in weights that never looked there."""
         nn.init.zeros_(self.tell.weight)
         nn.init.zeros_(self.tell.bias)
+        if self.tell_change is not None:
+            nn.init.zeros_(self.tell_change.weight)

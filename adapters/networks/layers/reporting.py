@@ -1,28 +1,37 @@
-"""Which of a network's boxes count as what it expects of others."""
+"""What is passed on of what a network says: which boxes count as what it expects, and which way short plans lead."""
 
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from benchmark.geometry import Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Reporting:
-    """What counts as a forecast.
+    """What counts as a forecast, and which way a short plan leads.
 
     Attributes:
         least_score: Boxes of a lower score do not: networks always report a hundred or more.
         apart: Of two boxes whose centres are nearer than this share of the shorter one's length the more certain one
             counts alone: two things that long cannot be so near to each other, and small networks say many a thing
             twice. 0: all count, as published.
+        steered_from_m: A plan that is shorter than this leads the more straight ahead the shorter it is, one of
+            `STANDING_M` wholly: an error of decimetres aside, which is small anywhere else, would turn a car that
+            crawls by as many degrees. 0: none, as published.
     """
 
     least_score: float = 0.3
     apart: float = 0.0
+    steered_from_m: float = 0.0
 
 
 PUBLISHED: Final = Reporting()
+STANDING_M: Final = 1.0
+"""A plan of this length has no direction."""
 
 
 def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float) -> Tensor:
@@ -49,3 +58,21 @@ def said_once(centres: Tensor, lengths: Tensor, certainty: Tensor, apart: float)
     left = torch.zeros(len(centres), dtype=torch.bool)
     left[kept] = True
     return left.to(centres.device)
+
+
+def steered(plans: Floats, steered_from_m: float) -> Floats:
+    """Plans whose offset aside is smaller where they hardly lead anywhere.
+
+    Args:
+        plans: (..., S, 2) positions to the right and ahead, metres.
+        steered_from_m: As in `Reporting`; 0 or more than `STANDING_M`.
+
+    Returns:
+        (..., S, 2).
+    """
+    if steered_from_m <= 0:
+        return plans
+    steps = np.diff(plans, axis=-2, prepend=np.zeros_like(plans[..., :1, :]))
+    length = np.hypot(steps[..., 0], steps[..., 1]).sum(-1)
+    share = np.clip((length - STANDING_M) / (steered_from_m - STANDING_M), 0.0, 1.0)
+    return np.asarray(np.stack([plans[..., 0] * share[..., None], plans[..., 1]], -1))

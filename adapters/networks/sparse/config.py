@@ -60,9 +60,10 @@ class SparseConfig:
             published ones take what they said about it themselves then, and need a long training to know it.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside what the ego
             takes from its coarsest one; the published networks have none.
+        plan_compares_front: Whether it takes as well how these numbers have changed since the key frames before.
         memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
             models: there time alone decides how much of it is used, and a stale memory is still attended to once.
-        reporting: Which of its boxes count as what it expects.
+        reporting: Which of its boxes count as what it expects, and which way short plans lead.
     """
 
     image_height_px: int = 256
@@ -98,6 +99,7 @@ class SparseConfig:
     reported_lines: int = 100
     speed_from_poses: bool = False
     plan_sees_front: int = 0
+    plan_compares_front: bool = False
     memory_crosses_scenes: bool = True
     reporting: Reporting = PUBLISHED
 
@@ -140,7 +142,7 @@ class SparseConfig:
 
     @classmethod
     def miniature(cls) -> Self:
-        """Both planners, small enough to learn the mini town on a processor core in an hour."""
+        """Small enough to learn the mini town on a processor core in an hour: DiffusionDrive-mini."""
         return cls(
             image_height_px=128,
             image_width_px=224,
@@ -172,3 +174,9 @@ class SparseConfig:
             # On scenes of a town that was not learned from seven of ten vehicles are found from this score on.
             reporting=Reporting(least_score=0.18, apart=0.5),
         )
+
+    @classmethod
+    def sparsedrive_miniature(cls) -> Self:
+        """SparseDrive-mini, whose plan compares what it sees in front, and goes straight on where it hardly goes."""
+        small = cls.miniature()
+        return replace(small, plan_compares_front=True, reporting=replace(small.reporting, steered_from_m=6.0))

@@ -151,7 +151,7 @@ class DiffusionPlanner(Planner):
         """
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
-        ego, front = self.with_front(found.tokens[-1:], scene.finest_front)
+        ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)
         context = PlanContext(
             scene.cameras, found.embeddings[-1:], found.watched, self.plan_queries(ego)[scene.command]
         )
@@ -166,7 +166,7 @@ class DiffusionPlanner(Planner):
             offsets.expand(commands, -1, -1, -1),
             status,
             queue,
-            self.remember(scene, queue, found.features[-1:], status),
+            self.remember(scene, queue, found.features[-1:], status, front),
             steps,
             front,
         )

@@ -54,6 +54,12 @@ class Scene:
     past: QueueMemory | None
     motion: KeyframeMotion | None
 
+    @property
+    def front_before(self) -> Tensor | None:
+        """(1, numbers) what the frame before has left of what its plan took from the front camera; stale is nothing."""
+        fresh = self.past is not None and self.motion is not None and self.motion.fresh
+        return self.past.front if fresh and self.past is not None else None
+
 
 @dataclass(frozen=True, slots=True)
 class Interaction:
@@ -160,7 +166,8 @@ class Planner(nn.Module):
         self.motion_anchor_encoder = point_encoder(channels, channels)
         self.plan_anchor_encoder = point_encoder(channels, channels)
         numbers = config.plan_sees_front
-        self.front_reader = FrontReader(channels, numbers, channels) if numbers else None
+        compares = config.plan_compares_front
+        self.front_reader = FrontReader(channels, numbers, channels, compares=compares) if numbers else None
 
     @property
     def interaction(self) -> nn.ModuleList:
@@ -269,12 +276,13 @@ class Planner(nn.Module):
         x, y = anchors.unbind(-1)
         return torch.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
-    def with_front(self, ego: Tensor, finest: Tensor) -> tuple[Tensor, Tensor | None]:
+    def with_front(self, ego: Tensor, finest: Tensor, before: Tensor | None) -> tuple[Tensor, Tensor | None]:
         """Tokens of the egos with what their plans take from the front camera.
 
         Args:
             ego: (1, C), or (B, 1, C) of several key frames.
             finest: (B, C, h, w) finest feature maps of the front cameras.
+            before: (B, numbers) what the key frames before have left of theirs (`FrontReader.left`).
 
         Returns:
             The tokens, and (B, numbers) what was taken; ``None`` where plans do not look there.
@@ -282,7 +290,7 @@ class Planner(nn.Module):
         if self.front_reader is None:
             return ego, None
         numbers = self.front_reader(finest)
-        return ego + self.front_reader.tell(numbers).view_as(ego), numbers
+        return ego + self.front_reader.told(numbers, before).view_as(ego), numbers
 
     def plan_queries(self, ego: Tensor) -> Tensor:
         """(commands, modes, C) tokens, one for each plan that is thought of, from that of the ego, (1, C)."""
@@ -290,7 +298,9 @@ class Planner(nn.Module):
         queries: Tensor = self.plan_anchor_encoder(points) + ego
         return queries
 
-    def remember(self, scene: Scene, queue: Queue, ego_feature: Tensor, status: Tensor) -> QueueMemory:
+    def remember(
+        self, scene: Scene, queue: Queue, ego_feature: Tensor, status: Tensor, front: Tensor | None
+    ) -> QueueMemory:
         """What to leave for the next frame; `ego_feature` (1, C) takes the place of the newest one in the queue."""
         return QueueMemory(
             queue.features,
@@ -302,4 +312,5 @@ class Planner(nn.Module):
             queue.ego_boxes,
             queue.ego_period,
             status,
+            None if front is None else FrontReader.left(front, scene.front_before),
         )

@@ -40,6 +40,7 @@ class QueueMemory:
         ego_boxes: (L, 1, 11).
         ego_period: As `periods`.
         status: (10,) of the ego, as predicted.
+        front: (1, numbers) what plans leave of the numbers that they took from the front camera, if they look there.
     """
 
     features: Tensor
@@ -51,6 +52,7 @@ class QueueMemory:
     ego_boxes: Tensor
     ego_period: int
     status: Tensor
+    front: Tensor | None = None
 
 
 @dataclass(frozen=True, slots=True)

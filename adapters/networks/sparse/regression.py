@@ -24,7 +24,7 @@ class RegressionPlanner(Planner):
         """
         queue = self.instance_queue(scene.past, scene.motion, scene.agents, scene.ids, scene.front)
         found = self.interact(scene, queue)
-        ego, front = self.with_front(found.tokens[-1:], scene.finest_front)
+        ego, front = self.with_front(found.tokens[-1:], scene.finest_front, scene.front_before)
         queries = self.plan_queries(ego)
         motion_logits, motion_offsets = self.forecast(scene.agents, found.tokens[:-1])
         status = self.refinement.plan_status_branch(ego)[0].float()
@@ -35,7 +35,7 @@ class RegressionPlanner(Planner):
             self.refinement.plan_reg_branch(queries).float().unflatten(-1, (-1, 2)),
             status,
             queue,
-            self.remember(scene, queue, found.features[-1:], status),
+            self.remember(scene, queue, found.features[-1:], status, front),
             {},
             front,
         )

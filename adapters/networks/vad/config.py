@@ -23,6 +23,7 @@ class VADConfig(BEVConfig):
         image_size: Width and height of input images, if they are not 1600 x 900 scaled.
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside agents and
             map elements; the published networks have none.
+        plan_compares_front: Whether it takes as well how these numbers have changed since the key frames before.
         plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate itself, beside what it looks at.
     """
 
@@ -40,6 +41,7 @@ class VADConfig(BEVConfig):
     max_lines: int = 50
     image_size: tuple[int, int] | None = None
     plan_sees_front: int = 0
+    plan_compares_front: bool = False
     plan_knows_motion: bool = False
 
     @property

@@ -54,7 +54,8 @@ class VADHead(nn.Module):
         self.ego_map_pos_mlp = nn.Linear(2, channels)
         self.ego_fut_decoder = plain_branch(2 * channels, config.commands * config.steps * 2)
         numbers = config.plan_sees_front
-        self.front_reader = FrontReader(channels, numbers, 2 * channels) if numbers else None
+        compares = config.plan_compares_front
+        self.front_reader = FrontReader(channels, numbers, 2 * channels, compares=compares) if numbers else None
         self.motion_teller = MotionTeller(2 * channels) if config.plan_knows_motion else None
         self.agent_fus_mlp = nn.Sequential(
             nn.Linear(config.modes * 2 * channels, channels),
@@ -64,9 +65,27 @@ class VADHead(nn.Module):
         )
 
     def forward(
-        self, maps: list[Tensor], images: Tensor, projections: Tensor, motion: EgoMotion, previous: Tensor | None
+        self,
+        maps: list[Tensor],
+        images: Tensor,
+        projections: Tensor,
+        motion: EgoMotion,
+        previous: Tensor | None,
+        front_before: Tensor | None = None,
     ) -> VADPredictions:
-        """Predict one key frame; arguments as in `VADTransformer.encode`."""
+        """Predict one key frame.
+
+        Args:
+            maps: As in `VADTransformer.encode`, as are all but the last.
+            images: Likewise.
+            projections: Likewise.
+            motion: Likewise.
+            previous: Likewise.
+            front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
+
+        Returns:
+            Everything that is computed.
+        """
         bev = self.transformer.encode(
             self.bev_embedding.weight, self.positional_encoding(), maps, images, projections, motion, previous
         )
@@ -84,6 +103,7 @@ class VADHead(nn.Module):
             map_scores=map_logits[-1].sigmoid().amax(-1),
             finest_front=maps[0][FRONT : FRONT + 1],
             can_bus=motion.can_bus,
+            front_before=front_before,
         )
         outlook = self.look_ahead(sights)
 
@@ -118,17 +138,17 @@ class VADHead(nn.Module):
         return VADOutlook(
             mode_offsets.view(*mode_offsets.shape[:2], self.config.steps, 2),
             self.traj_cls_branches[0](forecasts)[..., 0].float(),
-            self._plan(forecasts, sights.agent_places, lane_features, lane_places, self._told(front, sights.can_bus)),
+            self._plan(forecasts, sights.agent_places, lane_features, lane_places, self._told(front, sights)),
             front,
         )
 
-    def _told(self, front: Tensor | None, can_bus: Tensor) -> Tensor | None:
+    def _told(self, front: Tensor | None, sights: VADSights) -> Tensor | None:
         """(1, 2 C) what the plan is told beside agents and map elements, if anything."""
         told = []
         if self.front_reader is not None and front is not None:
-            told.append(self.front_reader.tell(front))
+            told.append(self.front_reader.told(front, sights.front_before))
         if self.motion_teller is not None:
-            told.append(self.motion_teller(can_bus))
+            told.append(self.motion_teller(sights.can_bus))
         return torch.stack(told).sum(0) if told else None
 
     def _by_line(self, points: Tensor) -> Tensor:

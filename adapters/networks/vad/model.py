@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.head import VADHead
@@ -36,11 +37,19 @@ class VADInputs:
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """What a frame leaves for the next one: its CAN bus vector (float64, absolute) and its bird's-eye view."""
+    """What a frame leaves for the next one.
+
+    Attributes:
+        scene_token: Of its scene.
+        can_bus: Its vector (float64, absolute).
+        bev: Its bird's-eye view.
+        front: Of what its plan took from the front camera, if it looks there (`FrontReader.left`).
+    """
 
     scene_token: str
     can_bus: Tensor
     bev: Tensor
+    front: Tensor | None
 
 
 class VAD(nn.Module):
@@ -99,10 +108,12 @@ class VAD(nn.Module):
         projections = inputs.lidar2img.to(images.device, torch.float32)
         maps = self.img_neck(self.img_backbone(images))
         predictions: VADPredictions = self.pts_bbox_head(
-            maps, images, projections, motion, memory.bev if memory else None
+            maps, images, projections, motion, memory.bev if memory else None, memory.front if memory else None
         )
+        front = predictions.front
         absolute = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
-        self._memory = _Memory(inputs.scene_token, absolute, predictions.bev)
+        left = None if front is None else FrontReader.left(front, memory.front if memory else None)
+        self._memory = _Memory(inputs.scene_token, absolute, predictions.bev, left)
         return predictions
 
     def ego_motion(self, inputs: VADInputs) -> EgoMotion:

@@ -60,6 +60,7 @@ class VADSights:
         map_scores: (M,) of the most likely class.
         finest_front: (1, C, h, w) finest feature map of the front camera.
         can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.EgoMotion` has it.
+        front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
     """
 
     agent_states: Tensor
@@ -69,6 +70,7 @@ class VADSights:
     map_scores: Tensor
     finest_front: Tensor
     can_bus: Tensor
+    front_before: Tensor | None = None
 
 
 @dataclass(frozen=True, slots=True)

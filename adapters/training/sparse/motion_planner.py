@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.sparse.aggregation import CameraFeatures
 from adapters.networks.sparse.boxes import carry_boxes
 from adapters.networks.sparse.decoder import Decoded, Remembered, rows_of
@@ -44,12 +45,14 @@ class QueueLeft:
         kept: Which agents the next frames know again.
         confidence: (B, N) 0 to 1, of the agents.
         status: (B, 10) of the ego, as predicted.
+        front: (B, numbers) of what plans took from the front cameras, if they look there.
     """
 
     queue: LearnedQueue
     kept: Remembered
     confidence: Tensor
     status: Tensor
+    front: Tensor | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +144,7 @@ def interacted(
     queue: LearnedQueue,
     kept: Remembered,
     finest_front: Tensor,
+    front_before: Tensor | None,
 ) -> Interacted:
     """Agents and the egos look at their past, at the most certain agents and at the maps.
 
@@ -152,6 +156,7 @@ def interacted(
         queue: With these frames as the last.
         kept: Agents that the next frames know again.
         finest_front: (B, C, h, w) finest feature maps of the front cameras.
+        front_before: (B, numbers) what the frames before have left of what plans took from there.
 
     Returns:
         Their tokens; those of the egos with what plans take from the front cameras.
@@ -168,12 +173,13 @@ def interacted(
     lanes, places = rows_of(lines.features, seen), rows_of(lines.embeddings, seen)
     features = planner.looked(features, embeddings, past, allowed, watched, (lanes, places))
     tokens = features + embeddings
-    ego, front = planner.with_front(tokens[:, -1:], finest_front)
+    ego, front = planner.with_front(tokens[:, -1:], finest_front, front_before)
     tokens = torch.cat([tokens[:, :-1], ego], 1)
     status: Tensor = planner.refinement.plan_status_branch(tokens[:, -1])
     newest = torch.cat([queue.features[-1][:, :-1], features[:, -1:]], 1)
     after = LearnedQueue(torch.cat([queue.features[:-1], newest[None]]).detach(), queue.boxes.detach(), queue.periods)
-    left = QueueLeft(after, kept, agents.scores.detach(), status.detach())
+    front_left = None if front is None else FrontReader.left(front.detach(), front_before)
+    left = QueueLeft(after, kept, agents.scores.detach(), status.detach(), front_left)
     return Interacted(tokens, embeddings[:, -1:], watched, status, left, front)
 
 

@@ -150,9 +150,17 @@ class SparseObjective:
         for start, now in zip(range(0, len(frames), batch), self._perceived(frames, batch, device), strict=True):
             past = found[-1] if found else None
             motions = KeyframeMotions.between(past.perceived.poses, now.poses, device) if past else None
-            queue = queued(planner, now.agents, now.front, past.planned.left if past else None, motions)
+            left = past.planned.left if past else None
+            queue = queued(planner, now.agents, now.front, left, motions)
             planned = interacted(
-                planner, head.det_head.anchor_encoder, now.agents, now.lines, queue, now.kept_agents, now.finest_front
+                planner,
+                head.det_head.anchor_encoder,
+                now.agents,
+                now.lines,
+                queue,
+                now.kept_agents,
+                now.finest_front,
+                left.front if left else None,
             )
             present = slice(start, start + batch)
             cleaned = self._cleaned(now.views, planned, targets.commands[present], frames[present])

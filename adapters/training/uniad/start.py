@@ -112,7 +112,7 @@ def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     found["query_embedding.weight"] = torch.cat([trunk[_VAD_QUERIES], own])
     reader = f"{_HEAD}front_reader."
     # What it tells is in the numbers of another plan.
-    read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}tell."))
+    read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}tell"))
     return found | {f"planning_head.front_reader.{name.removeprefix(reader)}": trunk[name] for name in read}
 
 

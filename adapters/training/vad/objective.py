@@ -14,6 +14,7 @@ from adapters.networks.vad.model import VAD, VADInputs
 from adapters.networks.vad.predictions import VADPredictions
 from adapters.training.dense_targets import CHANNELS, OFFSETS, dense_loss, offset_loss
 from adapters.training.frames import TrainingFrame
+from adapters.training.front import WEIGHTS as FRONT_WEIGHTS
 from adapters.training.front import front_losses
 from adapters.training.image_encoder import miniature_images
 from adapters.training.losses import (
@@ -64,6 +65,7 @@ WEIGHTS: Final = {
     "lane": 2.0,
     "ahead": 6.0,
     "gap": 2.0,
+    "walkers": 5.0,
     "pace": 1.0,
     "plan": 0.5,
     "plan_steps": 1.0,
@@ -326,7 +328,7 @@ def plan_losses(plan_offsets: Tensor, front: Tensor | None, frame: TrainingFrame
     offsets = plan_offsets[frame.command]
     plan = offsets.cumsum(0)
     recorded = torch.diff(frame.ego_future, dim=0, prepend=torch.zeros_like(frame.ego_future[:1]))
-    nothing = dict.fromkeys(("lane", "ahead", "gap"), plan.sum() * 0)
+    nothing = dict.fromkeys(FRONT_WEIGHTS, plan.sum() * 0)
     return {
         **(nothing if front is None else front_losses(front[0], frame)),
         "plan": plan_loss(plan, frame.ego_future, frame.ego_future_valid),

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.networks.layers.front_reader import FRONT
+from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.predictions import VADSights
 from adapters.training.frames import Frames, TrainingFrame
@@ -68,6 +68,8 @@ class PlannerObjective:
         reader = network.pts_bbox_head.front_reader
         if reader is not None:
             reader.requires_grad_(False).tell.requires_grad_(True)
+            if reader.tell_change is not None:
+                reader.tell_change.requires_grad_(True)
         self._memory: dict[tuple[str, int], tuple[VADSights, Matched]] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
@@ -78,6 +80,7 @@ class PlannerObjective:
     def _look(self, scene: Sequence[TrainingFrame]) -> None:
         network = self.network
         previous: tuple[Tensor, Tensor] | None = None
+        front_before: Tensor | None = None
         with torch.no_grad():
             for frame in scene:
                 inputs = inputs_of(frame)
@@ -92,7 +95,10 @@ class PlannerObjective:
                     map_scores=predictions.map_class_logits[-1].sigmoid().amax(-1),
                     finest_front=maps[0][FRONT : FRONT + 1].clone(),
                     can_bus=motion.can_bus,
+                    front_before=front_before,
                 )
+                if predictions.front is not None:
+                    front_before = FrontReader.left(predictions.front, front_before)
                 self._memory[frame.scene, frame.index] = sights, matched_agents(network, predictions, frame)
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:

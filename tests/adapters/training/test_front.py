@@ -9,6 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.vad.model import VAD
 from adapters.training.dense_targets import (
     LANE_AHEAD_M,
@@ -24,18 +25,22 @@ from adapters.training.frames import TrainingFrame
 from adapters.training.front import (
     FARTHEST_GAP_M,
     GAP_UNIT_M,
+    STRIPS_M,
     WEIGHTS,
     FrontObjective,
     front_losses,
     gap_ahead,
+    walkers_ahead,
 )
 from adapters.training.losses import aside_loss
 from adapters.training.vad.objective import COARSE, inputs_of
 from adapters.training.vad.phases import front_reader, phases
+from benchmark.constants import DETECTION_CLASSES
 from tests.adapters.networks.vad.small_vad import SMALL, small_frame, small_network
 from tests.adapters.training.vad.road_frames import a_frame, empty
 
 AHEAD = len(LANE_AHEAD_M)
+STRIPS = len(STRIPS_M) - 1
 
 
 def shifted(frame: TrainingFrame, to_the_right: float) -> TrainingFrame:
@@ -118,14 +123,32 @@ def test_room_ahead_is_up_to_whoever_is_on_the_way() -> None:
 def test_what_is_said_of_the_way_ahead_counts_where_one_drives_straight_on() -> None:
     frame = shifted(a_frame(aside=1.0), 2.0)
     said = torch.cat(
-        [lane_offsets(frame)[0], frame.ego_future[:, 0], torch.tensor([(gap_ahead(frame) or 0) / GAP_UNIT_M])]
+        [
+            lane_offsets(frame)[0],
+            frame.ego_future[:, 0],
+            torch.tensor([(gap_ahead(frame) or 0) / GAP_UNIT_M]),
+            walkers_ahead(frame),
+            torch.ones(3),
+        ]
     )
     losses = front_losses(said, frame)
     assert set(losses) == set(WEIGHTS) and max(losses.values()) < 1e-6
     wrong = front_losses(said + 0.5, frame)
     assert float(wrong["ahead"]) == pytest.approx(0.125) and float(wrong["gap"]) == pytest.approx(0.5)
+    assert float(wrong["walkers"]) == pytest.approx(0.25 * STRIPS)
     assert front_losses(said + 0.5, replace(frame, command=1))["ahead"] == 0
-    assert not any(front_losses(said, empty(frame)).values())
+    silent = torch.cat([said[: -STRIPS - 3], torch.zeros(STRIPS + 3)])
+    assert not any(front_losses(silent, empty(frame)).values())
+
+
+def test_the_nearest_walker_of_each_strip_counts() -> None:
+    places = torch.tensor([[-2.0, 10.0], [-2.5, 5.0], [0.0, 20.0], [0.5, -3.0], [4.0, 30.0], [7.0, 5.0], [2.0, 12.5]])
+    walker = DETECTION_CLASSES.index("pedestrian")
+    labels = torch.full((len(places),), walker)
+    boxes = torch.cat([places, torch.zeros(len(places), 7)], 1)
+    frame = replace(a_frame(), boxes=boxes, labels=labels)
+    assert walkers_ahead(frame).tolist() == pytest.approx([0.0, 0.8, 0.2, 0.5, 0.0])
+    assert not walkers_ahead(replace(frame, labels=labels * 0)).any() and not walkers_ahead(empty(frame)).any()
 
 
 def test_a_way_to_the_side_asks_for_the_mean_and_not_for_the_median() -> None:
@@ -138,7 +161,7 @@ def test_a_way_to_the_side_asks_for_the_mean_and_not_for_the_median() -> None:
 
 
 def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> None:
-    network = small_network(config=replace(SMALL, backbone_outputs=(1, 2), pyramid_levels=2, plan_sees_front=16))
+    network = small_network(config=replace(SMALL, backbone_outputs=(1, 2), pyramid_levels=2, plan_sees_front=18))
     before = {name: value.clone() for name, value in network.state_dict().items()}
     reader = front_reader(network)
     assert reader is not None
@@ -161,7 +184,7 @@ def test_the_front_camera_learns_where_lines_are_and_nothing_else_changes() -> N
 
 
 def test_plans_follow_the_front_camera_once_it_has_a_say() -> None:
-    network = VAD(replace(SMALL, plan_sees_front=16))
+    network = VAD(replace(SMALL, plan_sees_front=18))
     frame, other = small_frame(0), small_frame(0)
     images = other.images.clone()
     images[0] = images[0].flip(-1)
@@ -186,3 +209,28 @@ def test_published_networks_have_no_such_part() -> None:
     assert not [name for name in network.state_dict() if "front" in name]
     with torch.inference_mode():
         assert network.predict(inputs_of(a_frame())).front is None
+
+
+def test_a_plan_that_compares_is_told_what_changed_and_nothing_at_the_start() -> None:
+    torch.manual_seed(0)
+    reader = FrontReader(4, 3, 8, compares=True)
+    change = reader.tell_change
+    assert change is not None
+    now, before = torch.randn(2, 3), torch.randn(2, 3)
+    assert torch.equal(reader.told(now, None), reader.tell(now))
+    assert torch.allclose(reader.told(now, before) - reader.tell(now), change(now - before), atol=1e-6)
+    assert torch.equal(reader.told(now, now), reader.tell(now))
+    reader.say_nothing()
+    assert not reader.told(now, before).any()
+    assert FrontReader(4, 3, 8).tell_change is None
+
+
+def test_what_is_left_of_numbers_follows_them_and_forgets() -> None:
+    gap = torch.arange(12, 0, -1, dtype=torch.float32)[:, None, None]
+    left = None
+    for numbers in gap:
+        before, left = left, FrontReader.left(numbers, left)
+    assert before is not None
+    # Whatever falls by one in each key frame is two less than what is left of the frames before it.
+    assert float(gap[-1] - before) == pytest.approx(-2.0, abs=0.01)
+    assert torch.equal(FrontReader.left(gap[0], None), gap[0])

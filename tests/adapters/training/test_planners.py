@@ -144,6 +144,27 @@ def test_of_several_weights_the_last_count(town: Path, encoder: Path, trained: P
     assert any(not torch.equal(eyes[name].float(), first[name].float()) for name in eyes if name in first)
 
 
+def test_a_share_of_the_start_can_be_kept(town: Path, trained: Path, tmp_path: Path) -> None:
+    found = {}
+    for kept in ("0", "0.25"):
+        out = tmp_path / f"{kept}.safetensors"
+        done = challenger_bench(
+            "train", "planner", "--model", MODEL, "--data", town, "--split", "val", "--out", out, "--steps", "2",
+            "--only", "planner", "--learning-rate", "0.05", "--start-from", trained, "--kept-of-start", kept,
+            "--workers", "1",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        assert done.json.get("kept_of_start", 0) == float(kept)
+        found[kept] = {name: value.float() for name, value in load_file(out).items()}
+    assert "25% of them kept" in (tmp_path / "0.25.md").read_text() and "kept" not in (tmp_path / "0.md").read_text()
+    moved = 0
+    for name, start in load_file(trained).items():
+        learned, mean = found["0"][name], found["0.25"][name]
+        torch.testing.assert_close(mean, 0.75 * learned + 0.25 * start.float(), rtol=2e-3, atol=1e-4, msg=name)
+        moved += not torch.equal(learned, mean)
+    assert moved
+
+
 @pytest.mark.parametrize("model", [MODEL, ENCODER_NAME])
 def test_a_part_that_no_training_has_is_a_sentence(town: Path, tmp_path: Path, model: str) -> None:
     training = PlannerTraining(model, town, "val", tmp_path / "w.safetensors", only=("everything",))
@@ -171,6 +192,11 @@ def test_weights_that_cannot_be_started_from_are_a_sentence(town: Path, encoder:
         ({"out": Path("w.pth")}, "written as .safetensors"),
         ({"steps": 0}, "--steps must be at least 1"),
         ({"learning_rate": 3.0}, "--learning-rate must be between 0 and 1"),
+        ({"kept_of_start": 1.0}, "--kept-of-start is a share below 1, got 1"),
+        (
+            {"kept_of_start": 0.5},
+            "--kept-of-start keeps of the weights of a miniature that are given with --start-from",
+        ),
     ],
 )
 def test_wrong_use_is_a_sentence(changes: dict[str, object], sentence: str) -> None:

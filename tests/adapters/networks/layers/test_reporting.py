@@ -2,12 +2,13 @@
 
 import itertools
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.networks.layers.reporting import PUBLISHED, said_once
+from adapters.networks.layers.reporting import PUBLISHED, STANDING_M, said_once, steered
 
 PLACES = st.lists(st.tuples(*[st.integers(-8, 8)] * 2, st.integers(1, 9), st.integers(0, 4)), max_size=8)
 
@@ -43,3 +44,23 @@ def test_cars_side_by_side_and_walkers_in_a_row_are_several() -> None:
     assert said_once(walkers, torch.full((3,), 0.8), torch.tensor([0.9, 0.5, 0.7]), 0.5).all()
     twice = torch.tensor([[0.0, 0.0], [1.0, 1.0]])
     assert said_once(twice, torch.full((2,), 4.6), torch.tensor([0.4, 0.5]), 0.5).tolist() == [False, True]
+
+
+@given(st.floats(0.0, 12.0), st.floats(-1.5, 1.5))
+def test_short_plans_lead_more_straight_ahead_and_long_ones_where_they_did(length_m: float, bearing: float) -> None:
+    along = length_m * np.linspace(0.0, 1.0, 7)[1:, None]
+    plan = along * np.array([np.sin(bearing), np.cos(bearing)])
+    found = steered(plan[None], 6.0)[0]
+    assert np.array_equal(found[:, 1], plan[:, 1])
+    if length_m >= 6.0 + 1e-9:
+        assert np.array_equal(found, plan)
+    elif length_m <= STANDING_M:
+        assert not found[:, 0].any()
+    else:
+        share = (length_m - STANDING_M) / (6.0 - STANDING_M)
+        assert found[:, 0] == pytest.approx(share * plan[:, 0], abs=1e-9)
+
+
+def test_published_networks_steer_as_they_do() -> None:
+    plan = np.full((6, 2), 0.1)
+    assert PUBLISHED.steered_from_m == 0 and steered(plan, PUBLISHED.steered_from_m) is plan

@@ -97,10 +97,10 @@ def values(losses: Mapping[str, Tensor]) -> dict[str, float]:
     return {name: float(loss.detach()) for name, loss in losses.items()}
 
 
-@pytest.mark.parametrize("numbers", [0, 16])
+@pytest.mark.parametrize("numbers", [0, 18])
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numbers: int) -> None:
-    built = filled(name, replace(MINIATURE, plan_sees_front=numbers))
+    built = filled(name, replace(MINIATURE, plan_sees_front=numbers, plan_compares_front=True))
     objective = SparseObjective(built)
     clips = [[frame(index, scene) for index in range(3)] for scene in ("one", "other")]
     clips = [[replace(each, command=number) for each in clip] for number, clip in enumerate(clips)]
@@ -130,7 +130,7 @@ def test_several_clips_at_once_are_what_the_network_says_of_each(name: str, numb
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_plans_follow_the_front_camera_once_it_has_a_say(name: str) -> None:
-    built = filled(name, replace(MINIATURE, plan_sees_front=16))
+    built = filled(name, replace(MINIATURE, plan_sees_front=18))
     reader = front_reader(built)
     assert reader is not None
     with torch.inference_mode():
@@ -146,7 +146,7 @@ def test_plans_follow_the_front_camera_once_it_has_a_say(name: str) -> None:
 
 
 def test_what_plans_read_in_the_front_camera_is_taught() -> None:
-    config = replace(TINY, plan_sees_front=16)
+    config = replace(TINY, plan_sees_front=18)
     objective = SparseObjective(network("sparsedrive", config))
     losses = objective.losses([frame(0), frame(1)])
     assert set(WEIGHTS) <= set(losses)

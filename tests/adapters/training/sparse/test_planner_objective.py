@@ -19,7 +19,7 @@ CLOSE = 2e-2
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str) -> None:
-    built = filled(name, replace(MINIATURE, plan_sees_front=16))
+    built = filled(name, replace(MINIATURE, plan_sees_front=18))
     objective, frames = PlannerObjective(built), [frame(index, "one") for index in range(3)]
     store, _ = objective.look(OneScene(frames), range(3))
     clip = store.clip(2, 3)
@@ -41,7 +41,7 @@ def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str) -> 
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name: str) -> None:
-    built = network(name, replace(TINY, plan_sees_front=16))
+    built = network(name, replace(TINY, plan_sees_front=18))
     frames = [frame(index) for index in range(3)]
     with torch.no_grad():
         everything = SparseObjective(built).losses(frames)
@@ -57,7 +57,7 @@ def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name:
 
 
 def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
-    built = network("sparsedrive", replace(TINY, plan_sees_front=16))
+    built = network("sparsedrive", replace(TINY, plan_sees_front=18))
     objective, frames = PlannerObjective(built), [frame(index) for index in range(3)]
     store, _ = objective.look(OneScene(frames), range(3))
 
@@ -71,7 +71,7 @@ def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
 
 
 def test_no_plan_is_learned_where_the_past_is_missing() -> None:
-    built = network("sparsedrive", replace(TINY, plan_sees_front=16))
+    built = network("sparsedrive", replace(TINY, plan_sees_front=18))
     objective, frames = PlannerObjective(built), [frame(index) for index in range(4)]
     store, _ = objective.look(OneScene(frames), range(4))
     first, later = (objective.losses([store.clip(number, 1)[0]]) for number in (0, 3))

@@ -68,7 +68,7 @@ def test_training_reads_what_the_planner_reads(tmp_path: Path) -> None:
 
 
 def test_training_computes_what_the_planner_computes() -> None:
-    network, previous = VAD(replace(SMALL, plan_sees_front=16, plan_knows_motion=True)).requires_grad_(False), None
+    network, previous = VAD(replace(SMALL, plan_sees_front=18, plan_knows_motion=True)).requires_grad_(False), None
     for frame in clip():
         inputs = inputs_of(frame)
         with torch.no_grad():
@@ -228,7 +228,7 @@ def test_losses_depend_on_the_seed_alone_and_every_weight_has_one() -> None:
 
 
 def test_what_is_learned_reaches_every_weight_but_those_that_stay() -> None:
-    network = small_network(config=replace(SMALL, plan_sees_front=16, plan_knows_motion=True))
+    network = small_network(config=replace(SMALL, plan_sees_front=18, plan_knows_motion=True))
     objective = VADObjective(network)
     torch.manual_seed(0)
     total(objective.losses(clip())).backward()  # type: ignore[no-untyped-call]

@@ -15,10 +15,12 @@ from tests.adapters.training.vad.road_frames import clip, empty
 
 
 def looked_at(frames: list[TrainingFrame]) -> tuple[PlannerObjective, LookedAt]:
-    network = small_network(config=replace(SMALL, plan_sees_front=16, plan_knows_motion=True))
+    network = small_network(config=replace(SMALL, plan_sees_front=18, plan_compares_front=True, plan_knows_motion=True))
     head = network.pts_bbox_head
-    assert head.motion_teller is not None
-    nn.init.normal_(head.motion_teller.tell.weight)
+    assert head.motion_teller is not None and head.front_reader is not None
+    assert head.front_reader.tell_change is not None
+    for layer in (head.motion_teller.tell, head.front_reader.tell_change):
+        nn.init.normal_(layer.weight)
     objective = PlannerObjective(network)
     store, _ = objective.look(OneScene(frames), range(len(frames)))
     assert isinstance(store, LookedAt)
@@ -47,7 +49,7 @@ def test_forecasts_and_the_plan_learn_and_nothing_else() -> None:
     assert any("motion_teller" in name for name in learned)
     # What is read in the front camera stays, what it tells the plan learns.
     assert {name for name in learned if "front_reader" in name} == {
-        f"pts_bbox_head.front_reader.tell.{part}" for part in ("weight", "bias")
+        f"pts_bbox_head.front_reader.{part}" for part in ("tell.weight", "tell.bias", "tell_change.weight")
     }
 
 
