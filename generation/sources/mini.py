@@ -132,7 +132,7 @@ def build_town(root: Path, settings: TownSettings, *, workers: int) -> Path:
     )  # fmt: skip
     work: list[_Work] = [("val", index, None) for index in range(settings.val_scenes)]
     work += [("train", index, drives.get(index)) for index in numbers]
-    job = partial(_write_one, plan, settings)
+    job = partial(_write_one, plan, settings.seed, settings.off_path, settings.crossing)
     with only_writer(root):
         count = Count(kept=was_there)
         written = list(map_ordered(job, work, workers=workers, label="building the town", count=count))
@@ -182,14 +182,14 @@ def _drives(settings: TownSettings) -> dict[int, Driven]:
     return {known[name]: Driven.of_row(record.planner, row) for name, row in drives.items()}
 
 
-def _write_one(plan: DataSetPlan, settings: TownSettings, work: _Work) -> WrittenScene:
+def _write_one(plan: DataSetPlan, seed: int, off_path: bool, crossing: int, work: _Work) -> WrittenScene:
     split, index, driven = work
     report: dict[str, Any] = {}
-    seed, crossing = settings.seed, settings.crossing if split == "train" else 0
+    crossing = crossing if split == "train" else 0
     if driven is not None:
         scene, learned = town_scene_driven(index, driven, seed=seed, crossing=crossing)
         report[DRIVEN] = learned.as_json()
-    elif settings.off_path and split == "train":
+    elif off_path and split == "train":
         scene, excursions = town_scene_off_path(index, seed=seed, crossing=crossing)
         report[OFF_PATH] = [each.as_json() for each in excursions]
     else:
