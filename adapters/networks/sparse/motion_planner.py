@@ -57,8 +57,9 @@ class Scene:
     @property
     def front_before(self) -> Tensor | None:
         """(1, numbers) what the frame before has left of what its plan took from the front camera; stale is nothing."""
-        fresh = self.past is not None and self.motion is not None and self.motion.fresh
-        return self.past.front if fresh and self.past is not None else None
+        if self.past is None or self.motion is None or not self.motion.fresh:
+            return None
+        return self.past.front
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,12 +136,12 @@ def add_meeting_pedestrians(
 
 def _walk_across(world: World, way: Floats, station_m: float) -> Floats | None:
     """(2, 2) a line square to the way at a station, from the nearest pavement to its right to that to its left."""
-    at = np.array([station_m])
-    middle, yaw = at_lengths(way, at)[0], float(np.interp(station_m, lengths_along(way), headings(way)))
-    left = np.array([-np.sin(yaw), np.cos(yaw)])
+    middle = at_lengths(way, np.array([station_m]))[0]
+    yaw = float(np.interp(station_m, lengths_along(way), headings(way)))
+    ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     found = []
     for walk in world.town.walks:
-        aside, along = (walk - middle) @ left, (walk - middle) @ np.array([left[1], -left[0]])
+        aside, along = (walk - middle) @ left, (walk - middle) @ ahead
         meets = np.flatnonzero(np.diff(np.sign(along)) != 0)
         share = along[meets] / (along[meets] - along[meets + 1])
         found.append(aside[meets] + share * (aside[meets + 1] - aside[meets]))
