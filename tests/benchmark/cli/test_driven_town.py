@@ -70,7 +70,7 @@ def test_drives_of_another_town_or_of_no_training_scene_are_refused(folder: Path
         "data", "build", "--root", folder / "other", "--driven", record.directory, "--seed", "7", *SMALL
     )
     assert other.code == 2
-    assert "give the seed of the town" in other.err
+    assert "give the seed (and --crossing) of the town" in other.err
     evaluated = drive(folder, "val")
     refused = challenger_bench("data", "build", "--root", folder / "val town", "--driven", evaluated.directory, *SMALL)
     assert refused.code == 2
