@@ -358,6 +358,7 @@ _MINIATURES: Final = (
             ("sparsedrive",),
             "adapters.training.sparse.start:untrained",
             "adapters.training.sparse.phases:phases",
+            "adapters.training.sparse.start:seen_with_own_eyes",
         ),
         native_protocol="sparsedrive",
     ),

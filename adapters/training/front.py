@@ -1,15 +1,18 @@
 """How miniatures learn to see in the front camera where their lane is, before the rest of them learns anything."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from adapters.networks.layers.front_reader import FRONT, FrontReader
 from adapters.training.dense_targets import LANE_NUMBERS, lane_loss
 from adapters.training.frames import TrainingFrame
-from adapters.training.image_encoder import miniature_images
+from adapters.training.image_encoder import centre_loss, miniature_images
+from adapters.training.image_targets import front_heat
 from adapters.training.losses import aside_loss
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
@@ -27,8 +30,27 @@ STRIPS_M: Final = (-6.0, -3.0, -1.0, 1.0, 3.0, 6.0)
 WALKER_REACH_M: Final = 25.0
 """Walkers farther ahead than this do not matter yet."""
 WEIGHTS: Final = {"lane": 1.0, "ahead": 3.0, "gap": 1.0, "walkers": 5.0}
-"""What each loss counts."""
+"""What each loss of what is read counts."""
+THINGS_WEIGHT: Final = 0.3
+"""What that of the maps of own eyes counts."""
+RARE_WALKER: Final = 4.0
+"""How many times more a strip with somebody in it counts: most have nobody."""
 _WALKER: Final = DETECTION_CLASSES.index("pedestrian")
+THINGS: Final = ((_WALKER,), tuple(map(DETECTION_CLASSES.index, ("car", "truck", "bus", "motorcycle", "bicycle"))))
+"""Classes of what the first channels of own eyes' maps stand for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Eyes:
+    """What makes the map of the front camera that a plan looks at.
+
+    Attributes:
+        see: From normalised images (B, 3, H, W) to maps (B, channels, h, w).
+        own: Whether they are the plan's own; then the first channels have to say where things are (`things_loss`).
+    """
+
+    see: Callable[[Tensor], Tensor]
+    own: bool = False
 
 
 class FrontObjective:
@@ -37,19 +59,15 @@ class FrontObjective:
     A whole frame of the network costs fifty times one image, and four frames a step learn this too slowly.
 
     Args:
-        network: One with an image network `img_backbone` and a feature pyramid `img_neck`; the former stays as it is.
+        network: The network.
         reader: Its part whose plan sees the front camera.
-        kept: How the names of those parameters of the pyramid begin that stay as they are, too.
+        eyes: What makes the maps that this part reads.
     """
 
     clip_frames = 32
 
-    def __init__(self, network: nn.Module, reader: FrontReader, kept: tuple[str, ...]) -> None:
-        self.network, self.reader = network, reader
-        self._backbone, self._neck = network.get_submodule("img_backbone"), network.get_submodule("img_neck")
-        for name, parameter in self._neck.named_parameters():
-            if name.startswith(kept):
-                parameter.requires_grad_(False)
+    def __init__(self, network: nn.Module, reader: FrontReader, eyes: Eyes) -> None:
+        self.network, self.reader, self._eyes = network, reader, eyes
 
     def losses(self, clip: Sequence[TrainingFrame]) -> dict[str, Tensor]:
         """The losses of frames that need not belong together, as bright or dark as they may be.
@@ -58,15 +76,54 @@ class FrontObjective:
             clip: The frames.
 
         Returns:
-            The terms of `front_losses`, weighted means over the frames.
+            The terms of `front_losses`, weighted means over the frames, and ``things`` where maps have to say them.
         """
         images = miniature_images(torch.stack([frame.images[FRONT] for frame in clip]))
         brightness = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(-0.3, 0.3)
         contrast = torch.empty(len(images), 1, 1, 1, device=images.device).uniform_(0.8, 1.2)
         images = images * contrast + brightness
+        seen = self._eyes.see(images.contiguous(memory_format=torch.channels_last))
+        losses = mean_front_losses(self.reader(seen), clip)
+        return losses | {"things": THINGS_WEIGHT * things_loss(seen, clip)} if self._eyes.own else losses
+
+
+def of_all_cameras(network: nn.Module, kept: tuple[str, ...]) -> Eyes:
+    """Eyes of a network that sees all cameras with the same: its finest feature map.
+
+    Args:
+        network: One with an image network `img_backbone` and a feature pyramid `img_neck`; the former stays as it is.
+        kept: How the names of those parameters of the pyramid begin that stay as they are, too.
+
+    Returns:
+        The eyes.
+    """
+    backbone, neck = network.get_submodule("img_backbone"), network.get_submodule("img_neck")
+    for name, parameter in neck.named_parameters():
+        if name.startswith(kept):
+            parameter.requires_grad_(False)
+
+    def see(images: Tensor) -> Tensor:
         with torch.no_grad():
-            stages = self._backbone(images.contiguous(memory_format=torch.channels_last))
-        return mean_front_losses(self.reader(self._neck(stages)[0]), clip)
+            stages = backbone(images)
+        found: Tensor = neck(stages)[0]
+        return found
+
+    return Eyes(see)
+
+
+def things_loss(seen: Tensor, frames: Sequence[TrainingFrame]) -> Tensor:
+    """Whether the first channels of maps are logits of where things are.
+
+    Args:
+        seen: (F, channels, h, w) maps of front cameras.
+        frames: The key frames, F of them.
+
+    Returns:
+        `centre_loss` of walkers and of vehicles, as many as in a mean frame.
+    """
+    heats = torch.from_numpy(np.stack([front_heat(frame) for frame in frames])).to(seen.device)
+    wanted = torch.stack([heats[:, list(kinds)].amax(1) for kinds in THINGS], 1)
+    return centre_loss(seen[:, : len(THINGS)], wanted)
 
 
 def mean_front_losses(said: Tensor, frames: Sequence[TrainingFrame]) -> dict[str, Tensor]:
@@ -99,14 +156,14 @@ def front_losses(front: Tensor, frame: TrainingFrame) -> dict[str, Tensor]:
     """
     steps = len(frame.ego_future)
     aside, said = front[LANE_NUMBERS : LANE_NUMBERS + steps], front[LANE_NUMBERS + steps]
-    walkers = front[LANE_NUMBERS + steps + 1 :][: len(STRIPS_M) - 1]
+    walkers, near = front[LANE_NUMBERS + steps + 1 :][: len(STRIPS_M) - 1], walkers_ahead(frame)
     counted = frame.ego_future_valid & (frame.command == Command.STRAIGHT)
     gap_m = gap_ahead(frame)
     return {
         "gap": said * 0 if gap_m is None else (said - gap_m / GAP_UNIT_M).abs(),
         "lane": lane_loss(front[:LANE_NUMBERS], frame),
         "ahead": aside_loss(aside, frame.ego_future[:, 0], counted),
-        "walkers": (walkers - walkers_ahead(frame)).square().sum(),
+        "walkers": ((walkers - near).square() * (1 + RARE_WALKER * (near > 0))).sum(),
     }
 
 
@@ -157,12 +214,12 @@ def gap_ahead(frame: TrainingFrame) -> float | None:
     return min(FARTHEST_GAP_M, max(0.0, float(gaps.min()))) if len(gaps) else FARTHEST_GAP_M
 
 
-def front_phase(reader_of: Callable[[Any], FrontReader | None], kept: tuple[str, ...]) -> Phase:
+def front_phase(reader_of: Callable[[Any], FrontReader | None], eyes_of: Callable[[Any], Eyes]) -> Phase:
     """The first part of the training of a miniature whose plan sees the front camera.
 
     Args:
         reader_of: From the network to the part that does.
-        kept: As in `FrontObjective`.
+        eyes_of: From the network to what makes the maps that this part reads; may keep parameters from learning.
 
     Returns:
         The phase.
@@ -171,7 +228,7 @@ def front_phase(reader_of: Callable[[Any], FrontReader | None], kept: tuple[str,
     def objective(network: Any) -> FrontObjective:
         reader = reader_of(network)
         assert reader is not None, "a network whose plan sees the front camera"
-        return FrontObjective(network, reader, kept)
+        return FrontObjective(network, reader, eyes_of(network))
 
     recipe = Recipe(steps=2000, learning_rate=1e-3, warmup=50, average=0.99, scattered=True)
     return Phase("front", objective, recipe)

@@ -26,7 +26,7 @@ WIDTH = 16
 _STAGES = (1, 2, 3)
 _CHANNELS = 64
 _LINE_WEIGHT = 4.0
-_RARE = -4.0
+RARE = -4.0
 """Bias of outputs that are nearly always 0: their sigmoid begins at 0.018."""
 
 
@@ -60,7 +60,7 @@ class ImageEncoder(nn.Module):
             for rare in (self.heat, self.ground):
                 # Much ground is drivable, little is a line.
                 bias = next(value for name, value in rare.named_parameters() if name == "bias")
-                bias[4 if rare is self.ground else 0 :] = _RARE
+                bias[4 if rare is self.ground else 0 :] = RARE
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What is in images.

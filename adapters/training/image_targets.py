@@ -1,12 +1,13 @@
 """What an image encoder is asked for, cell by cell of each image: things, and the ground between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.networks.layers.front_reader import FRONT
 from adapters.training.frames import DRIVABLE_HALF_M, TrainingFrame
 from benchmark.constants import DETECTION_CLASSES
 from benchmark.geometry import Bools, Floats
@@ -84,6 +85,21 @@ def image_targets(frame: TrainingFrame) -> ImageTargets:
     heat, boxes, has_box = _box_maps(seen, len(frame.images), height // CELL_PX, width // CELL_PX)
     ground, sees_ground = _ground_maps(frame, seen, height // GROUND_PX, width // GROUND_PX)
     return ImageTargets(heat, boxes, has_box, ground, sees_ground)
+
+
+def front_heat(frame: TrainingFrame) -> NDArray[np.float32]:
+    """Centres of boxes in the front camera's image alone.
+
+    Args:
+        frame: The frame.
+
+    Returns:
+        (classes, h, w) as `ImageTargets.heat`.
+    """
+    front = replace(frame, images=frame.images[FRONT : FRONT + 1], lidar2img=frame.lidar2img[FRONT : FRONT + 1])
+    height, width = frame.images.shape[-2:]
+    heat, _, _ = _box_maps(_seen_boxes(front, width, height), 1, height // CELL_PX, width // CELL_PX)
+    return np.asarray(heat[0], np.float32)
 
 
 def _seen_boxes(frame: TrainingFrame, width: int, height: int) -> _SeenBoxes:

@@ -61,6 +61,7 @@ class SparseConfig:
         plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside what the ego
             takes from its coarsest one; the published networks have none.
         plan_compares_front: Whether it takes as well how these numbers have changed since the key frames before.
+        front_eyes: Whether it looks at the front camera through an image network of its own, of the width of the other.
         memory_crosses_scenes: Whether what is remembered outlives a change of scene, as it does in the published
             models: there time alone decides how much of it is used, and a stale memory is still attended to once.
         reporting: Which of its boxes count as what it expects, and which way short plans lead.
@@ -100,6 +101,7 @@ class SparseConfig:
     speed_from_poses: bool = False
     plan_sees_front: int = 0
     plan_compares_front: bool = False
+    front_eyes: bool = False
     memory_crosses_scenes: bool = True
     reporting: Reporting = PUBLISHED
 
@@ -177,6 +179,7 @@ class SparseConfig:
 
     @classmethod
     def sparsedrive_miniature(cls) -> Self:
-        """SparseDrive-mini, whose plan compares what it sees in front, and goes straight on where it hardly goes."""
+        """SparseDrive-mini: its plan has its own eyes, compares what they see, and if short leads straight ahead."""
         small = cls.miniature()
-        return replace(small, plan_compares_front=True, reporting=replace(small.reporting, steered_from_m=6.0))
+        reporting = replace(small.reporting, steered_from_m=6.0)
+        return replace(small, plan_compares_front=True, front_eyes=True, reporting=reporting)

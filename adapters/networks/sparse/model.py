@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.front_eyes import FrontEyes
 from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.sparse.aggregation import CameraFeatures
@@ -101,7 +102,7 @@ class SparseHead(nn.Module):
         Args:
             cameras: What they saw.
             front: (1, C, h, w) coarsest feature map of the front camera.
-            finest_front: (1, C, h, w) its finest one.
+            finest_front: (1, C, h, w) its finest one, or what the plan's own eyes make of it.
             pose: When and where.
             command: 0 right, 1 left, 2 straight.
             noise: (modes, steps, 2) for the diffusion planner.
@@ -153,6 +154,7 @@ class SparseNetwork(nn.Module):
         widths = [config.backbone_width * EXPANSION * 2**stage for stage in read]
         self.img_neck = FeaturePyramid(widths, config.channels, config.levels)
         self.head = SparseHead(config, planner)
+        self.front_eyes = FrontEyes(config.backbone_width, config.channels) if config.front_eyes else None
         self.depth_branch = DepthBranch(config.channels)
         self.memory: Memory | None = None
         self.eval()
@@ -195,10 +197,24 @@ class SparseNetwork(nn.Module):
         cameras = CameraFeatures.of(maps, projections, config.image_height_px, config.image_width_px)
         drawn = self.frame_noise(inputs) if noise is None else noise
         predictions: SparsePredictions
-        front, finest_front = (level[FRONT : FRONT + 1] for level in (maps[-1], maps[0]))
+        front = maps[-1][FRONT : FRONT + 1]
+        finest_front = self.finest_front(maps[0], images)
         noise = drawn.to(images.device, torch.float32)
         predictions, self.memory = self.head(cameras, front, finest_front, pose_of(inputs), inputs.command, noise, past)
         return predictions
+
+    def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
+        """What plans look at of the front cameras.
+
+        Args:
+            finest: (B * cameras, C, h, w) finest feature maps of all cameras.
+            images: (B * cameras, 3, H, W), normalised.
+
+        Returns:
+            (B, C, h, w).
+        """
+        every = slice(FRONT, None, self.config.cameras)
+        return finest[every] if self.front_eyes is None else self.front_eyes(images[every])
 
     def frame_noise(self, inputs: SparseInputs) -> Tensor:
         """(modes, steps, 2) float32 standard normal numbers that depend on the seed and the time of the frame alone.

@@ -170,12 +170,14 @@ class SparseObjective:
     def _perceived(self, frames: Sequence[TrainingFrame], batch: int, device: torch.device) -> Iterator[Perceived]:
         """What is seen in one key frame of each clip after the other; arguments as of `seen`."""
         network = self._sparse
-        images = torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device)
-        maps = network.img_neck(network.img_backbone(miniature_images(images)))
+        images = miniature_images(torch.stack([frame.images for frame in frames]).flatten(0, 1).to(device))
+        maps = network.img_neck(network.img_backbone(images))
+        fronts = network.finest_front(maps[0], images)
         past: Perceived | None = None
         for start in range(0, len(frames), batch):
             rows = slice(start * network.config.cameras, (start + batch) * network.config.cameras)
-            past = perceived(network, [level[rows] for level in maps], frames[start : start + batch], past)
+            now = slice(start, start + batch)
+            past = perceived(network, [level[rows] for level in maps], fronts[now], frames[now], past)
             yield past
 
     def _cleaned(

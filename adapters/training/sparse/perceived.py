@@ -28,7 +28,7 @@ class Perceived:
         kept_agents: What to remember of boxes.
         kept_lines: And of map elements.
         front: (B, C, h, w) coarsest feature maps of the front cameras.
-        finest_front: (B, C, h, w) their finest ones.
+        finest_front: (B, C, h, w) their finest ones, or what plans look at instead.
     """
 
     poses: tuple[KeyframePose, ...]
@@ -42,13 +42,18 @@ class Perceived:
 
 
 def perceived(
-    network: SparseNetwork, maps: Sequence[Tensor], frames: Sequence[TrainingFrame], past: Perceived | None
+    network: SparseNetwork,
+    maps: Sequence[Tensor],
+    finest_front: Tensor,
+    frames: Sequence[TrainingFrame],
+    past: Perceived | None,
 ) -> Perceived:
     """See key frames of several clips side by side.
 
     Args:
         network: Whose eyes.
         maps: (B * cameras, C, h, w) for each level, fine to coarse.
+        finest_front: (B, C, h, w) what plans look at of the front cameras.
         frames: The key frames, B of them.
         past: Of the key frames before, in the same order.
 
@@ -62,8 +67,7 @@ def perceived(
     motions = KeyframeMotions.between(past.poses, poses, device) if past else None
     agents, kept_agents = head.det_head(views, past.kept_agents if past else None, motions)
     lines, kept_lines = head.map_head(views, past.kept_lines if past else None, motions)
-    shape = len(frames), config.cameras
-    front, finest_front = (level.view(*shape, *level.shape[1:])[:, FRONT] for level in (maps[-1], maps[0]))
+    front = maps[-1][FRONT :: config.cameras]
     return Perceived(poses, views, agents, lines, kept_agents, kept_lines, front, finest_front)
 
 

@@ -4,7 +4,7 @@ from typing import Final
 
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.sparse.model import SparseNetwork
-from adapters.training.front import front_phase
+from adapters.training.front import Eyes, front_phase, of_all_cameras
 from adapters.training.phases import Phase
 from adapters.training.sparse.objective import SparseObjective
 from adapters.training.sparse.planner_objective import PlannerObjective
@@ -23,11 +23,18 @@ def front_reader(network: SparseNetwork) -> FrontReader | None:
     return network.head.motion_plan_head.front_reader
 
 
+def front_eyes(network: SparseNetwork) -> Eyes:
+    """What that part reads the maps of."""
+    if network.front_eyes is not None:
+        return Eyes(network.front_eyes, own=True)
+    # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.
+    return of_all_cameras(network, ("",))
+
+
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of SparseDrive-mini."""
-    # What finds boxes and lines reads the same maps: they stay as they are until all of it learns.
     return (
-        front_phase(front_reader, ("",)),
+        front_phase(front_reader, front_eyes),
         Phase("all", SparseObjective, _ALL),
         Phase("planner", PlannerObjective, _PLANNER),
     )

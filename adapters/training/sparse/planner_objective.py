@@ -38,6 +38,8 @@ class PlannerObjective(SparseObjective):
         super().__init__(network)
         for name in PERCEPTION:
             network.get_submodule(name).requires_grad_(False)
+        if network.front_eyes is not None:
+            network.front_eyes.requires_grad_(False)
         plans_look = isinstance(network.head.motion_plan_head, DiffusionPlanner)
         self._cameras = network.config.cameras if plans_look else 0
         self._memory: dict[tuple[str, int], Perceived] = {}

@@ -2,7 +2,7 @@
 
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.vad.model import VAD
-from adapters.training.front import front_phase
+from adapters.training.front import Eyes, front_phase, of_all_cameras
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
 from adapters.training.vad.objective import COARSE, VADObjective
@@ -14,12 +14,17 @@ def front_reader(network: VAD) -> FrontReader | None:
     return network.pts_bbox_head.front_reader
 
 
+def front_eyes(network: VAD) -> Eyes:
+    """What that part reads the maps of."""
+    return of_all_cameras(network, (COARSE,))
+
+
 def phases() -> tuple[Phase, ...]:
     """The parts of the training of VAD-mini."""
     everything = Recipe(steps=6000, learning_rate=4e-4, warmup=150, clips=2, check_every=1500)
     planner = Recipe(steps=2500, learning_rate=6e-4, warmup=100, clips=24, check_every=1000)
     return (
-        front_phase(front_reader, (COARSE,)),
+        front_phase(front_reader, front_eyes),
         Phase("all", VADObjective, everything),
         Phase("planner", PlannerObjective, planner),
     )

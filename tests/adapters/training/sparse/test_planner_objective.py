@@ -8,6 +8,7 @@ import torch
 from adapters.training.looked_at import LookedAt
 from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.planner_objective import PERCEPTION, PlannerObjective
+from adapters.training.sparse.start import OWN_EYES
 from adapters.training.sparse.targets import Targets
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.training.one_scene import OneScene
@@ -17,9 +18,9 @@ CLOSE = 2e-2
 """Features of images are kept in half precision."""
 
 
-@pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
-def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str) -> None:
-    built = filled(name, replace(MINIATURE, plan_sees_front=18))
+@pytest.mark.parametrize(("name", "own_eyes"), [("sparsedrive", True), ("diffusiondrive", False)])
+def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str, own_eyes: bool) -> None:
+    built = filled(name, replace(MINIATURE, plan_sees_front=18, front_eyes=own_eyes))
     objective, frames = PlannerObjective(built), [frame(index, "one") for index in range(3)]
     store, _ = objective.look(OneScene(frames), range(3))
     clip = store.clip(2, 3)
@@ -41,7 +42,7 @@ def test_what_is_remembered_is_what_the_network_says_when_it_runs(name: str) -> 
 
 @pytest.mark.parametrize("name", ["sparsedrive", "diffusiondrive"])
 def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name: str) -> None:
-    built = network(name, replace(TINY, plan_sees_front=18))
+    built = network(name, replace(TINY, plan_sees_front=18, front_eyes=name == "sparsedrive"))
     frames = [frame(index) for index in range(3)]
     with torch.no_grad():
         everything = SparseObjective(built).losses(frames)
@@ -53,7 +54,7 @@ def test_losses_of_the_planner_are_those_of_everything_and_it_learns_alone(name:
         torch.testing.assert_close(loss.detach(), everything[each], atol=CLOSE, rtol=CLOSE, msg=each)
     torch.stack(list(found.values())).sum().backward()  # type: ignore[no-untyped-call]
     learned = {key for key, value in built.named_parameters() if value.grad is not None}
-    assert learned and not any(key.startswith(PERCEPTION) for key in learned)
+    assert learned and not any(key.startswith((*PERCEPTION, OWN_EYES)) for key in learned)
 
 
 def test_some_of_what_is_remembered_is_forgotten_in_each_step() -> None:
