@@ -353,7 +353,7 @@ _MINIATURES: Final = (
     Model(
         "sparsedrive-mini",
         _SPARSE_PLANNER,
-        replace(_SPARSE, config="adapters.networks.sparse.config:SparseConfig.sparsedrive_miniature"),
+        replace(_SPARSE, config="adapters.networks.sparse.config:SparseConfig.miniature"),
         miniature=Miniature(
             ("sparsedrive",),
             "adapters.training.sparse.start:untrained",

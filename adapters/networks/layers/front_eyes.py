@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 
 EYES_STAGES: Final = 3
-"""Of the residual network: up to cells of 16 pixels, beyond which nothing ahead is larger than one."""
+"""Of the residual network, up to cells of 16 pixels: the last one would have most of its parameters."""
 
 
 class FrontEyes(nn.Module):

@@ -144,7 +144,10 @@ class SparseConfig:
 
     @classmethod
     def miniature(cls) -> Self:
-        """Small enough to learn the mini town on a processor core in an hour: DiffusionDrive-mini."""
+        """Small enough to learn the mini town on a processor core in an hour: SparseDrive-mini and DiffusionDrive-mini.
+
+        Their plans have their own eyes, compare what they see, and lead straight ahead if they are short.
+        """
         return cls(
             image_height_px=128,
             image_width_px=224,
@@ -172,14 +175,9 @@ class SparseConfig:
             reported_lines=16,
             speed_from_poses=True,
             plan_sees_front=64,
+            plan_compares_front=True,
+            front_eyes=True,
             memory_crosses_scenes=False,
             # On scenes of a town that was not learned from seven of ten vehicles are found from this score on.
-            reporting=Reporting(least_score=0.18, apart=0.5),
+            reporting=Reporting(least_score=0.18, apart=0.5, steered_from_m=6.0),
         )
-
-    @classmethod
-    def sparsedrive_miniature(cls) -> Self:
-        """SparseDrive-mini: its plan has its own eyes, compares what they see, and if short leads straight ahead."""
-        small = cls.miniature()
-        reporting = replace(small.reporting, steered_from_m=6.0)
-        return replace(small, plan_compares_front=True, front_eyes=True, reporting=reporting)

@@ -113,17 +113,18 @@ def planned_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
         trunk: The weights, under the names of SparseDrive.
 
     Returns:
-        The same, under the names of DiffusionDrive.
+        The same, under the names of DiffusionDrive, with what own eyes begin with (`seen_with_own_eyes`).
     """
     renamed = {
         name.replace("motion_plan_head.layers.", "motion_plan_head.interact_layers."): value
         for name, value in trunk.items()
     }
-    return {
+    shared = {
         name: value
         for name, value in renamed.items()
         if ".plan_cls_branch." not in name and ".plan_reg_branch." not in name
     }
+    return seen_with_own_eyes(shared)
 
 
 def seen_with_own_eyes(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:

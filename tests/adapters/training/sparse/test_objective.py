@@ -25,7 +25,15 @@ from adapters.training.losses import assigned
 from adapters.training.sparse.losses import FORECAST, forecast_losses, plan_losses
 from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.phases import front_reader, phases
-from adapters.training.sparse.start import initialise, planned_from, sightings_in, untrained, untrained_diffusion
+from adapters.training.sparse.start import (
+    OWN_EYES,
+    initialise,
+    planned_from,
+    seen_with_own_eyes,
+    sightings_in,
+    untrained,
+    untrained_diffusion,
+)
 from adapters.training.sparse.targets import LINE_CLASS_OF_LABEL, Targets, box_numbers, fewer_points
 from benchmark.datasets.nuscenes import NuScenesData
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled, projections
@@ -355,7 +363,9 @@ def test_what_learns() -> None:
 
 def test_diffusiondrive_starts_where_sparsedrive_ended() -> None:
     trunk = SparseDrive(TINY).state_dict()
-    taken, own = planned_from(trunk), DiffusionDrive(TINY).state_dict()
+    given, own = planned_from(trunk), DiffusionDrive(TINY).state_dict()
+    taken = {name: value for name, value in given.items() if not name.startswith(OWN_EYES)}
+    assert set(given) - set(taken) == set(seen_with_own_eyes(trunk)) - set(trunk) != set()
     assert set(taken) <= set(own) and all(taken[key].shape == own[key].shape for key in taken)
     missing = set(own) - set(taken)
     assert all(key.startswith("head.motion_plan_head.") for key in missing)

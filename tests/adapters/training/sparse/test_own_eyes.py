@@ -29,11 +29,11 @@ def objective_of(built: SparseNetwork) -> FrontObjective:
 
 
 def test_own_eyes_begin_as_the_layers_that_made_the_maps_of_all_cameras() -> None:
-    without = replace(SparseConfig.sparsedrive_miniature(), front_eyes=False)
+    without = replace(SparseConfig.miniature(), front_eyes=False)
     torch.manual_seed(3)
     trunk = SparseDrive(without).state_dict()
     begun = seen_with_own_eyes(trunk)
-    built = SparseDrive(SparseConfig.sparsedrive_miniature())
+    built = SparseDrive(SparseConfig.miniature())
     missing = built.load_state_dict({name: begun[name] for name in built.state_dict()})
     assert not missing.missing_keys and all(torch.equal(begun[name], value) for name, value in trunk.items())
     assert built.front_eyes is not None
