@@ -68,7 +68,20 @@ def matrix(pose: Floats) -> NDArray[np.float32]:
 def inverse(motion: NDArray[np.float32]) -> NDArray[np.float32]:
     found = np.eye(4, dtype=np.float32)
     found[:3, :3] = motion[:3, :3].T
-    found[:3, 3] = -np.dot(motion[:3, :3].T, motion[:3, 3])
+    for row in range(3):
+        terms = [motion[column, row] * motion[column, 3] for column in range(3)]
+        found[row, 3] = -((terms[0] + terms[1]) + terms[2])
+    return found
+
+
+def product(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
+    """One rounding for each further term, as fused; what a library does for such small ones, the processor decides."""
+    found = np.zeros((4, 4), np.float32)
+    for row in range(4):
+        for column in range(4):
+            for term in range(4):
+                exact = float(first[row, term]) * float(second[term, column])
+                found[row, column] = np.float32(exact + float(found[row, column]))
     return found
 
 
@@ -84,9 +97,9 @@ def slow_stp3(sample: SampleTruth, plan: Floats) -> FurtherVerdicts:
                 box = moved(in_ego(sample.boxes[row, step + 1], sample.lidar_ahead_m), poses[0], poses[step + 1])
                 nodes = [(round((y + 50.0) / 0.5), round((x + 50.0) / 0.5)) for x, y in slow.corners(box)]
                 slow.fill(raster, nodes)
-        back = inverse(matrix(poses[step + 1])).dot(matrix(poses[step]))
+        back = product(inverse(matrix(poses[step + 1])), matrix(poses[step]))
         angle = float(torch.atan2(torch.tensor(-back[0, 1]), torch.tensor(back[0, 0])))
-        chained = chained @ inverse(matrix(np.array([back[0, 3], back[1, 3], angle])))
+        chained = product(chained, inverse(matrix(np.array([back[0, 3], back[1, 3], angle]))))
         rasters.append(warped(raster, chained))
     recorded = [slow.covers(rasters[step], stp3_block(sample.ego_future[step, :2])) for step in range(6)]
     before = [slow.covers(rasters[step], stp3_block(plan[step])) for step in range(6)]
@@ -108,8 +121,10 @@ def warped(raster: Grid, motion: NDArray[np.float32]) -> Grid:
     angle = torch.atan2(torch.tensor(-motion[0, 1]), torch.tensor(motion[0, 0]))
     forward, left = torch.tensor(motion[0, 3]), torch.tensor(motion[1, 3])
     rows = [[torch.cos(angle), -torch.sin(angle), left / 50], [torch.sin(angle), torch.cos(angle), -forward / 50]]
-    theta = torch.stack([torch.stack(row) for row in rows])[None]
-    grid = functional.affine_grid(theta, [1, 1, 200, 200], align_corners=False)
+    # The centres of the cells are PyTorch's; its product with them is rounded as the processor's library likes.
+    centres = functional.affine_grid(torch.eye(2, 3)[None], [1, 1, 200, 200], align_corners=False)[0]
+    places = [cos * centres[..., 0] + sin * centres[..., 1] + moved for cos, sin, moved in rows]
+    grid = torch.stack(places, -1)[None]
     picture = torch.from_numpy(raster)[None, None].float()
     found = functional.grid_sample(picture, grid, mode="nearest", padding_mode="zeros", align_corners=False)
     return np.asarray(found[0, 0].numpy(), np.uint8)
