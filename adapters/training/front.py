@@ -16,7 +16,7 @@ from adapters.training.image_targets import front_heat
 from adapters.training.losses import aside_loss
 from adapters.training.phases import Phase
 from adapters.training.trainer import Recipe
-from benchmark.constants import DETECTION_CLASSES
+from benchmark.constants import DETECTION_CLASS_OF_CATEGORY, DETECTION_CLASSES, VEHICLE_CATEGORIES
 from benchmark.planning import Command
 
 GAP_UNIT_M: Final = 10.0
@@ -36,7 +36,12 @@ THINGS_WEIGHT: Final = 0.3
 RARE_WALKER: Final = 4.0
 """How many times more a strip with somebody in it counts: most have nobody."""
 _WALKER: Final = DETECTION_CLASSES.index("pedestrian")
-THINGS: Final = ((_WALKER,), tuple(map(DETECTION_CLASSES.index, ("car", "truck", "bus", "motorcycle", "bicycle"))))
+_VEHICLES: Final = tuple(
+    DETECTION_CLASSES.index(name)
+    for name in dict.fromkeys(DETECTION_CLASS_OF_CATEGORY.get(category) for category in VEHICLE_CATEGORIES)
+    if name is not None
+)
+THINGS: Final = ((_WALKER,), _VEHICLES)
 """Classes of what the first channels of own eyes' maps stand for."""
 
 
