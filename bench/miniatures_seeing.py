@@ -5,7 +5,8 @@ of the embedded data set each miniature plans three times, with its own images, 
 another scene. Of its forecasts: recall and precision over the vehicles within 30 m that are at least 40 % visible, and
 the error of the matched ones beside that of standing still (aims: 70 %, 50 %, below a half). Of its plans: L2 and
 collisions, and how much more of both there is without its own images, with the 95 % interval of the paired difference
-over scenes (aim: above 0).
+over scenes (aim: above 0). Who starts a metre later than was recorded is hit from behind by whoever was recorded
+there: so the collisions that are the ego's fault (`docs/severity.md`) stand apart as well.
 
 ``--data ROOT --split train --forecast-score 0.25 --forecast-score 0.3`` is how a miniature's least score of a forecast
 is chosen: on scenes of a town that it has not learned from, the one with the largest F1.
@@ -16,20 +17,27 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import numpy as np
+
 from adapters.camera_inputs import RGB_MEAN_STD
 from adapters.checkpoints.cache import load_weights
 from adapters.checkpoints.importing import resolve_checkpoint
 from adapters.models import miniature, miniatures, resolve
-from adapters.training.plan_figures import Images, JudgedPlans, Loss, judged_plans
+from adapters.training.plan_figures import Difference, Images, JudgedPlans, Loss, judged_plans
 from benchmark.datasets.roots import DataSet, open_data
+from benchmark.geometry import Floats
 from benchmark.machine.workers import single_threaded
 from benchmark.machine.workspace import cache_root
+from benchmark.metrics.rates import ratios_over_scenes
+from benchmark.pdm.layers import road_of, route_of
+from benchmark.severity.plans import plan_severities
 from generation.sources.mini import TownSettings, build_town
 
 
@@ -57,6 +65,18 @@ def forecasts_line(judged: JudgedPlans) -> str:
     )
 
 
+def blamed(judged: JudgedPlans, data: DataSet) -> Floats:
+    """(S,) 1 where a plan touches somebody within 3 s by the ego's fault."""
+    found: list[bool] = []
+    for name, group in groupby(zip(judged.truths, judged.plans, strict=True), key=lambda pair: pair[0].scene):
+        scene, pairs = data.scene(name), list(group)
+        plans = np.array([plan.waypoints_in_lidar(truth.lidar_ahead_m) for truth, plan in pairs])
+        road = road_of(scene.road_map, route_of(scene.ego.pose))
+        rows = plan_severities([truth for truth, _ in pairs], plans, road)
+        found += [row.contact is not None and bool(row.contact.at_fault) for row in rows]
+    return np.array(found, np.float64)
+
+
 def measure(name: str, weights: Path | None, data: DataSet, scenes: Sequence[str]) -> None:
     """Print the figures of one miniature."""
     shown = {
@@ -66,12 +86,17 @@ def measure(name: str, weights: Path | None, data: DataSet, scenes: Sequence[str
     }
     own = shown.pop(Images.OWN)
     print(f"{name}: {forecasts_line(own)}")
-    found = own.figures()
+    found, own_fault = own.figures(), blamed(own, data)
+    places = [truth.scene for truth in own.truths]
     print(
-        f"  own images: L2 at 3 s {found.l2_3s_m:.2f} m, collisions {found.collisions:.1%} of {found.samples} samples"
+        f"  own images: L2 at 3 s {found.l2_3s_m:.2f} m, collisions {found.collisions:.1%} of {found.samples} samples, "
+        f"{own_fault.mean():.1%} by its fault"
     )
     for images, judged in shown.items():
-        print(f"  {images.value}: {Loss.between(own, judged).said()}", flush=True)
+        more = 100.0 * (blamed(judged, data) - own_fault)[:, None]
+        rate = ratios_over_scenes(more, np.ones_like(more), places, seed=0)[0]
+        fault = Difference.of(rate).said(1)
+        print(f"  {images.value}: {Loss.between(own, judged).said()}, by its fault {fault} points", flush=True)
 
 
 def main() -> None:

@@ -19,8 +19,8 @@ class BEVConfig:
         pyramid_levels: Outputs of the feature pyramid; those past the stages are strided convolutions.
         max_boxes: Boxes (and tracks) that are reported.
         max_lines: Map elements that are reported.
-        backbone_blocks: Residual blocks in the four stages of the image network; (3, 4, 6, 3) is ResNet-50,
-            (3, 4, 23, 3) is ResNet-101.
+        backbone_blocks: Residual blocks in the stages of the image network, of which there are four or as many as are
+            read; (3, 4, 6, 3) is ResNet-50, (3, 4, 23, 3) is ResNet-101.
         backbone_width: Channels after its first convolution; 64 in both.
         channels: Width of all tokens; a multiple of `heads` and of 4.
         feedforward_channels: Hidden width of the feed-forward blocks.
@@ -45,7 +45,7 @@ class BEVConfig:
     pyramid_levels: int
     max_boxes: int
     max_lines: int
-    backbone_blocks: tuple[int, int, int, int]
+    backbone_blocks: tuple[int, ...]
     backbone_width: int = 64
     channels: int = 256
     feedforward_channels: int = 512

@@ -5,6 +5,7 @@ from typing import Final
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 
 EYES_STAGES: Final = 3
@@ -34,3 +35,19 @@ class FrontEyes(nn.Module):
         far = F.interpolate(self.coarse(coarse), size=fine.shape[-2:], mode="nearest")
         found: Tensor = self.joined(self.fine(fine) + far)
         return found
+
+
+def seen_ahead(eyes: FrontEyes | None, finest: Tensor, images: Tensor, cameras: int) -> Tensor:
+    """What plans look at of front cameras.
+
+    Args:
+        eyes: The plan's own, if it has any.
+        finest: (B * cameras, C, h, w) finest feature maps of all cameras.
+        images: (B * cameras, 3, H, W), normalised.
+        cameras: Of each moment.
+
+    Returns:
+        (B, C, h, w).
+    """
+    every = slice(FRONT, None, cameras)
+    return finest[every] if eyes is None else eyes(images[every])

@@ -64,6 +64,12 @@ class FrontReader(nn.Module):
         """What is left for the next key frames: a mean that forgets, since each image errs by itself."""
         return numbers if before is None else before + KEPT_OF_NOW * (numbers - before)
 
+    def only_tell(self) -> None:
+        """Let nothing learn but what the plan is told: what is read stays as it is."""
+        self.requires_grad_(False).tell.requires_grad_(True)
+        if self.tell_change is not None:
+            self.tell_change.requires_grad_(True)
+
     def say_nothing(self) -> None:
         """Begin with nothing to tell, as in weights that never looked there."""
         nn.init.zeros_(self.tell.weight)

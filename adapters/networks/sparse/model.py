@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
-from adapters.networks.layers.front_eyes import FrontEyes
+from adapters.networks.layers.front_eyes import FrontEyes, seen_ahead
 from adapters.networks.layers.front_reader import FRONT
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.sparse.aggregation import CameraFeatures
@@ -213,8 +213,7 @@ class SparseNetwork(nn.Module):
         Returns:
             (B, C, h, w).
         """
-        every = slice(FRONT, None, self.config.cameras)
-        return finest[every] if self.front_eyes is None else self.front_eyes(images[every])
+        return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
 
     def frame_noise(self, inputs: SparseInputs) -> Tensor:
         """(modes, steps, 2) float32 standard normal numbers that depend on the seed and the time of the frame alone.

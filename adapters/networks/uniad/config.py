@@ -73,7 +73,7 @@ class UniADConfig(BEVConfig):
     occupancy_steps: int = 5
     plan_layers: int = 3
     plan_steps: int = 6
-    backbone_blocks: tuple[int, int, int, int] = (3, 4, 23, 3)
+    backbone_blocks: tuple[int, ...] = (3, 4, 23, 3)
     backbone_outputs: tuple[int, ...] = (1, 2, 3)
     backbone_style: Literal["pytorch", "caffe"] = "caffe"
     deformable_stages: tuple[int, ...] = (2, 3)

@@ -5,6 +5,7 @@ from typing import Self
 
 from adapters.camera_inputs import ImageFormat
 from adapters.networks.layers.bev_config import BEVConfig
+from adapters.networks.layers.reporting import Reporting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,9 +22,10 @@ class VADConfig(BEVConfig):
         lane_score: Least score of a map element that an agent sees.
         image_scale: Scale of input images against 1600 x 900.
         image_size: Width and height of input images, if they are not 1600 x 900 scaled.
-        plan_sees_front: Numbers that the plan takes from the finest feature map of the front camera beside agents and
-            map elements; the published networks have none.
+        plan_sees_front: Numbers that the plan takes from a fine feature map of the front camera beside agents and map
+            elements; the published networks have none.
         plan_compares_front: Whether it takes as well how these numbers have changed since the key frames before.
+        front_eyes: Whether it looks at the front camera through an image network of its own, of the width of the other.
         plan_knows_motion: Whether the plan is told speed, acceleration and yaw rate itself, beside what it looks at.
     """
 
@@ -34,7 +36,7 @@ class VADConfig(BEVConfig):
     map_instances: int = 100
     points_per_line: int = 20
     steps: int = 6
-    backbone_blocks: tuple[int, int, int, int] = (3, 4, 6, 3)
+    backbone_blocks: tuple[int, ...] = (3, 4, 6, 3)
     lane_distance: float = 0.2
     lane_score: float = 0.5
     max_boxes: int = 100
@@ -42,6 +44,7 @@ class VADConfig(BEVConfig):
     image_size: tuple[int, int] | None = None
     plan_sees_front: int = 0
     plan_compares_front: bool = False
+    front_eyes: bool = False
     plan_knows_motion: bool = False
 
     @property
@@ -89,6 +92,8 @@ class VADConfig(BEVConfig):
             image_scale=0.14,
             image_size=(224, 128),
             plan_sees_front=64,
+            plan_compares_front=True,
+            front_eyes=True,
             plan_knows_motion=True,
             channels=64,
             feedforward_channels=128,
@@ -96,7 +101,7 @@ class VADConfig(BEVConfig):
             agents=50,
             map_instances=20,
             points_per_line=10,
-            backbone_blocks=(1, 1, 1, 1),
+            backbone_blocks=(1, 1, 1),
             backbone_width=16,
             height_points=2,
             image_points=4,
@@ -104,4 +109,5 @@ class VADConfig(BEVConfig):
             rotation_centre=(12.0, 16.0),
             max_boxes=50,
             max_lines=20,
+            reporting=Reporting(steered_from_m=6.0),
         )

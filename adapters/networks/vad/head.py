@@ -8,7 +8,7 @@ from adapters.networks.layers.branches import LaneEncoder, normalised_branch, pl
 from adapters.networks.layers.coders import box_codes, line_extent, metres
 from adapters.networks.layers.deformable_decoder import Decoded
 from adapters.networks.layers.ego_motion import EgoMotion
-from adapters.networks.layers.front_reader import FRONT, FrontReader
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.layers.motion_teller import MotionTeller
 from adapters.networks.layers.positional import LearnedGridEncoding
 from adapters.networks.vad.config import VADConfig
@@ -71,6 +71,7 @@ class VADHead(nn.Module):
         projections: Tensor,
         motion: EgoMotion,
         previous: Tensor | None,
+        finest_front: Tensor,
         front_before: Tensor | None = None,
     ) -> VADPredictions:
         """Predict one key frame.
@@ -81,6 +82,7 @@ class VADHead(nn.Module):
             projections: Likewise.
             motion: Likewise.
             previous: Likewise.
+            finest_front: (1, C, h, w) feature map of the front camera that the plan looks at.
             front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
 
         Returns:
@@ -101,7 +103,7 @@ class VADHead(nn.Module):
             map_states=lines.states[-1],
             map_points=map_points[-1],
             map_scores=map_logits[-1].sigmoid().amax(-1),
-            finest_front=maps[0][FRONT : FRONT + 1],
+            finest_front=finest_front,
             can_bus=motion.can_bus,
             front_before=front_before,
         )

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from adapters.networks.layers.ego_motion import EgoMotion
 from adapters.networks.layers.feature_pyramid import FeaturePyramid
+from adapters.networks.layers.front_eyes import FrontEyes, seen_ahead
 from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.layers.resnet import EXPANSION, ResNet
 from adapters.networks.vad.config import VADConfig
@@ -66,6 +67,7 @@ class VAD(nn.Module):
         self.img_backbone = ResNet(config.backbone_blocks, config.backbone_outputs, config.backbone_width)
         widths = [config.backbone_width * EXPANSION * 2**stage for stage in config.backbone_outputs]
         self.img_neck = FeaturePyramid(widths, config.channels, config.pyramid_levels)
+        self.front_eyes = FrontEyes(config.backbone_width, config.channels) if config.front_eyes else None
         self._memory: _Memory | None = None
         self.eval()
 
@@ -108,13 +110,31 @@ class VAD(nn.Module):
         projections = inputs.lidar2img.to(images.device, torch.float32)
         maps = self.img_neck(self.img_backbone(images))
         predictions: VADPredictions = self.pts_bbox_head(
-            maps, images, projections, motion, memory.bev if memory else None, memory.front if memory else None
+            maps,
+            images,
+            projections,
+            motion,
+            memory.bev if memory else None,
+            self.finest_front(maps[0], images),
+            memory.front if memory else None,
         )
         front = predictions.front
         absolute = inputs.can_bus.detach().to("cpu", torch.float64, copy=True)
         left = None if front is None else FrontReader.left(front, memory.front if memory else None)
         self._memory = _Memory(inputs.scene_token, absolute, predictions.bev, left)
         return predictions
+
+    def finest_front(self, finest: Tensor, images: Tensor) -> Tensor:
+        """What the plan looks at of the front camera.
+
+        Args:
+            finest: (cameras, C, h, w) finest feature maps of all cameras.
+            images: (cameras, 3, H, W), normalised.
+
+        Returns:
+            (1, C, h, w).
+        """
+        return seen_ahead(self.front_eyes, finest, images, self.config.cameras)
 
     def ego_motion(self, inputs: VADInputs) -> EgoMotion:
         """How the ego moved since the frame that is remembered: zero if it is of another scene, or there is none."""

@@ -58,7 +58,7 @@ class VADSights:
         map_states: (M * P, C) after the last layer.
         map_points: (M, P, 2) as shares.
         map_scores: (M,) of the most likely class.
-        finest_front: (1, C, h, w) finest feature map of the front camera.
+        finest_front: (1, C, h, w) feature map of the front camera that the plan looks at.
         can_bus: (18,) float32, as `adapters.networks.layers.ego_motion.EgoMotion` has it.
         front_before: (1, numbers) what the frames before have left of what their plans took from the front camera.
     """

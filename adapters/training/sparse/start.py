@@ -15,8 +15,7 @@ from adapters.networks.sparse.config import SparseConfig
 from adapters.networks.sparse.lines import LineRefinement
 from adapters.networks.sparse.model import DiffusionDrive, SparseDrive, SparseNetwork
 from adapters.training.frames import TrainingFrame
-from adapters.training.front import THINGS
-from adapters.training.image_encoder import RARE
+from adapters.training.own_eyes import seen_with_own_eyes
 from adapters.training.sparse.targets import FARTHEST_M
 from benchmark.geometry import Floats
 from benchmark.machine.storage import content_seed
@@ -30,14 +29,6 @@ SPEED_SPREAD: Final = 5.0
 """Of the biases in front of the first normalisation of places and speeds, which would take all but their directions."""
 FOUND_AT_FIRST: Final = 0.05
 """Score of all instances before anything has been learned."""
-OWN_EYES: Final = "front_eyes."
-LEARNED_BY_OTHERS: Final = {
-    "img_backbone.": f"{OWN_EYES}backbone.",
-    "img_neck.lateral_convs.0.conv.": f"{OWN_EYES}fine.",
-    "img_neck.lateral_convs.1.conv.": f"{OWN_EYES}coarse.",
-    "img_neck.fpn_convs.0.conv.": f"{OWN_EYES}joined.",
-}
-"""How names of layers begin that own eyes start from, and of theirs."""
 Network = TypeVar("Network", bound=SparseNetwork)
 
 
@@ -125,31 +116,6 @@ def planned_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
         if ".plan_cls_branch." not in name and ".plan_reg_branch." not in name
     }
     return seen_with_own_eyes(shared)
-
-
-def seen_with_own_eyes(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of a SparseDrive whose plan looked at the maps of all cameras, for one with eyes of its own.
-
-    Args:
-        trunk: The weights; those of a network that has such eyes stay.
-
-    Returns:
-        The same, and what the eyes begin with: the layers that made those maps, which say of no place that anything is
-        there (`adapters.training.front.things_loss`).
-    """
-    if any(name.startswith(OWN_EYES) for name in trunk):
-        return dict(trunk)
-    eyes = {
-        begun + name.removeprefix(learned): value.clone()
-        for name, value in trunk.items()
-        for learned, begun in LEARNED_BY_OTHERS.items()
-        if name.startswith(learned)
-    }
-    for what, least in (("weight", 0.0), ("bias", RARE)):
-        joined = eyes.get(f"{OWN_EYES}joined.{what}")
-        if joined is not None:
-            joined[: len(THINGS)] = least
-    return dict(trunk) | eyes
 
 
 def sightings_in(frames: Iterable[TrainingFrame], config: SparseConfig) -> Sightings:

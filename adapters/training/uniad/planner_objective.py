@@ -55,7 +55,7 @@ class PlannerObjective:
         network.requires_grad_(False)
         head = network.planning_head.requires_grad_(True)
         if head.front_reader is not None:
-            head.front_reader.requires_grad_(False).tell.requires_grad_(True)
+            head.front_reader.only_tell()
         self._memory: dict[tuple[str, int], PlannerSights] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:

@@ -13,6 +13,7 @@ from adapters.networks.uniad.map_masks import MaskLogits
 from adapters.networks.uniad.model import UniAD
 from adapters.networks.uniad.motion_layers import GoalAttention
 from adapters.training.frames import TrainingFrame
+from adapters.training.own_eyes import OWN_EYES, TOLD
 from adapters.training.uniad.targets import motion_anchors, query_places
 from benchmark.errors import InputError
 
@@ -84,7 +85,7 @@ def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of a trained VAD for what UniAD has in common with it: images, bird's-eye view and boxes.
 
     Both see as BEVFormer does and find boxes with the same decoder; UniAD's tracks, map, forecasts, occupancy and plan
-    are its own.
+    are its own; and so is what its plan reads in the front camera, where VAD's plan has eyes of its own for that.
 
     Args:
         trunk: The weights, under the names of VAD, and of its sizes; others stay as they are.
@@ -110,9 +111,12 @@ def seen_by_vad(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
     ego = torch.linalg.pinv(places["weight"]) @ (logit(-low / (high - low)) - places["bias"])
     own = torch.cat([ego, torch.zeros_like(ego)])[None].to(trunk[_VAD_QUERIES].dtype)
     found["query_embedding.weight"] = torch.cat([trunk[_VAD_QUERIES], own])
+    if any(name.startswith(OWN_EYES) for name in trunk):
+        # Its plan reads another map of the front camera.
+        return found
     reader = f"{_HEAD}front_reader."
     # What it tells is in the numbers of another plan.
-    read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}tell"))
+    read = (name for name in trunk if name.startswith(reader) and not name.startswith(f"{reader}{TOLD}"))
     return found | {f"planning_head.front_reader.{name.removeprefix(reader)}": trunk[name] for name in read}
 
 

@@ -199,7 +199,7 @@ def predictions_of(
 
 def looked(
     network: VAD, inputs: VADInputs, previous: tuple[Tensor, Tensor] | None, speed_known: bool
-) -> tuple[VADPredictions, list[Tensor], EgoMotion]:
+) -> tuple[VADPredictions, Tensor, EgoMotion]:
     """As `VAD.predict`, with a past that the caller holds.
 
     Args:
@@ -209,7 +209,7 @@ def looked(
         speed_known: As in `Disguise`.
 
     Returns:
-        Everything that the network computed; the feature maps of the images, fine to coarse; and the motion as told.
+        Everything that the network computed; what the plan looks at of the front camera; and the motion as told.
     """
     can_bus, view = previous or (None, None)
     config = network.config
@@ -219,8 +219,9 @@ def looked(
     maps = network.img_neck(network.img_backbone(inputs.images))
     projections = inputs.lidar2img.float()
     motion = motion.to(inputs.images.device)
-    found: VADPredictions = network.pts_bbox_head(maps, inputs.images, projections, motion, view)
-    return found, maps, motion
+    finest_front = network.finest_front(maps[0], inputs.images)
+    found: VADPredictions = network.pts_bbox_head(maps, inputs.images, projections, motion, view, finest_front)
+    return found, finest_front, motion
 
 
 def matched_agents(network: VAD, predictions: VADPredictions, frame: TrainingFrame) -> Matched:

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from adapters.networks.layers.front_reader import FRONT, FrontReader
+from adapters.networks.layers.front_reader import FrontReader
 from adapters.networks.vad.model import VAD
 from adapters.networks.vad.predictions import VADSights
 from adapters.training.frames import Frames, TrainingFrame
@@ -65,11 +65,11 @@ class PlannerObjective:
         self.network = network
         for name in PERCEPTION:
             network.get_submodule(name).requires_grad_(False)
+        if network.front_eyes is not None:
+            network.front_eyes.requires_grad_(False)
         reader = network.pts_bbox_head.front_reader
         if reader is not None:
-            reader.requires_grad_(False).tell.requires_grad_(True)
-            if reader.tell_change is not None:
-                reader.tell_change.requires_grad_(True)
+            reader.only_tell()
         self._memory: dict[tuple[str, int], tuple[VADSights, Matched]] = {}
 
     def look(self, store: Frames, frames: Sequence[int]) -> tuple[Frames, Sequence[int]]:
@@ -84,7 +84,7 @@ class PlannerObjective:
         with torch.no_grad():
             for frame in scene:
                 inputs = inputs_of(frame)
-                predictions, maps, motion = looked(network, inputs, previous, True)
+                predictions, finest_front, motion = looked(network, inputs, previous, True)
                 previous = inputs.can_bus, predictions.bev
                 # Copies, so that what is no longer needed of the same tensors is let go.
                 sights = VADSights(
@@ -93,7 +93,7 @@ class PlannerObjective:
                     map_states=predictions.map_states[-1].clone(),
                     map_points=predictions.map_points[-1].clone(),
                     map_scores=predictions.map_class_logits[-1].sigmoid().amax(-1),
-                    finest_front=maps[0][FRONT : FRONT + 1].clone(),
+                    finest_front=finest_front.clone(),
                     can_bus=motion.can_bus,
                     front_before=front_before,
                 )

@@ -14,6 +14,7 @@ from adapters.networks.sparse.anchors import clustered
 from adapters.networks.vad.config import VADConfig
 from adapters.networks.vad.model import VAD
 from adapters.training.frames import TrainingFrame
+from adapters.training.own_eyes import eyes_of_sparse, seen_with_own_eyes
 from benchmark.machine.storage import content_seed
 
 RARE: Final = 0.02
@@ -33,6 +34,8 @@ QUIET: Final = 0.2
 """First size of the learned contents of queries and cells, against that of a normal distribution."""
 LOUD: Final = 6**0.5
 """From the usual first weights of a layer to those that keep the size of what they pass on (He et al., ICCV 2015)."""
+READER: Final = "pts_bbox_head.front_reader."
+"""How the names begin of what reads the map of the front camera."""
 _LATERAL: Final = "img_neck.lateral_convs"
 _OUTGOING: Final = "img_neck.fpn_convs"
 _LEVELS: Final = "pts_bbox_head.transformer.level_embeds"
@@ -135,6 +138,19 @@ def set_first_values(network: VAD, agents: Tensor, lines: Tensor, plans: Tensor)
         _last(head.ego_fut_decoder).bias.copy_(plans.flatten())
         if head.front_reader is not None:
             head.front_reader.say_nothing()
+
+
+def begun_from(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """What a miniature of VAD starts from.
+
+    Args:
+        trunk: Weights of a trained VAD, of which all is taken (`grown`, `seen_with_own_eyes`); or of a sparse
+            miniature, of which the eyes of its plan are taken alone (`eyes_of_sparse`).
+
+    Returns:
+        Weights under the names of VAD.
+    """
+    return eyes_of_sparse(trunk, READER) or seen_with_own_eyes(grown(trunk))
 
 
 def grown(trunk: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -16,6 +16,7 @@ from adapters.checkpoints.cache import read_provenance
 from adapters.checkpoints.loading import planner_of
 from adapters.models import miniature
 from adapters.training.planners import ENCODER_NAME, PlannerTraining, judge_again, train_planner
+from adapters.training.vad.start import begun_from
 from benchmark.datasets.nuscenes import NuScenesData
 from benchmark.errors import InputError
 from benchmark.machine.storage import write_json
@@ -123,7 +124,8 @@ def test_a_file_can_be_judged_again_and_only_with_its_own_facts(town: Path, trai
 def test_it_starts_from_the_weights_that_are_given(encoder: Path, trained: Path) -> None:
     """Two steps with a low learning rate move what is learned little, and frozen parts not at all."""
     eyes, own = load_file(encoder), load_file(trained)
-    names = [name for name in eyes if name.startswith("img_backbone.")]
+    # Nothing reads the encoder's last stage here, and there is none.
+    names = [name for name in eyes if name.startswith("img_backbone.") and name in own]
     assert max(float((eyes[name].float() - own[name].float()).abs().max()) for name in names) < 0.05
 
 
@@ -137,7 +139,7 @@ def test_of_several_weights_the_last_count(town: Path, encoder: Path, trained: P
     )  # fmt: skip
     assert done.code == 0, done.err
     assert list(done.json["phases"]) == ["planner"] and list(done.json["started_from"]) == ["start_from"]
-    eyes, first, found = load_file(encoder), load_file(trained), load_file(out)
+    eyes, first, found = begun_from(load_file(encoder)), load_file(trained), load_file(out)
     for name, value in found.items():
         given = eyes[name] if name in eyes and eyes[name].shape == value.shape else first[name]
         torch.testing.assert_close(value.float(), given.float(), rtol=1e-2, atol=1e-3, msg=name)

@@ -22,14 +22,13 @@ from adapters.training.frame_store import build_frames
 from adapters.training.frames import TrainingFrame
 from adapters.training.front import WEIGHTS
 from adapters.training.losses import assigned
+from adapters.training.own_eyes import OWN_EYES, seen_with_own_eyes
 from adapters.training.sparse.losses import FORECAST, forecast_losses, plan_losses
 from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.phases import front_reader, phases
 from adapters.training.sparse.start import (
-    OWN_EYES,
     initialise,
     planned_from,
-    seen_with_own_eyes,
     sightings_in,
     untrained,
     untrained_diffusion,

@@ -13,9 +13,9 @@ from adapters.networks.sparse.model import SparseDrive, SparseInputs, SparseNetw
 from adapters.training.front import THINGS, FrontObjective, things_loss
 from adapters.training.image_encoder import centre_loss
 from adapters.training.image_targets import front_heat, image_targets
+from adapters.training.own_eyes import OWN_EYES, seen_with_own_eyes
 from adapters.training.sparse.objective import network_inputs
 from adapters.training.sparse.phases import front_eyes, front_reader
-from adapters.training.sparse.start import OWN_EYES, seen_with_own_eyes
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.training.sparse.test_objective import TINY, frame, network
 

