@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from benchmark.datasets.judged import stored_realism
-from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.datasets.scene_facts import frozen_split_of, with_truth
 from benchmark.errors import InputError, did_you_mean
 from benchmark.judging.kept import judged_facts
 from benchmark.machine.environment import facts as environment_facts
@@ -31,8 +31,10 @@ from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.review import require_not_rejected
 from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, write_record
+from benchmark.records.run_schema import TruthFacts
 from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
+from benchmark.runs.caveats import run_caveats
 from benchmark.runs.failures import write_failures
 from benchmark.runs.plan_rows import PlannerFactory, rows_path, supervision_said
 from benchmark.runs.planner_facts import facts_of
@@ -297,10 +299,13 @@ def _evaluated(
             found = _results(scenes, here, elsewhere, workers, label, sure=sure)
         rows: list[Rows] = [Rows() for _ in runs]
         costs: list[dict[str, SceneCost | None]] = [{} for _ in runs]
+        truths: dict[str, TruthFacts] = {}
         for results in progress(found, total=len(scenes), label=label, count=Count(kept=_was_there)):
             for place, result in enumerate(results):
                 rows[place].add(result.rows)
                 costs[place][result.scene] = result.cost
+                truths[result.scene] = result.truth
+        shared["scene_facts"] = with_truth(shared["scene_facts"], truths)
         return [
             # Rows are by scene and time, in whatever order scenes were planned.
             _written(each, shared, own.in_order_of(scenes), spent, out)
@@ -331,6 +336,7 @@ def _written(
     facts, settings, directory = planned.run.planner, planned.settings, planned.run.directory
     described = {
         **shared,
+        "caveats": run_caveats(facts, shared["scene_facts"], rows, getattr(planned.factory, "caveats", ())),
         "planner": facts,
         "plans_from": getattr(planned.factory, "plans_from", None),
         "config": {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from benchmark import api
+from benchmark.cli.caveats import warn_of_caveats
 from benchmark.cli.options import (
     AddressOption,
     DataOption,
@@ -267,6 +268,7 @@ def drive_command(
         _drive_shard(dataset, split, factories, root, how, mine, json_output=json_output, again=again)
         return
     records = _driven(dataset, split, factories, root, how)
+    warn_of_caveats(record.facts for record in records)
     sound = _show(records, wide=wide, json_output=json_output)
     say_next(
         f"records: {', '.join(str(record.directory) for record in records)}",

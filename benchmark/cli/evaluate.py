@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from benchmark import api
+from benchmark.cli.caveats import warn_of_caveats
 from benchmark.cli.options import (
     AsPublishedOption,
     ByOption,
@@ -201,6 +202,7 @@ def eval_command(
     records = with_reproductions(records, find_reproductions([run_root]))
     if explain_protocols:
         _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
+    warn_of_caveats(record.run for record in records)
     dumped = write_dumps(records, dataset, split, dump_results, api.workspace(out))
     sound = _show_runs(
         source.name, records, shown, by or (), allow_partial=allow_partial, wide=wide, json_output=json_output

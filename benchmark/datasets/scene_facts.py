@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from benchmark.records.attempts import stored_labels
 from benchmark.records.judgement import JudgementSummary, SceneJudgement
-from benchmark.records.run_schema import SceneFacts
+from benchmark.records.run_schema import SceneFacts, TruthFacts
 from benchmark.scene import Look
 
 _PUBLISHED: Final = re.compile(r"(scene-\d{4})-.+")
@@ -58,3 +58,19 @@ def frozen_split_of(made: Mapping[str, Any] | None) -> str | None:
     said = None if made is None else made.get("frozen")
     name = said.get("name") if isinstance(said, dict) else None
     return name if isinstance(name, str) else None
+
+
+def with_truth(facts: Mapping[str, SceneFacts], truths: Mapping[str, TruthFacts]) -> dict[str, SceneFacts]:
+    """Facts of scenes with what the data set holds of their truth.
+
+    Args:
+        facts: By scene name.
+        truths: Likewise; scenes that are not named stay as they are.
+
+    Returns:
+        The facts by scene name.
+    """
+    return {
+        name: fact.model_copy(update={"truth": truths[name]}) if name in truths else fact
+        for name, fact in facts.items()
+    }

@@ -108,7 +108,8 @@ def rates(
         seed: Seed of the resampling.
 
     Returns:
-        Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
+        Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate. A sample that
+        says nothing at a horizon (NaN) is in neither sum there; in those of the average where it does at all three.
     """
     columns: dict[str, dict[str, Rate]] = {}
     for column, by_horizon in definition.sample_values(outcomes).items():

@@ -154,8 +154,8 @@ class CollisionProtocol(Protocol):
             outcomes: S verdicts of this protocol.
 
         Returns:
-            Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always. NaN in
-            another column: the sample says nothing about it, and is not in its denominator.
+            Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always. NaN: the
+            sample says nothing about the column at that horizon, and is not in its denominator.
         """
 
 

@@ -6,10 +6,11 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from benchmark.constants import LARGEST_SEED
+from benchmark.records.caveats import Caveat
 from benchmark.records.judgement import JudgementSummary, SplitRealism
 from benchmark.records.stored import Stored
 
-SCHEMA = 5
+SCHEMA = 6
 """Version of the format; raised whenever a field changes, with an upgrade in `benchmark.records.store`."""
 
 AS_PUBLISHED: Final = "as_published"
@@ -52,6 +53,16 @@ class PlannerFacts(Stored):
     miniature: bool = False
 
 
+class TruthFacts(Stored):
+    """What the data set holds of the truth of a scene.
+
+    Attributes:
+        annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
+    """
+
+    annotations: Annotated[int, Field(strict=True, ge=0)]
+
+
 class SceneFacts(Stored):
     """What the data set says of a scene beside its samples.
 
@@ -63,6 +74,7 @@ class SceneFacts(Stored):
         light: Light and weather that its description names, none where it names none; null in older records.
         judgement: Who could have avoided it, how severe it is and what is wrong with its adversary; null of recordings,
             where nobody judged it, and in older records.
+        truth: What the data set holds of its truth; null in older records until they are judged anew.
     """
 
     source: str
@@ -70,6 +82,7 @@ class SceneFacts(Stored):
     adversaries: int | None = Field(default=None, ge=0, le=MOST_ADVERSARIES)
     light: list[LightName] | None = None
     judgement: JudgementSummary | None = None
+    truth: TruthFacts | None = None
 
 
 class DataFacts(Stored):
@@ -160,6 +173,7 @@ class RecordFacts(Stored):
         frozen_split: Name of the frozen split that the data were built from, if they were; null in older records.
         review: What inspectors said of the split's scenes; null where no verdict stands, and in older records.
         generated: Which search the scenes come from; null of recordings and in older records.
+        caveats: What the numbers needed and did not get; empty in older records.
         status: ``partial`` if the planner failed on any sample, or in any drive.
         seed: Seed of the intervals.
         config: Resolved settings.
@@ -177,6 +191,7 @@ class RecordFacts(Stored):
     frozen_split: str | None = None
     review: ReviewFacts | None = None
     generated: GeneratedFacts | None = None
+    caveats: list[Caveat] = Field(default_factory=list)
     status: Literal["complete", "partial"]
     seed: Seed
     config: dict[str, Any]

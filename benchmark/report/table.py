@@ -33,6 +33,7 @@ _LATEX_SPECIAL = {
     "†": r"$\dagger$",
     "‡": r"$\ddagger$",
     "§": r"\S{}",
+    "¶": r"\P{}",
     "−": "$-$",
     "→": r"$\to$",
     "∞": r"$\infty$",

@@ -36,6 +36,7 @@ from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.records.seed_splits import generated_facts
 from benchmark.report.words import counted
+from benchmark.runs.caveats import drive_caveats
 from benchmark.runs.drive_jobs import KEPT, Job, Task, Unit
 from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive, work_here, work_in_worker
 from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
@@ -339,6 +340,8 @@ def _records(
             described = _described(data, split, job, scenes, settings)
             own = results[place :: len(jobs)]
             rows = [result.row for result in own]
+            door = getattr(job.factory, "caveats", ())
+            described["caveats"] = drive_caveats(job.planner, described["scene_facts"], rows, door)
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             if job.costs is not None:
                 note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))

@@ -5,8 +5,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from benchmark.datasets.sample_truth import truth_of_scene
+from benchmark.datasets.truth_facts import truth_facts
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Observation
+from benchmark.records.run_schema import TruthFacts
 from benchmark.scene import Scene
 from benchmark.surroundings.circumstances import Circumstances, circumstances_of
 from benchmark.truth import SampleTruth
@@ -42,6 +44,11 @@ class SceneReading:
     def truth(self) -> tuple[SampleTruth, ...]:
         """What really happened, one truth a sample."""
         return self._data.truth(self.name)
+
+    @cached_property
+    def truth_facts(self) -> TruthFacts:
+        """What the data set holds of the scene's truth."""
+        return truth_facts(self.truth)
 
     def longer(self, steps: int) -> tuple[SampleTruth, ...]:
         """The same for more steps than protocols need."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
@@ -14,8 +15,9 @@ from benchmark.records.review import review_words
 from benchmark.records.row_schema import SampleRow
 from benchmark.records.rows import Rows
 from benchmark.records.run import RunRecord, load_record, summarise, write_record
-from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts
+from benchmark.records.run_schema import SCHEMA, RecordFacts, SceneFacts, TruthFacts
 from benchmark.records.store import RUN_FILE, pending, settle, stored_schema
+from benchmark.runs.caveats import run_caveats
 from benchmark.runs.judging import judge_all_plans, judge_scene_plans
 from benchmark.runs.reading import SceneReading
 
@@ -64,7 +66,8 @@ def rescore(record_directory: Path, data: "DataSet", *, protocols: Sequence[str]
         opened = _open(record_directory, lambda _: data, tuple(PROTOCOLS) if protocols is None else protocols, held)
         assert not isinstance(opened, str)
         for scene in opened.old.run.scenes:
-            opened.rows.add(judged_anew(opened.old, data, scene, tuple(opened.versions)))
+            reading = SceneReading(data, scene)
+            opened.add(rows_judged_anew(opened.old, reading, tuple(opened.versions)), reading)
         return _replaced(opened)[0]
 
 
@@ -128,12 +131,19 @@ class _Opened:
         data: What it ran on.
         versions: Who judges.
         rows: Judged so far.
+        truths: What the data set holds of the truth of their scenes.
     """
 
     old: RunRecord
     data: "DataSet"
     versions: dict[str, int]
     rows: Rows = field(default_factory=Rows)
+    truths: dict[str, TruthFacts] = field(default_factory=dict)
+
+    def add(self, rows: Sequence[SampleRow], reading: SceneReading) -> None:
+        """Take the rows of one scene."""
+        self.rows.add(rows)
+        self.truths[reading.name] = reading.truth_facts
 
 
 def _open(
@@ -171,7 +181,7 @@ def _rescored(waiting: Sequence[_Opened]) -> Iterator[Rescored]:
                 del alive[each.old.directory]
                 yield Rescored(each.old.directory, str(found), failed=True)
             else:
-                each.rows.add(found)
+                each.add(found, reading)
     for each in alive.values():
         try:
             yield Rescored(each.old.directory, _replaced(each)[1])
@@ -214,9 +224,11 @@ def _replaced(opened: _Opened) -> tuple[RunRecord, str]:
     """Write a record that was judged anew, unless nothing changes; the record and what became of it."""
     old, directory = opened.old, opened.old.directory
     rows = opened.rows.in_order_of(old.run.scenes)
+    scene_facts = with_truth(scene_facts_now(old.run, opened.data), opened.truths)
     facts = {
         **{name: value for name, value in dict(old.run).items() if name not in _OF_THE_VERDICTS},
-        "scene_facts": scene_facts_now(old.run, opened.data),
+        "scene_facts": scene_facts,
+        "caveats": run_caveats(old.run.planner, scene_facts, rows, old.run.caveats),
         "config": {**old.run.config, "protocols": list(opened.versions)},
     }
     if stored_schema(directory) == SCHEMA and _nothing_changes(old, facts, rows, opened.versions):
@@ -261,13 +273,12 @@ def require_same_data(directory: Path, facts: RecordFacts, data: "DataSet", *, a
         )
 
 
-def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple[str, ...]) -> list[SampleRow]:
+def rows_judged_anew(record: RunRecord, reading: SceneReading, protocols: tuple[str, ...]) -> list[SampleRow]:
     """Rows of one scene, computed from the stored plans and the data set.
 
     Args:
         record: Holds the plans.
-        data: What the planner ran on.
-        scene: One of the record's.
+        reading: One of the record's scenes, in the data set that the planner ran on.
         protocols: Who judges.
 
     Returns:
@@ -276,11 +287,6 @@ def judged_anew(record: RunRecord, data: "DataSet", scene: str, protocols: tuple
     Raises:
         InputError: If the record does not hold the samples of the scene, or a protocol is unknown.
     """
-    return rows_judged_anew(record, SceneReading(data, scene), protocols)
-
-
-def rows_judged_anew(record: RunRecord, reading: SceneReading, protocols: tuple[str, ...]) -> list[SampleRow]:
-    """`judged_anew` where the scene is at hand; arguments and errors as there."""
     return judge_scene_plans(stored_plans(record, reading), reading, protocols)
 
 

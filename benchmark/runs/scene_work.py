@@ -10,7 +10,7 @@ from benchmark.machine.storage import content_key
 from benchmark.planning import Planner
 from benchmark.records.planner_cost import SceneCost
 from benchmark.records.row_schema import SampleRow
-from benchmark.records.run_schema import PlannerFacts
+from benchmark.records.run_schema import PlannerFacts, TruthFacts
 from benchmark.runs.judging import judge_all_plans
 from benchmark.runs.plan_rows import PlannedScene, PlannerFactory, plan_scene, rows_path, scene_key
 from benchmark.runs.reading import SceneReading
@@ -48,11 +48,13 @@ class SceneResult:
         scene: Its name.
         rows: One for each sample.
         cost: What planning took, or ``None`` where the plans were kept from before.
+        truth: What the data set holds of its truth.
     """
 
     scene: str
     rows: list[SampleRow]
     cost: SceneCost | None
+    truth: TruthFacts
 
 
 def work_here(runs: Sequence[Run], data: "DataSet", planners: Sequence[Planner], scene: str) -> list[SceneResult]:
@@ -95,7 +97,10 @@ def judged_scenes(runs: Sequence[Run], reading: SceneReading, planned: Sequence[
     for protocols in dict.fromkeys(run.protocols for run in runs):
         those = [place for place, run in enumerate(runs) if run.protocols == protocols]
         rows_of = judge_all_plans([planned[place].rows for place in those], reading, protocols)
-        found |= {place: SceneResult(reading.name, rows, planned[place].cost) for place, rows in zip(those, rows_of)}
+        found |= {
+            place: SceneResult(reading.name, rows, planned[place].cost, reading.truth_facts)
+            for place, rows in zip(those, rows_of)
+        }
     return [found[place] for place in range(len(runs))]
 
 

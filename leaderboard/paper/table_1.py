@@ -12,7 +12,7 @@ from benchmark.report.cells import PERCENT, UNDEFINED, Origin, Shown, origin_of,
 from benchmark.report.table import LatexForm, Table, table_of
 from leaderboard.tables.collision import increase_over
 from leaderboard.tables.published import published_rate, quoted
-from leaderboard.tables.rows import SPLIT_ORDER, in_table_order, name_cell, run_notes, stale_notes
+from leaderboard.tables.rows import SPLIT_ORDER, in_table_order, name_cell, run_notes, stale_notes, with_caveat_mark
 
 _ORDER: Final = ("uniad", "vad", "sparsedrive", "diffusiondrive")
 """Of the paper, by the planners' own protocols: the first half stands on the left."""
@@ -116,7 +116,7 @@ def _half(block: _Block | None, split: str) -> tuple[str | Shown, ...]:
     run = block.runs.get(split)
     if run is None:
         return (name, *(UNDEFINED,) * (len(_HEADS) - 1))
-    judge = run.native_protocol
+    name, judge = with_caveat_mark(name, run.run), run.native_protocol
     columns, origin = run.summary.protocols[judge].columns["collision"], origin_of(run, judge)
     rates = [origin.percent(columns[horizon]).shown(_DIGITS.get(judge, 2)) for horizon in HORIZONS]
     return (name, *rates, _increase(block, split), *_published(run))

@@ -9,7 +9,7 @@ from benchmark.records.run import RunRecord
 from benchmark.report.cells import PERCENT, Origin, Shown, origin_of
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted
-from leaderboard.tables.rows import in_table_order, name_cell, notes_of_marks, run_notes
+from leaderboard.tables.rows import in_table_order, name_cell, notes_of_marks, run_notes, with_caveat_mark
 
 SEVERITY: Final = "severity"
 """The definition behind these numbers (docs/severity.md), as groups and cells name it."""
@@ -204,7 +204,7 @@ def _near_row(record: RunRecord) -> Row:
 def _who(record: RunRecord) -> tuple[Shown, str]:
     planner = record.run.planner
     name = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
-    return name, record.run.split
+    return with_caveat_mark(name, record.run), record.run.split
 
 
 def _spreads(origin: Origin, unit: str, *spreads: Spread, digits: int) -> list[Shown]:

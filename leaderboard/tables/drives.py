@@ -11,7 +11,15 @@ from benchmark.records.run_schema import RateRow
 from benchmark.report.cells import UNDEFINED, Origin, Shown, named_record
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted
-from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, STALE_MARK, mark_notes, name_cell
+from leaderboard.tables.rows import (
+    FEW_NOTE,
+    FEW_SCENES,
+    STALE_MARK,
+    caveat_notes,
+    mark_notes,
+    name_cell,
+    with_caveat_mark,
+)
 from leaderboard.tables.worlds import World, worlds
 
 _PERCENT: Final = "%"
@@ -173,7 +181,8 @@ def notes_of(one: World) -> list[str]:
         for record, name in zip(one.records, one.planners, strict=True)
         if is_stale(record)
     ]
-    return [*_said_of_sensor(one), *([FEW_NOTE] if few else []), *marks, *stale]
+    lacking = caveat_notes(record.facts for record in one.records)
+    return [*_said_of_sensor(one), *([FEW_NOTE] if few else []), *marks, *lacking, *stale]
 
 
 def _said_of_sensor(one: World) -> list[str]:
@@ -188,6 +197,7 @@ def planner_cell(record: DriveRecord, name: str) -> Shown:
     """The planner's name with its marks, among them that of earlier scores."""
     planner = record.facts.planner
     cell = name_cell(name, privileged=planner.privileged, miniature=planner.miniature)
+    cell = with_caveat_mark(cell, record.facts)
     return replace(cell, text=f"{cell.text} {STALE_MARK}") if is_stale(record) else cell
 
 

@@ -9,7 +9,7 @@ from benchmark.records.run import RunRecord
 from benchmark.records.run_schema import DrivingSummary
 from benchmark.report.cells import Origin, Shown, origin_of
 from benchmark.report.table import Brief, Table, table_of
-from leaderboard.tables.rows import STALE_MARK, in_table_order, name_cell, run_notes
+from leaderboard.tables.rows import STALE_MARK, in_table_order, name_cell, run_notes, with_caveat_mark
 
 _HEADS: Final = {"score": "score", "score_without_ec": "without EC", **{name: name.upper() for name in SUB_SCORES}}
 _MEANS: Final = (*TOTALS, *SUB_SCORES)
@@ -86,6 +86,7 @@ def driver_name(record: RunRecord, summary: DrivingSummary) -> Shown:
     """The planner's name with its marks, among them that of an earlier version of the definition."""
     planner = record.run.planner
     name = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
+    name = with_caveat_mark(name, record.run)
     return name if summary.version == VERSION else replace(name, text=f"{name.text} {STALE_MARK}")
 
 

@@ -7,6 +7,7 @@ from benchmark.metrics.scores import registered_version, source_of_scenes
 from benchmark.records.file_plans import file_notes
 from benchmark.records.review import NOT_REVIEWED, review_words
 from benchmark.records.run import NATIVE, RunRecord
+from benchmark.records.run_schema import RecordFacts
 from benchmark.records.seed_splits import is_adversarial
 from benchmark.report.cells import MINIATURE_MARK, MINIATURE_WORDS, Shown
 from benchmark.report.words import counted
@@ -16,6 +17,7 @@ PRIVILEGED_MARK = "†"
 PRIVILEGED_NOTE = f"{PRIVILEGED_MARK} sees what no car sees (boxes, map or the recorded future): a reference row."
 STALE_MARK = "‡"
 REPRODUCED_MARK = "✓"
+CAVEAT_MARK = "¶"
 MINIATURE_NOTE = f"{MINIATURE_WORDS} (docs/miniatures.md)."
 FEW_SCENES = 20
 """Below this many recorded scenes the intervals are clearly too narrow (docs/metrics.md has the measurement)."""
@@ -53,7 +55,32 @@ def row_name(record: RunRecord, judge: str) -> Shown:
     cell = name_cell(record.planner, privileged=planner.privileged, miniature=planner.miniature)
     if record.reproduced is not None:
         cell = replace(cell, text=f"{cell.text} {REPRODUCED_MARK}")
+    cell = with_caveat_mark(cell, record.run)
     return replace(cell, text=f"{cell.text} {STALE_MARK}") if judge in record.stale_protocols else cell
+
+
+def with_caveat_mark(cell: Shown, facts: RecordFacts) -> Shown:
+    """The name of a row, marked where its numbers needed something that they did not get."""
+    return replace(cell, text=f"{cell.text} {CAVEAT_MARK}") if facts.caveats else cell
+
+
+def caveat_notes(records: Iterable[RecordFacts]) -> list[str]:
+    """What the numbers of some records needed and did not get.
+
+    Args:
+        records: Facts of run records or of records of drives.
+
+    Returns:
+        One sentence for each caveat and split, with the planners that it concerns.
+    """
+    planners: dict[tuple[str, str], list[str]] = {}
+    for facts in records:
+        for caveat in facts.caveats:
+            planners.setdefault((facts.split, caveat.sentence), []).append(facts.planner.name)
+    return [
+        f"{CAVEAT_MARK} {', '.join(dict.fromkeys(names))} on {split}: {sentence}."
+        for (split, sentence), names in planners.items()
+    ]
 
 
 def mark_notes(*, privileged: bool, miniature: bool) -> list[str]:
@@ -114,10 +141,12 @@ def run_notes(records: Sequence[RunRecord], told: Sequence[str]) -> list[str]:
         told: Sentences on single runs.
 
     Returns:
-        What marks mean, whether any has few recorded scenes, what inspectors said, ``told``, and what is not whole.
+        What marks mean, what numbers lacked, whether any has few recorded scenes, what inspectors said, ``told``, and
+        what is not whole.
     """
     few = [FEW_NOTE] if any(recordings(record) < FEW_SCENES for record in records) else []
-    return [*notes_of_marks(records), *few, *review_notes(records), *told, *completeness_notes(records)]
+    lacking = caveat_notes(record.run for record in records)
+    return [*notes_of_marks(records), *lacking, *few, *review_notes(records), *told, *completeness_notes(records)]
 
 
 def review_notes(records: Iterable[RunRecord]) -> list[str]:

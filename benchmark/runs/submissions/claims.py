@@ -1,7 +1,7 @@
 """What a record says of itself, run or drives, beside its own rows and the data set."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from benchmark.datasets.judged import stored_realism
 from benchmark.datasets.scene_facts import frozen_split_of
@@ -77,12 +77,15 @@ def split_findings(facts: RecordFacts, data: "DataSet") -> Iterator[Said]:
             yield Level.ERROR, f"says of the scenes' {name} what {data.root} does not say; run it again"
 
 
+_COUNTED_ELSEWHERE: Final = ("judgement", "truth")
+
+
 def _other_facts(facts: RecordFacts, found: Mapping[str, SceneFacts]) -> Sequence[str]:
     """Scenes of which a record says something else than the data set; what either does not say is no fault."""
 
     def other(said: SceneFacts, here: SceneFacts) -> bool:
-        # Whether somebody judged a scene is no content of a data set, and who did not cannot contradict.
-        asked = ((name, value) for name, value in said if name != "judgement" or here.judgement is not None)
+        # Scenes need not be judged, and their truth is counted where the plans are judged anew.
+        asked = ((name, value) for name, value in said if name not in _COUNTED_ELSEWHERE or getattr(here, name))
         return any(value is not None and value != getattr(here, name) for name, value in asked)
 
     return [name for name, said in facts.scene_facts.items() if name in found and other(said, found[name])]

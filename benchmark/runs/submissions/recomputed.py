@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION as DRIVE_SCORING
+from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
@@ -14,10 +15,11 @@ from benchmark.records.drives import DriveRecord
 from benchmark.records.drives import summarise as summarise_drives
 from benchmark.records.row_schema import OutcomeRow, SampleRow
 from benchmark.records.run import RunRecord, summarise
-from benchmark.records.run_schema import Summary
+from benchmark.records.run_schema import Summary, TruthFacts
 from benchmark.report.words import counted
+from benchmark.runs.reading import SceneReading
 from benchmark.runs.redriving import driven_again
-from benchmark.runs.rescoring import judged_anew, require_same_data
+from benchmark.runs.rescoring import require_same_data, rows_judged_anew
 from benchmark.runs.submissions.findings import Level, Said
 
 if TYPE_CHECKING:
@@ -73,7 +75,12 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
         yield Level.ERROR, f"says {mixed.status!r} of sample {mixed.sample_token} of {mixed.scene} against its own plan"
         return
     names = tuple(name for name in run.protocols if name in PROTOCOLS and name not in record.stale_protocols)
-    anew = [row for scene in run.scenes for row in judged_anew(record, data, scene, names)]
+    anew: list[SampleRow] = []
+    truths: dict[str, TruthFacts] = {}
+    for scene in run.scenes:
+        reading = SceneReading(data, scene)
+        anew += rows_judged_anew(record, reading, names)
+        truths[scene] = reading.truth_facts
     if len(anew) != len(record.rows):
         yield Level.ERROR, f"has {counted(len(record.rows), 'sample')}, its scenes have {len(anew)}; run eval again"
         return
@@ -92,8 +99,15 @@ def run_anew(record: RunRecord, data: "DataSet") -> Iterator[Said]:
             f"claims other driving scores than its plans give, first on sample {scored[0].sample_token} of "
             f"{scored[0].scene}; {_RESCORE}",
         )
-    versions, facts = {name: run.protocols[name] for name in names}, data.scene_facts(run.scenes)
-    yield from _summary_anew(record.summary, summarise(anew, versions, seed=run.seed, scene_facts=facts), names)
+    for scene, facts in run.scene_facts.items():
+        if facts.truth is not None and facts.truth != truths[scene]:
+            yield Level.ERROR, f"says of the truth of {scene} what the data set does not hold; {_RESCORE}"
+            return
+    versions, facts_here = (
+        {name: run.protocols[name] for name in names},
+        with_truth(data.scene_facts(run.scenes), truths),
+    )
+    yield from _summary_anew(record.summary, summarise(anew, versions, seed=run.seed, scene_facts=facts_here), names)
 
 
 def drives_anew(record: DriveRecord, data: "DataSet") -> Iterator[Said]:

@@ -1,0 +1,55 @@
+"""Caveats of a record: what its numbers needed and did not get, printed once and marked in tables."""
+
+from collections.abc import Iterable
+from typing import Annotated, Final, Literal, get_args
+
+from pydantic import Field
+
+from benchmark.records.stored import Stored
+
+CaveatKind = Literal[
+    "truth",
+    "boxes",
+    "categories",
+    "time",
+    "map",
+    "motion",
+    "images",
+    "lidar",
+    "forecasts",
+    "masks",
+    "pose",
+    "plans",
+    "as-is",
+    "older",
+]
+KINDS: Final[tuple[CaveatKind, ...]] = get_args(CaveatKind)
+"""In the order in which they are printed."""
+OF_THE_DOOR: Final[frozenset[CaveatKind]] = frozenset({"as-is"})
+"""Kinds that only the command that took the plans in knows: judging stored plans anew keeps them."""
+
+
+class Caveat(Stored):
+    """What a number needed and did not get.
+
+    Attributes:
+        kind: What is concerned.
+        sentence: What was missing and what that does to the numbers; no full stop at its end.
+    """
+
+    kind: CaveatKind
+    sentence: Annotated[str, Field(max_length=1000)]
+
+
+def in_order(caveats: Iterable[Caveat]) -> list[Caveat]:
+    """Caveats in the order of their kinds, each once.
+
+    Args:
+        caveats: Of one record.
+
+    Returns:
+        The same caveats.
+    """
+    each_once = dict.fromkeys((caveat.kind, caveat.sentence) for caveat in caveats)
+    ordered = sorted(each_once, key=lambda pair: KINDS.index(pair[0]))
+    return [Caveat(kind=kind, sentence=sentence) for kind, sentence in ordered]
