@@ -32,7 +32,10 @@ class Roads(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SampleTruth:
-    """Annotated keyframes now and at the six plan steps, in the lidar frame of the sample.
+    """What is annotated now and at the six plan steps, in the lidar frame of the sample.
+
+    Step k is the k-th following keyframe, which is what official protocols take; `by_clock` is the truth of steps that
+    are half a second apart.
 
     The frame is planar: x right, y forward, origin at LIDAR_TOP, yaw counter-clockwise from +x (straight ahead is
     pi/2). M objects are those annotated at any of the seven keyframes.
@@ -59,6 +62,10 @@ class SampleTruth:
         seen_before: (M,) whether the object was annotated now or in the second before, and more than 40 % visible
             there; ``None``: those that are annotated now.
         roads: The roads around, or ``None`` where the data set has no map.
+        timed: The same with steps at 0.5, 1.0, ... 3.0 s by the clock, where key frames of the future are not half a
+            second apart (`benchmark.datasets.steps`); ``None`` where they are.
+        at_two_hz: Whether key frames of the scene come at 2 Hz, so that they can be taken for steps at all.
+        cut_short: Whether the recording goes on to the last step and yet a gap between key frames makes steps unknown.
     """
 
     scene: str
@@ -80,8 +87,16 @@ class SampleTruth:
     axle_poses: Floats | None = None
     seen_before: Bools | None = None
     roads: Roads | None = None
+    timed: "SampleTruth | None" = None
+    at_two_hz: bool = True
+    cut_short: bool = False
+
+    @property
+    def by_clock(self) -> "SampleTruth":
+        """The truth whose steps are half a second apart: this one, unless key frames are not."""
+        return self if self.timed is None else self.timed
 
     @property
     def complete(self) -> bool:
-        """Whether all six future keyframes exist."""
+        """Whether all six steps of the future are known."""
         return bool(self.ego_future_valid.all())

@@ -15,6 +15,7 @@ from adapters.training.frames import DRIVABLE_CELLS, DRIVABLE_HALF_M, FUTURE_STE
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.sample_truth import planar_lidar_poses
+from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.geometry import Bools, Floats, to_global, to_local
 from benchmark.planning import Observation
@@ -59,6 +60,7 @@ def scene_arrays(data: DataSet, name: str) -> Arrays:
         InputError: If the scene is broken, an image is missing, or what is said of the ego cannot be read.
     """
     scene, truths = data.scene(name), data.truth(name)
+    require_two_hz(scene, "training")
     excursions, driven = excursions_of(data.provenance(), name), driven_ego(data.provenance(), name)
     if driven is not None and len(driven.commands) != len(truths):
         raise InputError(f"{name} of {data.root} was driven for another number of key frames; build the data again")

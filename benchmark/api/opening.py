@@ -55,8 +55,8 @@ def open_data(
         tables: Version folder below the root, if there are several.
         workers: Processes that build the embedded data set; 0 takes all processors.
         out: Folder below which the small town of the demo lies.
-        rates: For whoever judges nothing: gets scenes whose keyframes are not half a second apart, which are refused
-            if it is not given.
+        rates: Gets scenes whose keyframes are not half a second apart: `evaluate` takes them, a drive and the search
+            refuse them.
         sweeps: Whether the embedded data set, or the demo's town, is to have its images between samples too, for films
             at 12 Hz; they are drawn when somebody asks for them, and no table changes by it.
 

@@ -21,6 +21,7 @@ from benchmark.challenge.rules import Rules
 from benchmark.challenge.surroundings import Nearness, nearest_ego, nearest_other, off_road, too_near
 from benchmark.constants import VERSION
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.steps import require_two_hz
 from benchmark.encounters.tracks import Integers
 from benchmark.errors import InputError, did_you_mean
 from benchmark.geometry import Floats, yaw_of_quaternion
@@ -181,6 +182,7 @@ class _SceneCheck:
     @classmethod
     def of(cls, entry: DataSet, base: DataSet, rules: Rules, name: str, source: str) -> "_SceneCheck":
         scene, recorded = entry.scene(name), base.scene(source)
+        require_two_hz(recorded, "the challenge")
         common = Keyframes.common(scene, recorded)
         require_comparable(scene, recorded, common)
         known = counterparts(scene, recorded, common)

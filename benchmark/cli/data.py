@@ -63,7 +63,7 @@ def _open_to_look(root: str, tables: str | None, workers: int, out: Path) -> "Da
     rates = FaultList()
     dataset = api.open_data(root, tables=tables, workers=workers, out=out, rates=rates)
     for fault in rates.told():
-        api.tell(f"warning: {fault.sentence}; commands that judge refuse {root}")
+        api.tell(f"warning: {fault.sentence}")
     return dataset
 
 

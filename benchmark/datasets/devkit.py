@@ -119,7 +119,7 @@ def open_tables(root: Path, version: str, rates: FaultList | None = None) -> Ope
     Args:
         root: Root of the data set.
         version: Version folder, with all 13 tables.
-        rates: Gets scenes that cannot be judged because of the rate of their keyframes; they are refused if not given.
+        rates: Gets scenes with another rate of keyframes than nuScenes.
 
     Returns:
         The tables, scene by scene where they can be taken apart.

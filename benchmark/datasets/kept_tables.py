@@ -41,7 +41,7 @@ def read_or_kept(folder: Path, rates: FaultList) -> SceneTables | None:
 
     Args:
         folder: Version folder.
-        rates: Gets scenes that cannot be judged.
+        rates: Gets scenes with another rate of keyframes than nuScenes.
 
     Returns:
         The tables; ``None`` as there.

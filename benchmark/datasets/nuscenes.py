@@ -75,8 +75,7 @@ class NuScenesData:
             root: Root folder, the one that contains the version folder.
             version: Version folder; needed only where there are several.
             name: Shown in tables; the root's name by default.
-            rates: For whoever judges nothing: gets scenes whose keyframes are not half a second apart, which are
-                refused if it is not given.
+            rates: Gets scenes whose keyframes are not half a second apart.
 
         Returns:
             The data set, its tables loaded and checked.
@@ -280,7 +279,7 @@ class NuScenesData:
             lidar=read_lidar(nusc, samples[0]),
             road_map=self._map_around(str(log["location"]), timeline.ego.position),
             adversaries=self._adversaries(row["name"]),
-            sweep_poses=read_sweep_poses(nusc, samples, [camera.name for camera in cameras]),
+            sweep_poses=read_sweep_poses(nusc, samples, timeline.keyframes, [camera.name for camera in cameras]),
         )
 
     def _map_around(self, location: str, position: Floats) -> RoadMap:

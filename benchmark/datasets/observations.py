@@ -7,21 +7,23 @@ from typing import Any, Final
 import numpy as np
 
 from benchmark.datasets.can_bus import CanBus, ego_state
-from benchmark.datasets.sample_truth import command_of, ego_future, planar_lidar_poses
+from benchmark.datasets.sample_truth import planar_lidar_poses, recorded_command
 from benchmark.datasets.sensors import read_views
+from benchmark.datasets.steps import KeyFrameSteps, values_at
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
+from benchmark.geometry import Bools, Floats
 from benchmark.planning import Observation
 from benchmark.scene import Scene
 
 PAST_KEYFRAMES: Final = 5
-"""Ego poses that a planner is given: now and two seconds back."""
+"""Ego poses that a planner is given: now and two seconds back, at steps of half a second."""
 
 
 def observations_of_scene(
     nusc: Any, root: Path, scene: Scene, samples: Sequence[Row], can_bus: CanBus
 ) -> Iterator[Observation]:
-    """What a planner may see at each sample.
+    """What a planner may see at each sample: at each key frame, whatever their rate.
 
     Args:
         nusc: ``NuScenes`` of the devkit.
@@ -39,9 +41,9 @@ def observations_of_scene(
     """
     views = [read_views(nusc, root, sample) for sample in samples]
     _require_all_or_none(scene.name, [view.path for by_camera in views for view in by_camera.values()])
-    lidar_poses, ego_poses = planar_lidar_poses(scene), scene.ego.pose[scene.keyframes]
+    lidar_poses, clock, axle_poses = planar_lidar_poses(scene), KeyFrameSteps.of(scene), scene.ego.pose
     for index, sample in enumerate(samples):
-        past = index - PAST_KEYFRAMES + 1 + np.arange(PAST_KEYFRAMES)
+        past_poses, past_valid = past_of(scene, axle_poses, clock, index)
         frame = int(scene.keyframes[index])
         yield Observation(
             scene=scene.name,
@@ -51,10 +53,32 @@ def observations_of_scene(
             views=views[index],
             lidar=scene.lidar,
             ego=ego_state(scene.ego, scene.timestamps_us, frame, can_bus),
-            past_poses=ego_poses[np.maximum(past, 0)],
-            past_valid=past >= 0,
-            command=command_of(*ego_future(lidar_poses, index)),
+            past_poses=past_poses,
+            past_valid=past_valid,
+            command=recorded_command(scene, clock, lidar_poses, index),
         )
+
+
+def past_of(scene: Scene, axle_poses: Floats, clock: KeyFrameSteps, index: int) -> tuple[Floats, Bools]:
+    """Where the ego was at steps of half a second up to a sample.
+
+    Args:
+        scene: The scene.
+        axle_poses: (T, 3) poses of its ego at the frames.
+        clock: Its key frames.
+        index: The sample.
+
+    Returns:
+        (5, 3) poses of the rear axle, oldest first, and (5,) whether each is known: False before the scene began, and
+        beyond a gap that is too long; the oldest one that is known stands there.
+    """
+    steps = np.arange(1 - PAST_KEYFRAMES, 1)
+    if clock.are_key_frames(index, 1 - PAST_KEYFRAMES):
+        past = index + steps
+        return axle_poses[scene.keyframes[np.maximum(past, 0)]], past >= 0
+    at = clock.at(index, steps)
+    poses = values_at(axle_poses, scene.timestamps_us, at.times_us)
+    return poses[np.maximum(np.arange(PAST_KEYFRAMES), np.count_nonzero(~at.known))], at.known
 
 
 def _require_all_or_none(scene: str, paths: Sequence[Path]) -> None:

@@ -83,7 +83,7 @@ def read_scene_tables(folder: Path, rates: FaultList) -> SceneTables | None:
 
     Args:
         folder: Version folder.
-        rates: Gets scenes that cannot be judged, for their keyframes are too far apart or too near.
+        rates: Gets scenes with another rate of keyframes than nuScenes.
 
     Returns:
         The tables, or ``None`` if by a chance of one in millions of millions two tokens cannot be told apart: then

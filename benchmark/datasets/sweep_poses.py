@@ -1,18 +1,20 @@
 """Where lidar and cameras were at their sweeps, each by its own clock."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmark.constants import FRAMES_PER_KEYFRAME, LIDAR_NAME
+from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.tables import Row
 from benchmark.geometry import Floats, rotation_matrix
 from benchmark.scene import SweepPoses
 
 
-def read_sweep_poses(nusc: Any, samples: Sequence[Row], cameras: Sequence[str]) -> SweepPoses | None:
+def read_sweep_poses(
+    nusc: Any, samples: Sequence[Row], keyframes: NDArray[np.int64], cameras: Sequence[str]
+) -> SweepPoses | None:
     """Poses of the sensors at the frames of a scene.
 
     The k-th frame after a keyframe takes the sensor's k-th following row. Where there are fewer rows before the next
@@ -21,32 +23,34 @@ def read_sweep_poses(nusc: Any, samples: Sequence[Row], cameras: Sequence[str]) 
     Args:
         nusc: ``NuScenes`` of the devkit.
         samples: Rows of the scene's K samples in time order.
+        keyframes: (K,) frame of each.
         cameras: Camera channels.
 
     Returns:
-        Poses at the ``6 (K - 1) + 1`` frames, or ``None`` where a sensor has no sweeps at all or there is no camera.
+        Poses at the frames from the first to the last of these, or ``None`` where a sensor has no sweeps at all or
+        there is no camera.
     """
     if not cameras:
         return None
     poses = []
     for channel in (LIDAR_NAME, *cameras):
-        rows = _rows_at_frames(nusc, samples, channel)
+        rows = _rows_at_frames(nusc, samples, np.diff(keyframes).tolist(), channel)
         if rows is None:
             return None
         poses.append(_global_T_sensor(nusc, rows))
     return SweepPoses(poses[0], np.stack(poses[1:]))
 
 
-def _rows_at_frames(nusc: Any, samples: Sequence[Row], channel: str) -> list[Row] | None:
+def _rows_at_frames(nusc: Any, samples: Sequence[Row], frames: Sequence[int], channel: str) -> list[Row] | None:
     """Rows of one channel at every frame; nothing where a keyframe or all sweeps are missing."""
     if any(channel not in sample["data"] for sample in samples):
         return None
     rows: list[Row] = []
     swept = len(samples) == 1
-    for sample, _ in pairwise(samples):
+    for sample, count in zip(samples, frames):
         row: Row = nusc.get("sample_data", sample["data"][channel])
         rows.append(row)
-        for _ in range(FRAMES_PER_KEYFRAME - 1):
+        for _ in range(count - 1):
             following: Row | None = nusc.get("sample_data", row["next"]) if row["next"] else None
             if following is not None and not following["is_key_frame"]:
                 row, swept = following, True

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.constants import FRAMES_PER_KEYFRAME, LIDAR_NAME
+from benchmark.constants import FRAME_HZ, FRAMES_PER_KEYFRAME, LIDAR_NAME
+from benchmark.datasets.steps import other_interval_us
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
@@ -20,7 +21,7 @@ class Timeline:
 
     Attributes:
         timestamps_us: (T,) frame times.
-        keyframes: (K,) frame of each sample, 0, 6, 12, ...
+        keyframes: (K,) frame of each sample: 0, 6, 12, ... where samples come at 2 Hz.
         ego: Ego motion at the frames.
     """
 
@@ -65,6 +66,7 @@ def _keyframe_row(nusc: Any, sample: Row) -> Row:
 def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
     """The frames between the first and the last keyframe, every keyframe being each sixth one.
 
+    In a scene whose keyframes do not come at 2 Hz there are as many in between as bring frames nearest to 12 Hz.
     Where the data set has exactly five sweeps between all keyframes (12 Hz), those rows are the frames. Otherwise
     the time between two keyframes is divided evenly and the ego interpolated between the poses of whatever sweeps
     there are (linear position, normalised linear quaternion).
@@ -84,7 +86,7 @@ def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
     poses = [nusc.get("ego_pose", row["ego_pose_token"]) for row in rows]
     position = np.array([pose["translation"] for pose in poses], dtype=np.float64)
     rotation = np.array([pose["rotation"] for pose in poses], dtype=np.float64)
-    keyframes = np.arange(len(samples), dtype=np.int64) * FRAMES_PER_KEYFRAME
+    keyframes = _keyframes(sample_times_us)
     at = np.flatnonzero(is_keyframe)
     if np.array_equal(at, keyframes) and (np.diff(times_us) > 0).all():
         return Timeline(times_us, keyframes, EgoTrack(position, rotation))
@@ -93,6 +95,14 @@ def read_timeline(nusc: Any, samples: list[Row]) -> Timeline:
     ego = _interpolated(times_us - sample_times_us[0], position, rotation, frame_times_us)
     ego.position[keyframes], ego.rotation[keyframes] = position[at], rotation[at]
     return Timeline(frame_times_us + sample_times_us[0], keyframes, ego)
+
+
+def _keyframes(sample_times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(K,) frame of each sample."""
+    if other_interval_us(sample_times_us) is None:
+        return np.arange(len(sample_times_us), dtype=np.int64) * FRAMES_PER_KEYFRAME
+    frames = np.maximum(np.rint(np.diff(sample_times_us) * 1e-6 * FRAME_HZ), 1)
+    return np.concatenate([[0], np.cumsum(frames)]).astype(np.int64)
 
 
 def _row(nusc: Any, token: str) -> Row:

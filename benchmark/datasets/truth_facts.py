@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 
+from benchmark.datasets.steps import other_interval_us
 from benchmark.records.run_schema import TruthFacts
 from benchmark.truth import SampleTruth
 
 
 def truth_facts(truths: Sequence[SampleTruth]) -> TruthFacts:
-    """Count what is annotated in a scene.
+    """Count what is annotated in a scene, and at which of its samples key frames are no steps.
 
     Args:
         truths: One for each sample of the scene, in time order.
@@ -15,4 +16,10 @@ def truth_facts(truths: Sequence[SampleTruth]) -> TruthFacts:
     Returns:
         The counts.
     """
-    return TruthFacts(annotations=sum(int(truth.annotated[:, 0].sum()) for truth in truths))
+    interval_us = other_interval_us([truth.timestamp_us for truth in truths])
+    return TruthFacts(
+        annotations=sum(int(truth.annotated[:, 0].sum()) for truth in truths),
+        irregular=sum(truth.timed is not None for truth in truths),
+        cut_short=sum(truth.by_clock.cut_short for truth in truths),
+        interval_s=None if interval_us is None else round(interval_us * 1e-6, 6),
+    )

@@ -138,6 +138,9 @@ def verdict_of(row: SampleRow, protocol: str) -> Verdict:
     seconds = _contact_seconds(row, protocol)
     counted = row.outcomes[protocol].counted
     tail = "" if counted else ", not counted"
+    if seconds is None and protocol == EXACT and row.outcomes[protocol].cut_short:
+        known_s = PLAN_STEP_S * row.outcomes[protocol].l2.index(None)
+        return Verdict(False, f"no contact within {known_s:g} s, unknown beyond", "unknown", counted=False)
     if seconds is None:
         return Verdict(False, f"no contact{tail}", "no contact", counted)
     cause = f" ({row.diagnosis.cause})" if protocol == EXACT and row.diagnosis is not None else ""

@@ -11,6 +11,9 @@
 7. ``raster``: boxes are drawn and compared as the protocol does it;
 8. ``mask``: steps do not count at which the recorded ego collides too.
 
+Where key frames are not half a second apart, the two look at other instants: the cause is ``other instants`` there,
+whatever else they differ in.
+
 Each rung gives a verdict, "any contact at the steps in question": those at which ``exact`` sees the collision that is
 missed, or the protocol the one that is none. The cause of a disagreement is the last rung at which the verdict changes:
 from there on it is the official one. Rungs 2 to 5 ask the protocol itself which objects it would count if the
@@ -42,7 +45,12 @@ RUNGS = (
     "mask",
 )
 MISS, FALSE_ALARM = "miss", "false alarm"
-CAUSES = (*(f"{MISS}: {rung}" for rung in RUNGS), *(f"{FALSE_ALARM}: {rung}" for rung in RUNGS[5:7]))
+OTHER_INSTANTS = "other instants"
+CAUSES = (
+    *(f"{MISS}: {rung}" for rung in RUNGS),
+    *(f"{FALSE_ALARM}: {rung}" for rung in RUNGS[5:7]),
+    *(f"{kind}: {OTHER_INSTANTS}" for kind in (MISS, FALSE_ALARM)),
+)
 """Every cause there is. Whatever only takes contacts away can cause misses only."""
 
 
@@ -190,7 +198,13 @@ def disagreements(
     exact = outcomes[EXACT]
     for name, official in outcomes.items():
         differ = np.flatnonzero(compared(exact, official) & (any_contact(exact) != any_contact(official)))
-        if name == EXACT or not len(differ):
+        if name == EXACT:
+            continue
+        apart = np.array([truths[index].timed is not None for index in differ], np.bool_)
+        for index in differ[apart].tolist():
+            found[index][name] = f"{FALSE_ALARM if official.collision[index].any() else MISS}: {OTHER_INSTANTS}"
+        differ = differ[~apart]
+        if not len(differ):
             continue
         rungs = ladder(
             PROTOCOLS[name],
@@ -228,7 +242,7 @@ def any_contact(outcomes: Outcomes) -> Bools:
 
 
 def compared(exact: Outcomes, official: Outcomes) -> Bools:
-    """Samples on which two protocols can be compared: those that both count.
+    """Samples on which two protocols can be compared: those that both count and that ``exact`` knows all steps of.
 
     Args:
         exact: S verdicts.
@@ -237,4 +251,4 @@ def compared(exact: Outcomes, official: Outcomes) -> Bools:
     Returns:
         (S,) verdicts.
     """
-    return exact.counted & official.counted
+    return np.logical_and(exact.counted & exact.valid.all(axis=-1), official.counted)

@@ -21,8 +21,8 @@ def samples_frame(record: RunRecord) -> pd.DataFrame:
     Returns:
         Columns ``scene``, ``sample``, ``index``, ``status``, ``place`` and ``speed_m_s`` (null in older records); then
         for each protocol that judged the record ``<protocol> collision <horizon>`` (0 to 1) and ``<protocol> l2
-        <horizon>`` (metres) at ``1s``, ``2s`` and ``3s``, each as the protocol averages it. NaN where there is no plan
-        or the protocol does not count the sample.
+        <horizon>`` (metres) at ``1s``, ``2s`` and ``3s``, each as the protocol averages it. NaN where there is no plan,
+        the protocol does not count the sample, or a gap in the recording leaves the horizon unknown.
 
     Raises:
         InputError: If a protocol judged the record in another version than the present one, or is not known here.

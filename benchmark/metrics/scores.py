@@ -29,7 +29,7 @@ class Scored:
         protocol: The protocol, never ``native``.
         tokens: S samples with a plan.
         scenes: S scene names.
-        values: (S, 4) at 1, 2, 3 s and their mean, 0..1.
+        values: (S, 4) at 1, 2, 3 s and their mean, 0..1; NaN where the sample says nothing.
         counted: (S,) whether the sample counts.
         failed: Samples without a plan.
         kept: Sums that were asked for.
@@ -64,8 +64,11 @@ class Scored:
         return self.kept[key][1]
 
     def _sums(self, unit_of: Mapping[str, str], rows: NDArray[np.int64]) -> SceneSums:
-        weights = np.repeat(self.counted[rows, None].astype(float), len(HORIZONS), axis=1)
-        return sums_by_scene(self.values[rows] * weights, weights, [unit_of[self.scenes[row]] for row in rows])
+        values = self.values[rows]
+        said = ~np.isnan(values)
+        weights = (said & self.counted[rows, None]).astype(np.float64)
+        values = np.where(said, values, 0.0) * weights
+        return sums_by_scene(values, weights, [unit_of[self.scenes[row]] for row in rows])
 
 
 def registered_version(protocol: str) -> int | None:

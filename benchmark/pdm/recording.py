@@ -1,12 +1,14 @@
 """What a recorded scene gives to judge plans by: the car's motion, objects, road and route at its samples."""
 
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.constants import PLAN_STEPS
-from benchmark.geometry import Bools, Floats, to_local, wrap_angle, yaw_of_quaternion
+from benchmark.datasets.steps import KeyFrameSteps, TimedSteps, values_at
+from benchmark.geometry import Bools, Floats, poses_between, to_local, wrap_angle, yaw_of_quaternion
 from benchmark.pdm.comfort import HISTORY_KEY_FRAMES, history_rows
 from benchmark.pdm.definition import ACCELERATION, SIDE_SPEED, SPEED, STATE_COLUMNS
 from benchmark.pdm.layers import road_of, route_of
@@ -21,10 +23,13 @@ MOTION_FRAMES: Final = 11
 class RecordedScene:
     """A scene as plans are judged by it; what all samples share is made once.
 
+    Steps of half a second are key frames where those are half a second apart, and times between them elsewhere
+    (`benchmark.datasets.steps`).
+
     Attributes:
         seconds: (K,) time of each key frame.
         motion: (K, 8) pose, velocity and acceleration of the rear axle: the first columns of a state.
-        complete: (K,) whether the recording goes on for 3 s.
+        complete: (K,) whether the recording goes on for 3 s, and all of it is known.
         references: Kept by `benchmark.pdm.judging`, by the samples that they are of.
     """
 
@@ -33,8 +38,14 @@ class RecordedScene:
         self._annotations = scene.annotations
         self._categories = scene.agents.categories
         self.seconds = scene.seconds[scene.keyframes]
-        self.motion = recorded_motion(scene.ego.pose, scene.seconds)[scene.keyframes]
+        self._times_us, self._frames = scene.timestamps_us, recorded_motion(scene.ego.pose, scene.seconds)
+        self.motion = self._frames[scene.keyframes]
+        self._clock = KeyFrameSteps.of(scene)
         self.complete = np.arange(len(scene.keyframes)) + PLAN_STEPS < len(scene.keyframes)
+        self._ahead = self._timed(np.arange(PLAN_STEPS + 1))
+        self._past = self._timed(np.arange(1 - HISTORY_KEY_FRAMES, 1))
+        for index, steps in self._ahead.items():
+            self.complete[index] = steps.known.all()
         self.route = route_of(scene.ego.pose)
         self.road = road_of(scene.road_map, self.route)
         known = self._annotations
@@ -46,7 +57,7 @@ class RecordedScene:
         """What plans of some samples are judged by.
 
         Args:
-            samples: (S,) numbers of key frames, all with 3 s of recording after them.
+            samples: (S,) numbers of complete samples.
 
         Returns:
             Surroundings of S samples.
@@ -54,10 +65,13 @@ class RecordedScene:
         now = np.zeros((len(samples), STATE_COLUMNS))
         now[:, :8] = self.motion[samples]
         before = samples[:, None] + np.arange(1 - HISTORY_KEY_FRAMES, 1)
+        past, has_history = self.motion[np.maximum(before, 0)], before[:, 0] >= 0
+        for row, steps in _rows_in(samples, self._past):
+            past[row], has_history[row] = self._motion_at(steps), steps.known.all()
         return Surroundings(
             now=now,
-            history=history_rows(self.motion[np.maximum(before, 0)]),
-            has_history=before[:, 0] >= 0,
+            history=history_rows(past),
+            has_history=has_history,
             traffic=log_replay(at_states(self.key_frames(samples)), now),
             road=self.road,
             route=self.route,
@@ -67,40 +81,66 @@ class RecordedScene:
         """The recorded futures as plans.
 
         Args:
-            samples: (S,) numbers of key frames, all with 3 s of recording after them.
+            samples: (S,) numbers of complete samples.
 
         Returns:
             (S, 6, 3) poses of the rear axle in its frame at the sample.
         """
-        now = self.motion[samples, None, :3]
-        future = self.motion[samples[:, None] + np.arange(1, PLAN_STEPS + 1), :3]
+        now, last = self.motion[samples, None, :3], len(self.motion) - 1
+        future = self.motion[np.minimum(samples[:, None] + np.arange(1, PLAN_STEPS + 1), last), :3]
+        for row, steps in _rows_in(samples, self._ahead):
+            future[row] = self._motion_at(steps)[1:, :3]
         heading = wrap_angle(future[..., 2] - now[..., 2])
         return np.concatenate([to_local(future[..., :2], now), heading[..., None]], axis=-1)
 
     def key_frames(self, samples: NDArray[np.int64]) -> KeyFrames:
-        """Objects that are annotated at any key frame from now to 3 s later.
+        """Objects that are annotated at any step from now to 3 s later.
 
         Args:
-            samples: (S,) numbers of key frames, all with 3 s of recording after them.
+            samples: (S,) numbers of complete samples.
 
         Returns:
             The objects of each sample.
         """
-        known = self._annotations
-        steps = np.arange(PLAN_STEPS + 1)
-        window = known.valid[:, samples[:, None] + steps].transpose(1, 0, 2)
+        known, last = self._annotations, len(self.motion) - 1
+        before = np.minimum(samples[:, None] + np.arange(PLAN_STEPS + 1), last)
+        after, fraction = before.copy(), np.zeros(before.shape)
+        for row, steps in _rows_in(samples, self._ahead):
+            before[row], after[row], fraction[row] = steps.before, steps.after, steps.fraction
+        window = (known.valid[:, before] & known.valid[:, after]).transpose(1, 0, 2)
         sample, agent = np.nonzero(window.any(axis=-1))
-        columns = samples[sample, None] + steps
-        annotated = window[sample, agent]
-        first = columns[np.arange(len(agent)), annotated.argmax(axis=1)]
+        annotated, rows = window[sample, agent], agent[:, None]
+        before, after, fraction = before[sample], after[sample], fraction[sample]
+        first = (np.arange(len(agent)), annotated.argmax(axis=1))
+        nearer = np.where(fraction[first] <= 0.5, before[first], after[first])
+        box, velocity = self._poses[rows, before], self._velocity[rows, before]
+        if fraction.any():
+            box = poses_between(box, self._poses[rows, after], fraction)
+            velocity = velocity + fraction[..., None] * (self._velocity[rows, after] - velocity)
         return KeyFrames(
             offsets=np.concatenate([[0], np.cumsum(np.bincount(sample, minlength=len(samples)))]),
-            box=self._poses[agent[:, None], columns],
-            size=known.size[agent, first, :2],
+            box=box,
+            size=known.size[agent, nearer, :2],
             annotated=annotated,
-            velocity=self._velocity[agent[:, None], columns],
+            velocity=velocity,
             is_agent=np.array([self._categories[number].startswith(AGENT_CATEGORIES) for number in agent], np.bool_),
         )
+
+    def _timed(self, steps: NDArray[np.int64]) -> dict[int, TimedSteps]:
+        """Steps of the samples whose steps are no key frames, by number of the sample."""
+        farthest = int(steps[np.abs(steps).argmax()])
+        irregular = (at for at in range(len(self.motion)) if not self._clock.are_key_frames(at, farthest))
+        return {index: self._clock.at(index, steps) for index in irregular}
+
+    def _motion_at(self, steps: TimedSteps) -> Floats:
+        """(N, 8) motion at the times of steps."""
+        return values_at(self._frames, self._times_us, steps.times_us)
+
+
+def _rows_in(samples: NDArray[np.int64], timed: Mapping[int, TimedSteps]) -> Iterator[tuple[int, TimedSteps]]:
+    """Of those samples whose steps are no key frames the place among the samples, and the steps."""
+    if timed:
+        yield from ((row, timed[index]) for row, index in enumerate(samples.tolist()) if index in timed)
 
 
 def recorded_motion(poses: Floats, seconds: Floats) -> Floats:

@@ -16,7 +16,7 @@ AGENT_CATEGORIES: Final = ("vehicle.", "human.")
 
 @dataclass(frozen=True, slots=True)
 class KeyFrames:
-    """Objects of S samples at the seven key frames 0, 0.5 .. 3 s, sample after sample.
+    """Objects of S samples at the seven steps 0, 0.5 .. 3 s, sample after sample.
 
     Attributes:
         offsets: (S + 1,) objects of sample s are ``offsets[s]:offsets[s + 1]``.

@@ -5,7 +5,7 @@ from typing import Final
 from benchmark.errors import InputError, did_you_mean
 from benchmark.protocols.agent_driver import AgentDriver, RasterOfVAD
 from benchmark.protocols.bev_planner import BEVPlanner
-from benchmark.protocols.contract import CollisionProtocol, GroundTruthMask, Outcomes
+from benchmark.protocols.contract import CollisionProtocol, GroundTruthMask, Outcomes, says_all
 from benchmark.protocols.diffusiondrive import DiffusionDrive
 from benchmark.protocols.exact import Exact
 from benchmark.protocols.omnidrive import OmniDrive
@@ -28,6 +28,7 @@ __all__ = [
     "masking_protocols",
     "protocol",
     "register",
+    "says_all",
 ]
 
 PROTOCOLS: dict[str, CollisionProtocol] = {}

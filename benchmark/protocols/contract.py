@@ -97,6 +97,9 @@ class CollisionProtocol(Protocol):
         name: Column name; two protocols never share one.
         version: Raised whenever a verdict or an average may change.
         counts_incomplete: Whether samples count whose recording ends before 3 s.
+
+    One that judges by `SampleTruth.by_clock` says so by an attribute ``goes_by_clock = True``. The steps of all others
+    are key frames, so that they count nothing in scenes whose key frames do not come at 2 Hz.
     """
 
     @property
@@ -157,6 +160,19 @@ class CollisionProtocol(Protocol):
             Columns by name, each (S, 3) at 1, 2 and 3 s; ``collision`` (0..1) and ``l2`` (metres) always. NaN: the
             sample says nothing about the column at that horizon, and is not in its denominator.
         """
+
+
+def says_all(definition: CollisionProtocol, outcomes: Outcomes) -> Bools:
+    """Which samples count at all three horizons.
+
+    Args:
+        definition: The protocol.
+        outcomes: S verdicts of it.
+
+    Returns:
+        (S,) verdicts: False where a sample counts but a gap in the recording leaves some of its steps unknown.
+    """
+    return np.logical_and(outcomes.counted, outcomes.valid.all(axis=-1) | definition.counts_incomplete)
 
 
 @runtime_checkable

@@ -11,7 +11,12 @@ Definition:
 * A step collides if the rectangles touch at any of the instants 0.1, 0.2, ... 0.5 s after the step before it.
 * A sample collides at a horizon if any step up to it does: contact is not undone by driving on.
 * L2 at a horizon is the displacement from the recorded lidar origin at that step; ``ade`` is its mean up to the step.
-* Samples without a complete recorded future of 3 s are not counted.
+* Step k is the k-th following keyframe where all of these are 0.4 to 0.6 s apart. Elsewhere it is the time t + 0.5 k,
+  at which ego and objects are interpolated; an object is there if it is annotated at the keyframes before and after.
+* Samples whose recording ends within 3 s are not counted. A gap of more than 0.75 s between keyframes makes the steps
+  in it and beyond it unknown: a sample says nothing at horizons that reach them, and is not counted if that is 1 s.
+
+Version 1 took the k-th following keyframe for step k wherever keyframes were.
 
 Known limits: contact shorter than 0.1 s can be missed; the vertical is ignored; a plan has no heading of its own, so a
 car that creeps along a curve in steps of less than 0.3 m keeps its heading.
@@ -21,7 +26,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, PLAN_STEP_S, PLAN_STEPS
+from benchmark.constants import EGO_LENGTH_M, EGO_WIDTH_M, HORIZON_STEPS, PLAN_STEP_S, PLAN_STEPS
 from benchmark.geometry import Bools, Floats, boxes_overlap, ego_footprints, poses_between, wrap_angle
 from benchmark.protocols.averages import any_up_to, at_steps, means_up_to
 from benchmark.protocols.contract import Outcomes
@@ -39,8 +44,9 @@ class Exact:
     """See the module's docstring."""
 
     name = "exact"
-    version = 1
+    version = 2
     counts_incomplete = False
+    goes_by_clock = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Everything that is annotated at the step.
@@ -76,6 +82,7 @@ class Exact:
             ``first_contact_s`` and ``hit`` (instance identifier of the object that is touched first).
         """
         plans = np.asarray(plans_lidar, np.float64).reshape(-1, PLAN_STEPS, 2)
+        truths = [truth.by_clock for truth in truths]
         stacked = stack(truths)
         ego = ego_boxes(plans)
         contact = np.zeros(ego.shape[:2], dtype=np.bool_)
@@ -89,7 +96,7 @@ class Exact:
             collision=by_step.any(axis=-1),
             l2=displacement(plans, stacked),
             valid=stacked.ego_future_valid,
-            counted=stacked.ego_future_valid.all(axis=-1),
+            counted=stacked.ego_future_valid.all(axis=-1) | _cut_short(truths),
             steps={"waypoint_collision": by_step[..., -1]},
             facts={"first_contact_s": tuple(time for time, _ in first), "hit": tuple(name for _, name in first)},
         )
@@ -101,13 +108,23 @@ class Exact:
             outcomes: S verdicts.
 
         Returns:
-            ``collision``, ``l2`` and ``ade``, each (S, 3).
+            ``collision``, ``l2`` and ``ade``, each (S, 3); NaN where a counted sample has unknown steps up to there.
         """
-        return {
+        columns = {
             "collision": any_up_to(outcomes.collision),
             "l2": at_steps(outcomes.l2),
             "ade": means_up_to(outcomes.l2),
         }
+        unknown = any_up_to(np.logical_and(~outcomes.valid, outcomes.counted[:, None])) > 0
+        return (
+            {name: np.where(unknown, np.nan, values) for name, values in columns.items()} if unknown.any() else columns
+        )
+
+
+def _cut_short(truths: Sequence[SampleTruth]) -> Bools:
+    """(S,) whether a sample's recording goes on for 3 s, and its first second is known, but not all of the rest is."""
+    first = HORIZON_STEPS["1s"]
+    return np.array([truth.cut_short and bool(truth.ego_future_valid[:first].all()) for truth in truths], np.bool_)
 
 
 def judged_longer(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[Bools, Floats]:
@@ -120,6 +137,7 @@ def judged_longer(truths: Sequence[SampleTruth], plans_lidar: Floats) -> tuple[B
     Returns:
         (S, N) contact at each step and (S, N) displacement, NaN where the recorded ego does not exist.
     """
+    truths = [truth.by_clock for truth in truths]
     contact, _ = contacts(ego_boxes(plans_lidar), truths)
     offset = plans_lidar - np.array([truth.ego_future for truth in truths])[..., :2]
     valid = np.array([truth.ego_future_valid for truth in truths])

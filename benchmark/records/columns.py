@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
-from benchmark.protocols import Outcomes
+from benchmark.protocols import PROTOCOLS, Outcomes, says_all
 from benchmark.records.column_arrays import CODES, Arrays, arrays_of, different_values, outcomes_in
 from benchmark.records.row_schema import DiagnosisRow, LongerRow, PlaceName, PlanSeverityRow, SampleRow
 
@@ -139,9 +139,9 @@ class RowColumns:
         return found
 
     def counted(self, protocol: str) -> Bools:
-        """(R,) whether a row counts under a protocol."""
+        """(R,) whether a row counts under a known protocol, at all three horizons."""
         found = np.zeros(len(self), np.bool_)
-        found[self.planned] = self.outcomes(protocol).counted
+        found[self.planned] = says_all(PROTOCOLS[protocol], self.outcomes(protocol))
         return found
 
     @property

@@ -38,6 +38,11 @@ class OutcomeRow(Stored):
     steps: dict[str, list[Any]]
     facts: dict[str, Any]
 
+    @property
+    def cut_short(self) -> bool:
+        """Whether some of its steps are unknown although it counts; asked of ``exact`` alone."""
+        return self.counted and None in self.l2
+
 
 Cause = Literal["unseen", "misforecast", "misplanned", "not attributable"]
 CAUSES: Final[tuple[Cause, ...]] = get_args(Cause)

@@ -23,7 +23,7 @@ from benchmark.foreign.limits import RECORD
 from benchmark.geometry import Bools
 from benchmark.machine.storage import content_key, read_json
 from benchmark.metrics.rates import rates
-from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes
+from benchmark.protocols import PROTOCOLS, STANDARD, Outcomes, says_all
 from benchmark.protocols import protocol as definition_of
 from benchmark.records.columns import RowColumns
 from benchmark.records.driving import driving_summary
@@ -209,8 +209,8 @@ def summarise(
                 column: {horizon: RateRow(**dataclasses.asdict(rate)) for horizon, rate in by_horizon.items()}
                 for column, by_horizon in found.items()
             },
-            counted=int(outcomes.counted.sum()),
-            incomplete=int((~outcomes.counted).sum()),
+            counted=(counted := int(says_all(PROTOCOLS[name], outcomes).sum())),
+            incomplete=len(outcomes) - counted,
             scenes_failed=sum(decided),
             scenes_decided=len(decided),
             mask_removed_steps=_removed_by_mask(outcomes),

@@ -58,9 +58,15 @@ class TruthFacts(Stored):
 
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
+        irregular: Samples some of whose key frames ahead are not half a second apart.
+        cut_short: Of these those whose recording goes on for 3 s, with a gap in it that leaves steps unknown.
+        interval_s: Median interval of its key frames where that is not 0.5 s.
     """
 
     annotations: Annotated[int, Field(strict=True, ge=0)]
+    irregular: Annotated[int, Field(strict=True, ge=0)] = 0
+    cut_short: Annotated[int, Field(strict=True, ge=0)] = 0
+    interval_s: Annotated[float, Field(gt=0)] | None = None
 
 
 class SceneFacts(Stored):
@@ -248,8 +254,8 @@ class ProtocolSummary(Stored):
     Attributes:
         version: Version of the protocol.
         columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
-        counted: Samples in the denominators.
-        incomplete: Samples that were planned but that the protocol does not count.
+        counted: Samples in the denominators of all horizons.
+        incomplete: The other samples that were planned: the protocol does not count them, or not at every horizon.
         scenes_failed: Scenes with a counted sample that collides.
         scenes_decided: Scenes of which that can be said (see `scene_failures`).
         mask_removed_steps: Colliding steps that do not count because the recorded ego collides there too under the same

@@ -17,6 +17,7 @@ from benchmark.closed_loop.drives.asking import Reason
 from benchmark.closed_loop.drives.driving import Drive, Stage, drive, drive_together
 from benchmark.closed_loop.drives.riding import RecordedCan
 from benchmark.closed_loop.scores.scoring import VERSION, score_drive
+from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.machine.metering import Meter
 from benchmark.machine.pages import keep_pages_of
@@ -243,6 +244,7 @@ def _stage(data: "DataSet", task: Task, cans: dict[str, RecordedCan]) -> Stage:
     """What a task drives; what cars measured is read once for all tasks of a scene."""
     job, unit = task
     scene = data.scene(unit.scene)
+    require_two_hz(scene, "a drive")
     if unit.scene not in cans:
         cans[unit.scene] = can_of(data, unit.scene)
     can = cans[unit.scene]

@@ -18,7 +18,7 @@ from benchmark.metrics.disagreement import EXACT, disagreements
 from benchmark.pdm.judging import judge_planners as judge_driving
 from benchmark.pdm.recording import RecordedScene
 from benchmark.planning import Forecasts, Plan, PlanFrame
-from benchmark.protocols import Outcomes, protocol
+from benchmark.protocols import CollisionProtocol, Outcomes, protocol
 from benchmark.protocols.exact import judged_longer
 from benchmark.records.row_schema import SampleRow
 from benchmark.scene import Scene
@@ -104,7 +104,10 @@ def judge_planners(
     happened, whole = [truths[at] for _, at in planned], [plan_of(rows_of[which][at]["plan"]) for which, at in planned]
     plans = [plan.judged for plan in whole]
     in_lidar = _in_lidar(plans, happened)
-    outcomes = {name: protocol(name).evaluate(happened, in_lidar) for name in dict.fromkeys(protocols)}
+    outcomes = {
+        name: _at_rate(protocol(name), protocol(name).evaluate(happened, in_lidar), happened)
+        for name in dict.fromkeys(protocols)
+    }
     verdicts = {name: outcome.as_rows() for name, outcome in outcomes.items()}
     causes, differences = _explained(happened, plans, in_lidar, outcomes)
     recorded = None if scene is None else recorded or RecordedScene(scene)
@@ -112,7 +115,9 @@ def judge_planners(
     driven = _driven(scene, recorded, judged, len(truths))
     # A map without roads or lanes would blame the ego for every contact at its sides.
     known = recorded is not None and bool(recorded.road.drivable and recorded.road.lanes)
-    severe = plan_severities(happened, in_lidar, recorded.road if recorded is not None and known else None)
+    severe = plan_severities(
+        [truth.by_clock for truth in happened], in_lidar, recorded.road if recorded is not None and known else None
+    )
     asked = longer if EXACT in outcomes else None
     beyond = [{} if asked is None else longer_verdicts(own, asked) for own in _by_planner(len(rows_of), planned, whole)]
     findings: list[list[dict[str, Any]]] = [[{"outcomes": {}} for _ in truths] for _ in rows_of]
@@ -132,6 +137,15 @@ def judge_planners(
         [SampleRow(**row, **told, **found) for row, told, found in zip(rows, happening, own, strict=True)]
         for rows, own in zip(rows_of, findings, strict=True)
     ]
+
+
+def _at_rate(definition: CollisionProtocol, outcomes: Outcomes, truths: Sequence[SampleTruth]) -> Outcomes:
+    """Verdicts that count nothing where key frames come at another rate and a protocol takes them for its steps."""
+    at_two_hz = np.array([truth.at_two_hz for truth in truths], np.bool_)
+    # Protocols of other packages may be older than the question.
+    if at_two_hz.all() or getattr(definition, "goes_by_clock", False):
+        return outcomes
+    return replace(outcomes, counted=outcomes.counted & at_two_hz)
 
 
 def _in_lidar(plans: Sequence[Plan], truths: Sequence[SampleTruth]) -> Floats:
@@ -273,17 +287,19 @@ def _explained(
     """Diagnosis and disagreements of each sample, from the verdicts of ``exact`` on it."""
     if EXACT not in outcomes or not truths:
         return [None] * len(truths), [{} for _ in truths]
-    return diagnose(truths, plans, outcomes[EXACT]), disagreements(truths, in_lidar, outcomes)
+    causes = diagnose([truth.by_clock for truth in truths], plans, outcomes[EXACT])
+    return causes, disagreements(truths, in_lidar, outcomes)
 
 
 def _recorded(truth: SampleTruth, at: Circumstances | None) -> dict[str, Any]:
     """What a row says of the recording."""
+    ahead = truth.by_clock
     return {
         "command": int(truth.command),
         "lidar_ahead_m": truth.lidar_ahead_m,
-        "complete": truth.complete,
+        "complete": ahead.complete,
         "recorded_future": [
-            pose.tolist() if valid else None for pose, valid in zip(truth.ego_future, truth.ego_future_valid)
+            pose.tolist() if valid else None for pose, valid in zip(ahead.ego_future, ahead.ego_future_valid)
         ],
         "place": None if at is None else at.place.value,
         "speed_m_s": None if at is None else at.speed_m_s,

@@ -43,7 +43,7 @@ def ablate(source: DataSet, planner: PlannerUnderTest, settings: BuildSettings) 
         InputError: As `generation.build.split.build_split`, or if the planner fails on samples.
     """
     names = source_scenes(source, settings)
-    samples = {name: sum(truth.complete for truth in source.truth(name)) for name in names}
+    samples = {name: sum(truth.by_clock.complete for truth in source.truth(name)) for name in names}
     rows = tuple(_row(source, planner, settings, variant, samples) for variant in VARIANTS)
     if len({row.attempted for row in rows}) > 1:
         raise ValueError("rows of one study tried different vehicles")
@@ -137,7 +137,7 @@ def _counted(
     judged: Counter[str] = Counter()
     for row in () if record is None else record.rows:
         outcome = row.outcomes[PROTOCOL]
-        if outcome.counted:
+        if outcome.counted and not outcome.cut_short:
             judged[scene_of[row.scene]] += 1
             colliding[scene_of[row.scene]] += any(outcome.collision)
     tried = Counter(each.scene for each in attempts)

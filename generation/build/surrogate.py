@@ -128,7 +128,7 @@ def judged(record: RunRecord) -> Judgement:
     """
     require_all_planned(record)
     outcomes = [row.outcomes[PROTOCOL] for row in record.rows]
-    counted = [outcome for outcome in outcomes if outcome.counted]
+    counted = [outcome for outcome in outcomes if outcome.counted and not outcome.cut_short]
     verdicts = scene_failures(record.rows, PROTOCOL)
     return Judgement(
         planner=record.planner,

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Any
 
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.steps import require_two_hz
 from benchmark.machine.progress import progress
 from benchmark.machine.storage import token
 from benchmark.machine.workers import Executor
@@ -326,5 +327,7 @@ class _Scenes:
     def of(self, chain: Chain) -> Scene:
         """The recorded scene with the chain's adversaries in it."""
         if self._last is None or self._last[0] is not chain:
-            self._last = (chain, chain.adversarial(self._source.scene(chain.scene_name)))
+            scene = self._source.scene(chain.scene_name)
+            require_two_hz(scene, "the search")
+            self._last = (chain, chain.adversarial(scene))
         return self._last[1]

@@ -94,7 +94,7 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
     always: dict[str, Any] = {
         "path": packed_path(np.vstack([start, placed.waypoints]), CENTIMETRE),
         "yaw": packed(placed.at_waypoints[:, 4].tolist(), MILLIRADIAN),
-        "verdicts": [None if outcome is None else _bits(outcome) for outcome in judged],
+        "verdicts": [None if outcome is None else _bits(name, outcome) for name, outcome in zip(protocols, judged)],
         "contact": [_first_contact(name, outcome, row) for name, outcome in zip(protocols, judged, strict=True)],
     }
     sometimes: dict[str, Any] = {
@@ -137,9 +137,11 @@ def _forecasts(forecasts: PlacedForecasts, axle: Floats) -> list[list[Any]]:
     return shown
 
 
-def _bits(outcome: OutcomeRow) -> int:
+def _bits(protocol: str, outcome: OutcomeRow) -> int:
     steps = sum(1 << step for step, collides in enumerate(outcome.collision) if collides)
-    return steps + (COUNTED if outcome.counted else 0)
+    # Without contact up to a gap in the recording nothing is said of the sample as a whole.
+    unknown = protocol == EXACT and outcome.cut_short and not steps
+    return steps + (COUNTED if outcome.counted and not unknown else 0)
 
 
 def _first_contact(protocol: str, outcome: OutcomeRow | None, row: SampleRow) -> float | None:

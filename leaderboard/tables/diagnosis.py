@@ -42,9 +42,11 @@ class _Run:
     def of(cls, record: RunRecord) -> "_Run":
         columns = record.columns
         scenes, causes, hits = columns.values("scene"), columns.values("diagnosis"), columns.collides(EXACT)
+        counted = columns.counted(EXACT)
+        hits = hits & counted
         return cls(
             record,
-            tuple((scenes[place], bool(hits[place])) for place in np.flatnonzero(columns.counted(EXACT)).tolist()),
+            tuple((scenes[place], bool(hits[place])) for place in np.flatnonzero(counted).tolist()),
             tuple((scenes[place], causes[place]) for place in np.flatnonzero(hits).tolist()),
         )
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from benchmark.metrics.confusion import Confusion, ProtocolComparison, comparisons
-from benchmark.metrics.disagreement import CAUSES, EXACT, RUNGS
+from benchmark.metrics.disagreement import CAUSES, EXACT, OTHER_INSTANTS, RUNGS
 from benchmark.records.run import RunRecord
 from benchmark.report.cells import Cell, Origin, Shown, number, record_name
 from benchmark.report.table import Brief, Table, table_of
@@ -17,7 +17,13 @@ from leaderboard.tables.rows import (
     stale_notes,
 )
 
-_SHORT = dict(zip(RUNGS, ("between", "class", "later", "range", "points", "heading", "raster", "mask"), strict=True))
+_SHORT = dict(
+    zip(
+        (*RUNGS, OTHER_INSTANTS),
+        ("between", "class", "later", "range", "points", "heading", "raster", "mask", "instants"),
+        strict=True,
+    )
+)
 """Column heads."""
 
 

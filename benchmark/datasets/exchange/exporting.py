@@ -14,6 +14,7 @@ from benchmark.constants import VERSION
 from benchmark.datasets.exchange.own_words import DATASET, OWN, Exchanged
 from benchmark.datasets.exchange.scenario_of_scene import scenario_of
 from benchmark.datasets.roots import DataSet
+from benchmark.datasets.steps import require_two_hz
 from benchmark.errors import InputError
 from benchmark.machine.progress import Count
 from benchmark.machine.storage import only_writer, token, write_bytes
@@ -51,6 +52,7 @@ def exchanged_of(dataset: DataSet, name: str) -> Exchanged:
         InputError: If there is no such scene or something in it is broken.
     """
     scene = dataset.scene(name)
+    require_two_hz(scene, "an exchanged file")
     said = ((dataset.provenance() or {}).get("scenes") or {}).get(name, {})
     report = said.get("report") if isinstance(said, dict) else None
     facts = dataset.scene_facts([name])[name]

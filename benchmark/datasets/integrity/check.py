@@ -7,7 +7,7 @@ from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.integrity.files import check_files
 from benchmark.datasets.integrity.links import check_chains, check_links, check_sample_chains
 from benchmark.datasets.integrity.provenance import check_provenance, check_splits
-from benchmark.datasets.integrity.rates import check_rates
+from benchmark.datasets.integrity.rates import check_gaps, check_rates
 from benchmark.datasets.integrity.tables import read_checked
 from benchmark.datasets.integrity.values import check_copied_intrinsics, check_images, check_sensors, check_shared
 from benchmark.datasets.schema import Fault, FaultList
@@ -51,6 +51,7 @@ def _check(folder: Path, data_root: Path) -> list[Fault]:
     check_links(tables, faults)
     check_sample_chains(tables, faults)
     check_rates(tables, faults)
+    check_gaps(tables, faults)
     check_chains(tables, faults)
     check_shared(tables, faults)
     check_images(tables, faults)

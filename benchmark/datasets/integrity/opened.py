@@ -20,7 +20,7 @@ def check_opened(tables: CheckedTables, faults: FaultList, rates: FaultList) -> 
     Args:
         tables: These tables, or all.
         faults: Gets the faults.
-        rates: Gets scenes that cannot be judged.
+        rates: Gets scenes with another rate of keyframes than nuScenes.
     """
     check_links(tables, faults)
     check_sample_chains(tables, faults)

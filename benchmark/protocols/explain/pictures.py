@@ -61,6 +61,8 @@ WORDS = {
     "miss: mask": "The protocol sees the recorded ego collide here too, and therefore drops the collision.",
     "false alarm: heading": "The protocol does not turn the ego as the plan does: its body reaches where none would.",
     "false alarm: raster": "On the protocol's cells the two bodies meet; in truth there is air between.",
+    "miss: other instants": "Key frames are not half a second apart here: the protocol looks at other instants.",
+    "false alarm: other instants": "Key frames are not half a second apart here: the protocol looks at other instants.",
 }
 """Every cause in a sentence."""
 

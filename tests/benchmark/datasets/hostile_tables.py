@@ -110,10 +110,10 @@ def times(change: Callable[[int], Any]) -> Damage:
     return together(*(edit_all(table, "timestamp", change) for table in ("sample", "sample_data", "ego_pose")))
 
 
-def slower(factor: int) -> Damage:
-    """All that happens takes longer: keyframes lie farther apart."""
+def slower(factor: float) -> Damage:
+    """All that happens takes longer, or less long: keyframes lie farther apart, or nearer to each other."""
     start_us = 1_700_000_000_000_000
-    return times(lambda time_us: start_us + (time_us - start_us) * factor)
+    return times(lambda time_us: start_us + round((time_us - start_us) * factor))
 
 
 def _wrong(table: str, field: str, *values: tuple[str, object]) -> list[HostileRoot]:
@@ -286,10 +286,6 @@ HOSTILE_ROOTS: Final[tuple[HostileRoot, ...]] = (
     ),
     *_wrong("visibility", "level", ("a number", 4)),
     *_wrong("category", "name", ("null", None)),
-    HostileRoot("1 Hz", slower(2), "scene", r"the keyframes of scene-9901 are 1 s apart \(median\)"),
-    HostileRoot(
-        "10 Hz", times(lambda time: 1_700_000_000_000_000 + (time - 1_700_000_000_000_000) // 5), "scene", "0.1 s"
-    ),
     HostileRoot("all times in nanoseconds", times(lambda time: time * 1000), "sample", "timestamp is .* it must be"),
     HostileRoot("all times in seconds", times(lambda time: time // 10**6), "sample", "timestamp is .* it must be"),
     HostileRoot(

@@ -93,7 +93,7 @@ def test_records_of_other_scenes_are_refused() -> None:
     older = hand_made("second", {"a": [HIT]}, data="f", versions={"exact": 0})
     for records in ([one, older], [older]):
         with pytest.raises(
-            InputError, match=r"second on adv of f was judged by version 0 of .* exact, now 1; .* rescore"
+            InputError, match=r"second on adv of f was judged by version 0 of .* exact, now 2; .* rescore"
         ):
             transfer(records)
 
