@@ -102,7 +102,7 @@ def _keyframes(sample_times_us: NDArray[np.int64]) -> NDArray[np.int64]:
     if other_interval_us(sample_times_us) is None:
         return np.arange(len(sample_times_us), dtype=np.int64) * FRAMES_PER_KEYFRAME
     frames = np.maximum(np.rint(np.diff(sample_times_us) * 1e-6 * FRAME_HZ), 1)
-    return np.concatenate([[0], np.cumsum(frames)]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(frames)], dtype=np.int64, casting="unsafe")
 
 
 def _row(nusc: Any, token: str) -> Row:

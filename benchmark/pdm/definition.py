@@ -11,7 +11,7 @@ from benchmark.constants import EGO_CENTER_FROM_REAR_AXLE_M, EGO_LENGTH_M, EGO_W
 PDM: Final = "pdm"
 """What ``--protocol`` asks for it by."""
 DEFINITION: Final = "nuscenes-pdm"
-VERSION: Final = 1
+VERSION: Final = 2
 NOTE: Final = (
     "nuscenes-pdm: sub-scores of NAVSIM's PDM family on plans for nuScenes; 3 s instead of 4, no traffic lights, the "
     "ego of nuScenes, the route is the recorded path and the reference of EP the recorded future: no number here "

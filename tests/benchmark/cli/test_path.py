@@ -171,7 +171,7 @@ def test_transfer_under_any_protocol_and_its_heat_map(out: Path, tmp_path: Path)
 def test_driving_scores_are_printed_on_request_and_kept_anyway(town: Path, out: Path) -> None:
     common = ("--model", "constant-velocity", "--data", town, "--split", "adv", "--out", out)
     run = done(challenger_bench("eval", *common, "--protocol", "pdm"))
-    assert "nuscenes-pdm (version 1)" in run.out and "collision rate" not in run.out
+    assert "nuscenes-pdm (version 2)" in run.out and "collision rate" not in run.out
     assert "nuscenes-pdm" not in done(challenger_bench("eval", *common)).out
     every = done(challenger_bench("eval", *common, "--protocol", "all")).out
     assert "nuscenes-pdm" in every and "protocol vad-23" in every
