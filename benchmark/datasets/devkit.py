@@ -8,10 +8,11 @@ from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.devkit_import import devkit_module
+from benchmark.datasets.integrity.further_tables import FURTHER_TABLES
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.kept_tables import read_or_kept
@@ -19,9 +20,6 @@ from benchmark.datasets.scene_tables import GROWING_TABLES, SceneTables, camera_
 from benchmark.datasets.schema import FaultList, Refusal, check_table
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
-
-_FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
-"""Tables that the devkit reads where they are, and nobody here."""
 
 
 class OpenTables(ABC):
@@ -129,7 +127,7 @@ def open_tables(root: Path, version: str, rates: FaultList | None = None) -> Ope
     """
     folder = root / version
     rates = Refusal(folder=folder) if rates is None else rates
-    if not any((folder / f"{table}.json").exists() for table in _FURTHER_TABLES):
+    if not any((folder / f"{table}.json").exists() for table in FURTHER_TABLES):
         tables = read_or_kept(folder, rates)
         if tables is not None:
             _require_masks(root, tables.shared["map"])

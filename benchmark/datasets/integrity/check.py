@@ -5,6 +5,7 @@ from pathlib import Path
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.integrity.files import check_files
+from benchmark.datasets.integrity.further_tables import check_further_tables
 from benchmark.datasets.integrity.links import check_chains, check_links, check_sample_chains
 from benchmark.datasets.integrity.provenance import check_provenance, check_splits
 from benchmark.datasets.integrity.rates import check_gaps, check_rates
@@ -58,8 +59,9 @@ def _check(folder: Path, data_root: Path) -> list[Fault]:
     check_copied_intrinsics(tables, faults)
     check_sensors(tables, faults)
     check_files(data_root, tables, faults)
-    check_splits(folder, tables, faults)
+    check_splits(folder, data_root, tables, faults)
     check_provenance(folder, tables, faults)
+    check_further_tables(folder, data_root, faults)
     return faults.told()
 
 
