@@ -14,7 +14,7 @@ Row = dict[str, Any]
 _SHOWN_CHARACTERS: Final = 60
 
 
-def check_table(table: str, content: Sequence[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
+def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
     """Note what is wrong with a whole table, links apart.
 
     Args:
