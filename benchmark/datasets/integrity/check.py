@@ -61,7 +61,7 @@ def _check(folder: Path, data_root: Path) -> list[Fault]:
     check_files(data_root, tables, faults)
     check_splits(folder, data_root, tables, faults)
     check_provenance(folder, tables, faults)
-    check_further_tables(folder, data_root, faults)
+    check_further_tables(folder, data_root, tables, faults)
     return faults.told()
 
 
