@@ -109,6 +109,10 @@ class CheckedEntry:
         """Whether the scene's location has a vector map."""
         return self.data.has_map(name)
 
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
+        return self.data.has_lidar(name)
+
     def fingerprint(self) -> str:
         """Content hash of the entry."""
         return self.data.fingerprint()

@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 from shapely.geometry import MultiPolygon
 
+from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.annotated import read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.devkit import OpenTables, open_tables
@@ -233,6 +234,18 @@ class NuScenesData:
             InputError: If there is no such scene.
         """
         return expansion_file(self.root, self._log(self._row(name))["location"]) is not None
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not).
+
+        Args:
+            name: Scene name.
+
+        Raises:
+            InputError: If there is no such scene or its rows are broken.
+        """
+        row = self._row(name)
+        return LIDAR_NAME in samples_of_scene(self._devkit(row), row)[0]["data"]
 
     def fingerprint(self) -> str:
         """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits."""

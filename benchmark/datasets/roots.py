@@ -66,6 +66,9 @@ class DataSet(Protocol):
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map."""
 
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
+
     def fingerprint(self) -> str:
         """Content hash."""
 
@@ -206,6 +209,15 @@ class VariantRoots:
         """
         data, inner = self._find(name)
         return data.has_map(inner)
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return data.has_lidar(inner)
 
     def fingerprint(self) -> str:
         """Content hash of all variants, 64 hexadecimal digits."""

@@ -27,6 +27,10 @@ SceneCount = Annotated[int, Field(strict=True, ge=0, le=10_000_000)]
 LightName = Literal["day", "dusk", "night", "rain"]
 
 
+Want = Literal["map", "motion", "images"]
+"""What a planner goes without where a data set lacks it: lanes of the map, measured motion (CAN bus), cameras."""
+
+
 class PlannerFacts(Stored):
     """Which planner ran.
 
@@ -40,6 +44,7 @@ class PlannerFacts(Stored):
         native_protocol: Protocol of the planner's own repository, if it has one.
         published_as: What the paper calls it, if it ran it.
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
+        wants: What its plans depend on beside boxes, as far as it is known; empty in older records.
     """
 
     name: str
@@ -51,6 +56,37 @@ class PlannerFacts(Stored):
     native_protocol: str | None = None
     published_as: str | None = None
     miniature: bool = False
+    wants: list[Want] = Field(default_factory=list)
+
+
+LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
+"""What is said of a planner and changes no plan."""
+
+
+class InputFacts(Stored):
+    """What a data set holds of a scene beside annotations, and what of it cannot be.
+
+    Attributes:
+        samples: Samples of the scene.
+        lanes: Lanes of the map around the ego; 0 where the map has none, or there is no map.
+        off_road: Samples at which the recorded ego is off the drivable area; null where the map has none.
+        cameras: Cameras of the rig.
+        lidar: Whether the data set says where the lidar sits; if not, it is taken to sit as on nuScenes' cars.
+        jumps: Boxes that went faster than anything on a road since their last annotation.
+        moving: Objects that move fast enough to tell their direction.
+        across: Those of them whose boxes lie across it.
+        turned_quaternions: Whether rotations make sense only if read as x, y, z, w.
+    """
+
+    samples: Annotated[int, Field(strict=True, ge=0)]
+    lanes: Annotated[int, Field(strict=True, ge=0)]
+    off_road: Annotated[int, Field(strict=True, ge=0)] | None
+    cameras: Annotated[int, Field(strict=True, ge=0)]
+    lidar: bool
+    jumps: Annotated[int, Field(strict=True, ge=0)]
+    moving: Annotated[int, Field(strict=True, ge=0)]
+    across: Annotated[int, Field(strict=True, ge=0)]
+    turned_quaternions: bool
 
 
 class TruthFacts(Stored):
@@ -58,9 +94,11 @@ class TruthFacts(Stored):
 
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
+        inputs: What else it holds; null in older records.
     """
 
     annotations: Annotated[int, Field(strict=True, ge=0)]
+    inputs: InputFacts | None = None
 
 
 class SceneFacts(Stored):

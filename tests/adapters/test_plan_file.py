@@ -106,7 +106,8 @@ def test_missing_rows_are_failed_samples_where_that_is_allowed(tmp_path: Path) -
 
 def test_tokens_of_keyframe_rows_lead_to_their_samples(tmp_path: Path) -> None:
     data = town_of_two()
-    rows, row_of = rows_for(data), {}
+    rows = rows_for(data)
+    row_of: dict[str, str] = {}
     for scene in data.scene_names():
         row_of |= {sample: row for row, sample in data.keyframe_rows(scene).items()}
     renamed = [{**row, "sample_token": row_of[row["sample_token"]]} for row in rows]

@@ -66,6 +66,9 @@ class FakeData:
     def has_map(self, name: str) -> bool:
         return True
 
+    def has_lidar(self, name: str) -> bool:
+        return True
+
     def provenance(self) -> dict[str, Any] | None:
         return None
 
