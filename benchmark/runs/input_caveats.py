@@ -102,8 +102,8 @@ def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], row
     if derived and "motion" in planner.wants:
         yield Caveat(
             kind="motion",
-            sentence=f"{_of(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it plans from is derived "
-            "from poses",
+            sentence=f"{_of(derived, scenes)} {_have(derived)} no CAN bus: the ego motion that it plans from "
+            "is derived from poses",
         )
     if offered and without:
         yield Caveat(
