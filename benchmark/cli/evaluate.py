@@ -406,6 +406,8 @@ def quality_command(
         )
         return
     record = measure_quality(dataset, split, root, settings)
+    for caveat in record.caveats:
+        api.tell(f"warning: {caveat.sentence}")
     if json_output:
         facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
         print_json({"directory": str(record.directory), **facts})
