@@ -73,6 +73,10 @@ class CheckedEntry:
         """The accepted scenes."""
         return {SPLIT: self.scene_names()}
 
+    def split_names(self) -> tuple[str, ...]:
+        """The only split."""
+        return (SPLIT,)
+
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Sorted names of the accepted scenes."""
         return tuple(sorted(self.verdicts))
@@ -97,9 +101,17 @@ class CheckedEntry:
         """One truth a sample, in time order."""
         return self.data.truth(name)
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows."""
+        return self.data.keyframe_rows(name)
+
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map."""
         return self.data.has_map(name)
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
+        return self.data.has_lidar(name)
 
     def fingerprint(self) -> str:
         """Content hash of the entry."""

@@ -98,7 +98,10 @@ def eval_command(
     limit: LimitOption = None,
     shard: ShardOption = None,
     allow_partial: Annotated[
-        bool, typer.Option("--allow-partial", help="Print rates even where the planner failed on samples.")
+        bool,
+        typer.Option(
+            "--allow-partial", help="Print rates even where the planner failed on samples; --plans may lack rows."
+        ),
     ] = False,
     protocol: Annotated[
         list[str] | None,
@@ -183,7 +186,12 @@ def eval_command(
         from adapters.plan_file import plan_file_factory
 
         chosen = settings.chosen(dataset, split)
-        factories.append(plan_file_factory(plans, dataset, split, scenes=chosen, native=native, records=[run_root]))
+        from_file = plan_file_factory(
+            plans, dataset, split, scenes=chosen, native=native, records=[run_root], allow_partial=allow_partial
+        )
+        for sentence in from_file.sentences:
+            api.tell(sentence)
+        factories.append(from_file)
     if opened:
         chosen = settings.chosen(dataset, split)
         factories.append(results_planner(opened, dataset, split, scenes=chosen, name=name, native=native))
@@ -398,6 +406,8 @@ def quality_command(
         )
         return
     record = measure_quality(dataset, split, root, settings)
+    for caveat in record.caveats:
+        api.tell(f"warning: {caveat.sentence}")
     if json_output:
         facts = record.facts.model_dump(mode="json", by_alias=True, include={"definition", "weights", "summary"})
         print_json({"directory": str(record.directory), **facts})

@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 from shapely.geometry import MultiPolygon
 
+from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.annotated import read_objects
 from benchmark.datasets.can_bus import CanBus
 from benchmark.datasets.devkit import OpenTables, open_tables
@@ -20,7 +21,7 @@ from benchmark.datasets.sample_truth import truth_of_scene
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.datasets.schema import FaultList
 from benchmark.datasets.sensors import read_cameras, read_lidar
-from benchmark.datasets.split_names import read_splits, scenes_of_split
+from benchmark.datasets.split_names import read_splits, scenes_of_split, split_names
 from benchmark.datasets.sweep_poses import read_sweep_poses
 from benchmark.datasets.tables import Row, find_version
 from benchmark.datasets.timeline import read_timeline, samples_of_scene
@@ -95,6 +96,10 @@ class NuScenesData:
         """Splits that ``splits.json`` defines (in the version folder or in the root), scene names by split."""
         return dict(self._splits)
 
+    def split_names(self) -> tuple[str, ...]:
+        """Names of all splits, of ``splits.json`` or by the rules of `scenes_of_split`."""
+        return split_names(tuple(self._rows), self._splits, self._built_as)
+
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Names of scenes.
 
@@ -121,9 +126,13 @@ class NuScenesData:
 
     def _listed(self, split: str) -> tuple[str, ...]:
         """Scenes of a split, whatever inspectors said of them."""
-        built_as = self._provenance.get("split") if self._provenance else None
         present = tuple(sorted(self._rows))
-        return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=built_as)
+        return scenes_of_split(split, present, self._splits, where=str(self.root), built_as=self._built_as)
+
+    @property
+    def _built_as(self) -> str | None:
+        """Split that the data set was built as, if it says so."""
+        return self._provenance.get("split") if self._provenance else None
 
     def scene(self, name: str) -> Scene:
         """Read one scene; the last few are kept in memory.
@@ -198,6 +207,22 @@ class NuScenesData:
         samples = samples_of_scene(self._devkit(row), row)
         return truth_of_scene(self.scene(name), [sample["token"] for sample in samples])
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
+
+        Args:
+            name: Scene name.
+
+        Returns:
+            One entry for each sample and sensor.
+
+        Raises:
+            InputError: If there is no such scene or its rows are broken.
+        """
+        row = self._row(name)
+        samples = samples_of_scene(self._devkit(row), row)
+        return {token: sample["token"] for sample in samples for token in sample["data"].values()}
+
     def has_map(self, name: str) -> bool:
         """Whether there is a map expansion file for the location of a scene.
 
@@ -208,6 +233,18 @@ class NuScenesData:
             InputError: If there is no such scene.
         """
         return expansion_file(self.root, self._log(self._row(name))["location"]) is not None
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the lidar of a scene sits (`standard_lidar` is taken where they do not).
+
+        Args:
+            name: Scene name.
+
+        Raises:
+            InputError: If there is no such scene or its rows are broken.
+        """
+        row = self._row(name)
+        return LIDAR_NAME in samples_of_scene(self._devkit(row), row)[0]["data"]
 
     def fingerprint(self) -> str:
         """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits."""

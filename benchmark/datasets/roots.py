@@ -39,6 +39,9 @@ class DataSet(Protocol):
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Custom splits."""
 
+    def split_names(self) -> tuple[str, ...]:
+        """Names of all splits, whether `scene_names` takes them or says what is wrong with them."""
+
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Sorted names of the scenes of a split, less those that inspectors rejected, or of all."""
 
@@ -57,8 +60,14 @@ class DataSet(Protocol):
     def truth(self, name: str) -> tuple[SampleTruth, ...]:
         """One truth a sample, in time order."""
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``."""
+
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map."""
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits."""
 
     def fingerprint(self) -> str:
         """Content hash."""
@@ -118,6 +127,10 @@ class VariantRoots:
             for split, names in data.splits().items():
                 merged[split] = (*merged.get(split, ()), *(f"{folder}/{name}" for name in names))
         return merged
+
+    def split_names(self) -> tuple[str, ...]:
+        """Names of the splits of any variant."""
+        return tuple(sorted({name for data in self._variants.values() for name in data.split_names()}))
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
         """Names of the scenes of a split, or of all; variants in order, sorted within each.
@@ -179,6 +192,15 @@ class VariantRoots:
         data, inner = self._find(name)
         return tuple(replace(truth, scene=name) for truth in data.truth(inner))
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        """Sample tokens of a scene by the tokens of their keyframe rows in ``sample_data.json``.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return data.keyframe_rows(inner)
+
     def has_map(self, name: str) -> bool:
         """Whether the scene's location has a vector map.
 
@@ -187,6 +209,15 @@ class VariantRoots:
         """
         data, inner = self._find(name)
         return data.has_map(inner)
+
+    def has_lidar(self, name: str) -> bool:
+        """Whether the tables say where the scene's lidar sits.
+
+        Raises:
+            InputError: As `scene`.
+        """
+        data, inner = self._find(name)
+        return data.has_lidar(inner)
 
     def fingerprint(self) -> str:
         """Content hash of all variants, 64 hexadecimal digits."""

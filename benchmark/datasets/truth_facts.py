@@ -3,15 +3,19 @@
 from collections.abc import Sequence
 
 from benchmark.datasets.steps import other_interval_us
+from benchmark.datasets.scene_inputs import scene_inputs
 from benchmark.records.run_schema import TruthFacts
+from benchmark.scene import Scene
 from benchmark.truth import SampleTruth
 
 
-def truth_facts(truths: Sequence[SampleTruth]) -> TruthFacts:
-    """Count what is annotated in a scene, and at which of its samples key frames are no steps.
+def truth_facts(scene: Scene, truths: Sequence[SampleTruth], *, lidar: bool) -> TruthFacts:
+    """Count what is annotated in a scene and where key frames are no steps, and look at what else there is.
 
     Args:
+        scene: The scene.
         truths: One for each sample of the scene, in time order.
+        lidar: Whether its data set says where the lidar sits.
 
     Returns:
         The counts.
@@ -22,4 +26,5 @@ def truth_facts(truths: Sequence[SampleTruth]) -> TruthFacts:
         irregular=sum(truth.timed is not None for truth in truths),
         cut_short=sum(truth.by_clock.cut_short for truth in truths),
         interval_s=None if interval_us is None else round(interval_us * 1e-6, 6),
+        inputs=scene_inputs(scene, lidar=lidar),
     )

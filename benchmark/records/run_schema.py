@@ -27,6 +27,10 @@ SceneCount = Annotated[int, Field(strict=True, ge=0, le=10_000_000)]
 LightName = Literal["day", "dusk", "night", "rain"]
 
 
+Want = Literal["map", "motion", "images"]
+"""What a planner goes without where a data set lacks it: lanes of the map, measured motion (CAN bus), cameras."""
+
+
 class PlannerFacts(Stored):
     """Which planner ran.
 
@@ -40,6 +44,7 @@ class PlannerFacts(Stored):
         native_protocol: Protocol of the planner's own repository, if it has one.
         published_as: What the paper calls it, if it ran it.
         miniature: Whether it is a small network that shows the pipeline and ranks nothing (docs/miniatures.md).
+        wants: What its plans depend on beside boxes, as far as it is known; empty in older records.
     """
 
     name: str
@@ -51,6 +56,37 @@ class PlannerFacts(Stored):
     native_protocol: str | None = None
     published_as: str | None = None
     miniature: bool = False
+    wants: list[Want] = Field(default_factory=list)
+
+
+LABELS: Final = {"native_protocol", "published_as", "miniature", "wants"}
+"""What is said of a planner and changes no plan."""
+
+
+class InputFacts(Stored):
+    """What a data set holds of a scene beside annotations, and what of it cannot be.
+
+    Attributes:
+        samples: Samples of the scene.
+        lanes: Lanes of the map around the ego; 0 where the map has none, or there is no map.
+        off_road: Samples at which the recorded ego is off the drivable area; null where the map has none.
+        cameras: Cameras of the rig.
+        lidar: Whether the data set says where the lidar sits; if not, it is taken to sit as on nuScenes' cars.
+        jumps: Boxes that went faster than anything on a road since their last annotation.
+        moving: Objects that move fast enough to tell their direction.
+        across: Those of them whose boxes lie across it.
+        turned_quaternions: Whether rotations make sense only if read as x, y, z, w.
+    """
+
+    samples: Annotated[int, Field(strict=True, ge=0)]
+    lanes: Annotated[int, Field(strict=True, ge=0)]
+    off_road: Annotated[int, Field(strict=True, ge=0)] | None
+    cameras: Annotated[int, Field(strict=True, ge=0)]
+    lidar: bool
+    jumps: Annotated[int, Field(strict=True, ge=0)]
+    moving: Annotated[int, Field(strict=True, ge=0)]
+    across: Annotated[int, Field(strict=True, ge=0)]
+    turned_quaternions: bool
 
 
 class TruthFacts(Stored):
@@ -61,12 +97,14 @@ class TruthFacts(Stored):
         irregular: Samples some of whose key frames ahead are not half a second apart.
         cut_short: Of these those whose recording goes on for 3 s, with a gap in it that leaves steps unknown.
         interval_s: Median interval of its key frames where that is not 0.5 s.
+        inputs: What else it holds; null in older records.
     """
 
     annotations: Annotated[int, Field(strict=True, ge=0)]
     irregular: Annotated[int, Field(strict=True, ge=0)] = 0
     cut_short: Annotated[int, Field(strict=True, ge=0)] = 0
     interval_s: Annotated[float, Field(gt=0)] | None = None
+    inputs: InputFacts | None = None
 
 
 class SceneFacts(Stored):

@@ -1,11 +1,13 @@
 """The caveats of a run record, put together in one place; each kind is decided in the room that knows of it."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
-from benchmark.records.drive_schema import DriveRow
+from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.rows import Rows
 from benchmark.records.run_schema import PlannerFacts, SceneFacts
+from benchmark.runs.input_caveats import data_caveats, drive_input_caveats, planner_caveats
 from benchmark.runs.time_caveat import time_caveats
 
 
@@ -24,11 +26,22 @@ def run_caveats(
     Returns:
         The caveats, in order.
     """
-    return in_order((*(caveat for caveat in known if caveat.kind in OF_THE_DOOR), *time_caveats(scenes)))
+    return in_order(
+        chain(
+            (caveat for caveat in known if caveat.kind in OF_THE_DOOR),
+            time_caveats(scenes),
+            data_caveats(scenes),
+            planner_caveats(planner, scenes, rows),
+        )
+    )
 
 
 def drive_caveats(
-    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Sequence[DriveRow], known: Sequence[Caveat] = ()
+    planner: PlannerFacts,
+    scenes: Mapping[str, SceneFacts],
+    rows: Sequence[DriveRow],
+    measured: Measured,
+    known: Sequence[Caveat] = (),
 ) -> list[Caveat]:
     """`run_caveats` of a record of drives.
 
@@ -36,9 +49,17 @@ def drive_caveats(
         planner: Who drove.
         scenes: As there.
         rows: One for each drive.
+        measured: Engine, agents and sensor.
         known: As there.
 
     Returns:
         The caveats, in order.
     """
-    return in_order((*(caveat for caveat in known if caveat.kind in OF_THE_DOOR), *time_caveats(scenes)))
+    return in_order(
+        chain(
+            (caveat for caveat in known if caveat.kind in OF_THE_DOOR),
+            time_caveats(scenes),
+            data_caveats(scenes),
+            drive_input_caveats(planner, scenes, measured),
+        )
+    )

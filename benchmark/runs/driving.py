@@ -18,7 +18,7 @@ from benchmark.closed_loop.drives.default_engine import agents_facts, until_of
 from benchmark.closed_loop.drives.riding import RideMaker
 from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
-from benchmark.datasets.scene_facts import frozen_split_of
+from benchmark.datasets.scene_facts import frozen_split_of, with_truth
 from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
@@ -42,6 +42,7 @@ from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive
 from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopen_root
@@ -335,13 +336,14 @@ def _records(
             if division is not None and job.costs is not None:
                 gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
-        records = []
+        records, truths = [], truths_of(data, scenes)
         for place, job in enumerate(jobs):
             described = _described(data, split, job, scenes, settings)
             own = results[place :: len(jobs)]
             rows = [result.row for result in own]
             door = getattr(job.factory, "caveats", ())
-            described["caveats"] = drive_caveats(job.planner, described["scene_facts"], rows, door)
+            described["scene_facts"] = with_truth(described["scene_facts"], truths)
+            described["caveats"] = drive_caveats(job.planner, described["scene_facts"], rows, job.measured, door)
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             if job.costs is not None:
                 note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))

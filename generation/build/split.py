@@ -295,8 +295,7 @@ def _build_adversarial(
     if not chosen.jobs:
         withdraw(settings.out)
         raise NothingSurvivedError(
-            f"no adversarial scene survived: {report.sentence()}; try more scenes or another --seed "
-            f"(details in {settings.out / ATTEMPTS_FILE})",
+            f"no adversarial scene survived: {report.sentence()}; {_what_to_do(report, settings)}",
             report,
         )
     chosen.take_over(plan)
@@ -305,6 +304,18 @@ def _build_adversarial(
         how = _choice(report, settings, plan.left_out)
         write_frozen(settings.freeze, freeze(source, plan, chosen.chains, search, how, settings.where_rendered))
     return replace(report, runtime=runtime_table([search.timing_path(tried.unit) for tried in found.tried], notes))
+
+
+def _what_to_do(report: BuildReport, settings: BuildSettings) -> str:
+    """Advice for a search of which nothing came."""
+    if report.tried:
+        return f"try more scenes or another --seed (details in {settings.out / ATTEMPTS_FILE})"
+    reasons = sorted(report.not_tried.items(), key=lambda row: (-row[1], row[0]))
+    said = ", ".join(f"{count} {reason}" for reason, count in reasons) or "nothing is annotated"
+    return (
+        f"of {counted(sum(report.not_tried.values()), 'object')} none can be tried ({said}): choose other scenes with "
+        "--source-split or --scenes"
+    )
 
 
 def _choice(report: BuildReport, settings: BuildSettings, rejected: Sequence[tuple[int, Judged]]) -> Choice:

@@ -42,12 +42,17 @@ class FakeData:
     version: str = "v1.0-fake"
     name: str = "fake"
     views: dict[str, CameraView] = field(default_factory=dict)
+    train: tuple[str, ...] = ()
 
     def splits(self) -> dict[str, tuple[str, ...]]:
-        return {"val": tuple(sorted(self.scenes))}
+        return {split: self.scene_names(split) for split in self.split_names()}
+
+    def split_names(self) -> tuple[str, ...]:
+        return ("train", "val") if self.train else ("val",)
 
     def scene_names(self, split: str | None = None) -> tuple[str, ...]:
-        return tuple(sorted(self.scenes))
+        names = sorted(self.scenes)
+        return tuple(name for name in names if split is None or (name in self.train) == (split == "train"))
 
     def review(self, split: str | None = None) -> SplitReview:
         return SplitReview(waiting=self.scene_names(split))
@@ -55,7 +60,13 @@ class FakeData:
     def scene(self, name: str) -> Scene:
         return self.scenes[name]
 
+    def keyframe_rows(self, name: str) -> dict[str, str]:
+        return {token("CAM_FRONT", truth.sample_token): truth.sample_token for truth in self.truth(name)}
+
     def has_map(self, name: str) -> bool:
+        return True
+
+    def has_lidar(self, name: str) -> bool:
         return True
 
     def provenance(self) -> dict[str, Any] | None:

@@ -6,6 +6,8 @@ from pathlib import Path
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.integrity.files import check_files
 from benchmark.datasets.integrity.links import check_chains, check_links, check_sample_chains
+from benchmark.datasets.integrity.maps import check_maps
+from benchmark.datasets.integrity.motion import EgoAtSamples, check_motion
 from benchmark.datasets.integrity.provenance import check_provenance, check_splits
 from benchmark.datasets.integrity.rates import check_gaps, check_rates
 from benchmark.datasets.integrity.tables import read_checked
@@ -58,6 +60,9 @@ def _check(folder: Path, data_root: Path) -> list[Fault]:
     check_copied_intrinsics(tables, faults)
     check_sensors(tables, faults)
     check_files(data_root, tables, faults)
+    ego = EgoAtSamples.of(tables)
+    check_maps(data_root, tables, ego, faults)
+    check_motion(tables, ego, faults)
     check_splits(folder, tables, faults)
     check_provenance(folder, tables, faults)
     return faults.told()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
 
 Record = RunRecord | DriveRecord
-_LABELS: Final = {"published_as", "miniature"}
+_LABELS: Final = {"published_as", "miniature", "wants"}
 """What makes no other planner of one."""
 
 
