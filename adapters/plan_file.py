@@ -13,8 +13,8 @@ noticed. Every sample of the split needs exactly one row.
 
 import json
 from collections import Counter
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,12 +29,17 @@ from benchmark.foreign.tables import read_table
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.plausibility.compared import ComparedPlans
+from benchmark.plausibility.measuring import FrameName, plausibility_of
+from benchmark.plausibility.verdicts import caveat_as_is, checks_said, refusal_of
+from benchmark.records.caveats import Caveat
 from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.planner_facts import known_native
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -44,6 +49,29 @@ WAYPOINT_COLUMNS = LONGEST_COLUMNS[: 2 * PLAN_STEPS]
 """Those that every plan file has; the others may follow, one step after the other."""
 _BY_TOKEN, _BY_TIME = ("sample_token",), ("scene", "timestamp")
 _SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFuture:
+    """What was recorded of the ego after a sample.
+
+    Attributes:
+        lidar_ahead_m: Lidar origin ahead of the rear axle.
+        positions: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
+    """
+
+    lidar_ahead_m: float
+    positions: Floats
+
+    @classmethod
+    def of(cls, truth: SampleTruth) -> "RecordedFuture":
+        """After a sample."""
+        positions = np.where(truth.ego_future_valid[:, None], truth.ego_future[:, :2], np.nan)
+        return cls(truth.lidar_ahead_m, positions)
+
+
+SplitSamples = Mapping[str, Mapping[tuple[Hashable, ...], RecordedFuture]]
+"""Samples by scene and by what rows call them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,21 +92,19 @@ class PlanFile:
     frames: tuple[PlanFrame, ...]
     waypoints: Floats
 
-    def require(self, data: "DataSet", split: str, scenes: Sequence[str]) -> None:
+    def require(self, samples: "SplitSamples", split: str, scenes: Sequence[str]) -> None:
         """Check that there is one row for every sample, and none for anything else.
 
         Args:
-            data: The data set.
-            split: The split.
+            samples: Samples of the split (`samples_of`).
+            split: The split, for messages.
             scenes: Scenes that will be evaluated; rows of the split's other scenes may stay.
 
         Raises:
             InputError: If rows are missing or do not belong to the split.
         """
-        every_scene = data.scene_names(split)
-        samples = {scene: {self._key(truth) for truth in data.truth(scene)} for scene in every_scene}
         present = set(self.keys)
-        missing = [key for scene in scenes for key in sorted(samples[scene] - present, key=str)]
+        missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
         if missing:
             raise InputError(
                 f"{self.path} has no row for {_listed(missing)} of split {split!r}; every sample needs a plan"
@@ -89,6 +115,26 @@ class PlanFile:
             raise InputError(
                 f"{self.path} has rows for {_listed(extra)} that split {split!r} does not have; remove them"
             )
+
+    def samples_of(self, data: "DataSet", split: str) -> "SplitSamples":
+        """Samples of a split by scene and by what rows call them, with what was recorded."""
+        return {
+            name: {self._key(truth): RecordedFuture.of(truth) for truth in data.truth(name)}
+            for name in data.scene_names(split)
+        }
+
+    def compared(self, samples: "SplitSamples") -> ComparedPlans:
+        """Plans of samples beside what was recorded."""
+        known = {key: future for of_scene in samples.values() for key, future in of_scene.items()}
+        rows = [row for row, key in enumerate(self.keys) if key in known]
+        futures = [known[self.keys[row]] for row in rows]
+        plans = [
+            waypoints_in_lidar(self.waypoints[row, :PLAN_STEPS], self.frames[row], future.lidar_ahead_m)
+            for row, future in zip(rows, futures, strict=True)
+        ]
+        shape = (len(rows), PLAN_STEPS, 2)
+        recorded = np.array([future.positions for future in futures]).reshape(shape)
+        return ComparedPlans.of(np.array(plans).reshape(shape), recorded)
 
     def _key(self, sample: SampleTruth | Observation) -> tuple[Hashable, ...]:
         return (sample.sample_token,) if self.by_token else (sample.scene, sample.timestamp_us)
@@ -135,14 +181,25 @@ class PlanFileFactory:
     Attributes:
         path: The file.
         facts: Its identity: name and hash of the file.
+        frame: Frame of all plans, if it is not that of the file.
+        caveats: What the record has to say of plans that were taken as they stand.
+        measured: What tests of unit, frame, origin and time measured, or that they are not testable.
     """
 
     path: Path
     facts: PlannerFacts
+    frame: FrameName | None = None
+    caveats: tuple[Caveat, ...] = ()
+    measured: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self) -> PlanFilePlanner:
         """Read the file again."""
-        return PlanFilePlanner(read_plan_file(self.path), self.facts.name)
+        return PlanFilePlanner(read_plan_file(self.path, self.frame), self.facts.name)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What there is to report of the file."""
+        return [f"{self.path}: {checks_said(self.measured)}"]
 
 
 def plan_file_factory(
@@ -155,6 +212,8 @@ def plan_file_factory(
     name: str | None = None,
     native: str | None = None,
     records: "Sequence[Path]" = (),
+    frame: FrameName | None = None,
+    as_is: bool = False,
 ) -> PlanFileFactory:
     """The planner of a plan file, checked against the samples it is for.
 
@@ -167,29 +226,37 @@ def plan_file_factory(
         name: Shown in tables; the file's name without its ending by default.
         native: Protocol of the repository that the planner comes from, if it is known here.
         records: Folders of run records, to say what a file of other data is for.
+        frame: Frame of all plans, ``lidar`` or ``ego``, whatever the file says.
+        as_is: Take plans as they stand, whatever unit, frame, origin or time would fit better; the record says so.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.
 
     Raises:
-        InputError: If the file is malformed, its rows do not match the samples, or the native protocol is unknown.
+        InputError: If the file is malformed, its rows do not match the samples, its plans fit far better otherwise
+            (`benchmark.plausibility`), or the native protocol is unknown.
     """
     known_native(native, f"plan file {path}")
-    plans = read_plan_file(path)
+    plans = read_plan_file(path, frame)
+    chosen, samples = EvalSettings(scenes=scenes, limit=limit).chosen(data, split), plans.samples_of(data, split)
     try:
-        plans.require(data, split, EvalSettings(scenes=scenes, limit=limit).chosen(data, split))
+        plans.require(samples, split, chosen)
     except InputError as error:
         raise _foreign(plans, data, split, records) or error from None
+    found = plausibility_of(plans.compared(samples))
+    if found.misreading is not None and not as_is:
+        raise InputError(refusal_of(path, found.misreading))
     facts = PlannerFacts(
         name=name or path.stem,
         privileged=False,
         weights_sha256=None,
         code_sha256=code_sha256(PlanFilePlanner),
-        settings={PLANS_SHA256: file_sha256(path)},
+        settings={PLANS_SHA256: file_sha256(path), **({} if frame is None else {"frame": frame})},
         native_protocol=native,
         published_as=published_as(name or path.stem),
     )
-    return PlanFileFactory(path, facts)
+    caveats = () if found.misreading is None else (caveat_as_is(found.misreading),)
+    return PlanFileFactory(path, facts, frame, caveats, found.measured)
 
 
 def _foreign(plans: PlanFile, data: "DataSet", split: str, records: Sequence[Path]) -> InputError | None:
@@ -212,11 +279,12 @@ def _foreign(plans: PlanFile, data: "DataSet", split: str, records: Sequence[Pat
     )
 
 
-def read_plan_file(path: Path) -> PlanFile:
+def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     """Read and check a plan file.
 
     Args:
         path: ``.csv``, ``.parquet`` or ``.json``.
+        frame: Frame of all plans, whatever the file says.
 
     Returns:
         Its rows, in the order of the file.
@@ -235,11 +303,12 @@ def read_plan_file(path: Path) -> PlanFile:
     if repeated:
         raise InputError(f"{path} has more than one row for {_listed(repeated)}")
     waypoints = _numbers(path, table, keys)
-    frames = tuple(str(frame) for frame in table["frame"])
-    wrong = [f"{frame!r} ({_shown(key)})" for frame, key in zip(frames, keys) if frame not in set(PlanFrame)]
+    frames = tuple(str(own) for own in table["frame"])
+    wrong = [f"{own!r} ({_shown(key)})" for own, key in zip(frames, keys) if own not in set(PlanFrame)]
     if wrong:
         raise InputError(f"{path} has the unknown frame {_counted(wrong)}; a frame is 'lidar' or 'ego'")
-    return PlanFile(path, key_columns == _BY_TOKEN, keys, tuple(PlanFrame(frame) for frame in frames), waypoints)
+    read_as = tuple(PlanFrame(frame or own) for own in frames)
+    return PlanFile(path, key_columns == _BY_TOKEN, keys, read_as, waypoints)
 
 
 def _read_table(path: Path) -> Any:

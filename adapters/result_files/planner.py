@@ -15,7 +15,7 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import content_key, file_sha256
 from benchmark.planning import Observation, Plan, SceneInfo
 from benchmark.plausibility.measuring import FrameName
-from benchmark.plausibility.verdicts import caveat_as_is
+from benchmark.plausibility.verdicts import caveat_as_is, checks_said
 from benchmark.records.caveats import Caveat
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts, PlansFrom
@@ -107,8 +107,7 @@ class ResultFileFactory:
             said.append(f"{counted(found.duplicates, 'entry', 'entries')} repeated and left out")
         if found.steps == LONG_PLAN_STEPS:
             said.append("plans of 6 s: protocols judge the first 3 s of a planner that was trained for 6 s")
-        checks = "; ".join(f"{name}: {text}" for name, text in found.checks.items())
-        return [*said, f"checks: {checks}", f"the record has no {', no '.join(found.lacks)}"]
+        return [*said, checks_said(found.checks), f"the record has no {', no '.join(found.lacks)}"]
 
 
 def result_file_factory(

@@ -1,4 +1,4 @@
-"""Whether plans of result files can be in the frame, unit and origin that their format has (`benchmark.plausibility`)."""
+"""Whether plans of result files can be what their format says (`benchmark.plausibility`)."""
 
 from pathlib import Path
 

@@ -1,5 +1,6 @@
 """What follows from a reading that fits far better: a file is refused, a running planner's record has a caveat."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from benchmark.plausibility.compared import ComparedPlans
@@ -23,6 +24,11 @@ def refusal_of(path: Path, misreading: Misreading) -> str:
         "check which script wrote the file" if misreading.frame is None else f"--frame {misreading.frame} reads it so"
     )
     return f"{path}: {misreading.sentence}; {remedy}, --as-is takes it as it stands"
+
+
+def checks_said(measured: Mapping[str, str]) -> str:
+    """What tests measured, in a line."""
+    return f"checks: {'; '.join(f'{name}: {text}' for name, text in measured.items())}"
 
 
 def caveat_as_is(misreading: Misreading) -> Caveat:

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+from benchmark.plausibility.compared import ComparedPlans
+from benchmark.plausibility.verdicts import plan_caveats
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.rows import Rows
@@ -23,11 +25,17 @@ def run_caveats(
     Returns:
         The caveats, in order.
     """
-    return in_order(caveat for caveat in known if caveat.kind in OF_THE_DOOR)
+    columns = rows.columns
+    compared = ComparedPlans.of(columns.in_lidar, columns.recorded)
+    return in_order([*_of_the_door(known), *_of_plans(compared, known)])
 
 
 def drive_caveats(
-    planner: PlannerFacts, scenes: Mapping[str, SceneFacts], rows: Sequence[DriveRow], known: Sequence[Caveat] = ()
+    planner: PlannerFacts,
+    scenes: Mapping[str, SceneFacts],
+    rows: Sequence[DriveRow],
+    compared: ComparedPlans,
+    known: Sequence[Caveat] = (),
 ) -> list[Caveat]:
     """`run_caveats` of a record of drives.
 
@@ -35,9 +43,20 @@ def drive_caveats(
         planner: Who drove.
         scenes: As there.
         rows: One for each drive.
+        compared: Its plans of the instants at which the ego was still where it was recorded.
         known: As there.
 
     Returns:
         The caveats, in order.
     """
-    return in_order(caveat for caveat in known if caveat.kind in OF_THE_DOOR)
+    return in_order([*_of_the_door(known), *_of_plans(compared, known)])
+
+
+def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:
+    """What is kept of what is known."""
+    return [caveat for caveat in known if caveat.kind in OF_THE_DOOR]
+
+
+def _of_plans(compared: ComparedPlans, known: Sequence[Caveat]) -> list[Caveat]:
+    """Whether plans fit better otherwise; of those that a file was taken in with, that has been said."""
+    return [] if any(caveat.kind == "as-is" for caveat in known) else plan_caveats(compared)
