@@ -15,7 +15,7 @@ A CSV may have what Excel writes where the comma is the decimal sign: ``;`` betw
 
 import json
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence, Set
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,12 +32,17 @@ from benchmark.foreign.tables import read_table
 from benchmark.geometry import Floats
 from benchmark.machine.storage import file_sha256
 from benchmark.planning import Observation, Plan, PlanFrame, SceneInfo
+from benchmark.plausibility.compared import ComparedPlans
+from benchmark.plausibility.measuring import FrameName, plausibility_of
+from benchmark.plausibility.verdicts import caveat_as_is, checks_said, refusal_of
+from benchmark.records.caveats import Caveat
 from benchmark.records.inventory import where_planned
 from benchmark.records.planner_versions import PLANS_SHA256
 from benchmark.records.run_schema import PlannerFacts
 from benchmark.runs.code_identity import code_sha256
 from benchmark.runs.planner_facts import known_native
 from benchmark.truth import SampleTruth
+from benchmark.waypoints import waypoints_in_lidar
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -47,8 +52,29 @@ WAYPOINT_COLUMNS = LONGEST_COLUMNS[: 2 * PLAN_STEPS]
 """Those that every plan file has; the others may follow, one step after the other."""
 _BY_TOKEN, _BY_TIME = ("sample_token",), ("scene", "timestamp")
 _SHOWN = 3
-SampleKeys = Mapping[str, Set[tuple[Hashable, ...]]]
-"""How rows name the samples of scenes, by scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFuture:
+    """What was recorded of the ego after a sample.
+
+    Attributes:
+        lidar_ahead_m: Lidar origin ahead of the rear axle.
+        positions: (6, 2) of the lidar, x right, y forward, metres; NaN past the end.
+    """
+
+    lidar_ahead_m: float
+    positions: Floats
+
+    @classmethod
+    def of(cls, truth: SampleTruth) -> "RecordedFuture":
+        """After a sample."""
+        positions = np.where(truth.ego_future_valid[:, None], truth.ego_future[:, :2], np.nan)
+        return cls(truth.lidar_ahead_m, positions)
+
+
+SplitSamples = Mapping[str, Mapping[tuple[Hashable, ...], RecordedFuture]]
+"""Samples by scene and by what rows call them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +97,7 @@ class PlanFile:
 
     def require(
         self,
-        samples: SampleKeys,
+        samples: "SplitSamples",
         split: str,
         scenes: Sequence[str],
         *,
@@ -80,7 +106,7 @@ class PlanFile:
         """Check that there is one row for every sample, and none for anything else.
 
         Args:
-            samples: Row names of the split's samples by scene (`samples_of`).
+            samples: Samples of the split (`samples_of`).
             split: The split, for messages.
             scenes: Scenes that will be evaluated; rows of the split's other scenes may stay.
             allow_partial: Whether a sample may have no row, and has failed then; one at least needs one.
@@ -89,7 +115,7 @@ class PlanFile:
             InputError: If rows are missing or do not belong to the split.
         """
         present = set(self.keys)
-        missing = [key for scene in scenes for key in sorted(samples[scene] - present, key=str)]
+        missing = [key for scene in scenes for key in sorted(samples[scene].keys() - present, key=str)]
         if missing and not (allow_partial and len(missing) < sum(len(samples[scene]) for scene in scenes)):
             what = (
                 "no sample has one" if allow_partial else "every sample needs a plan, unless --allow-partial is given"
@@ -102,9 +128,12 @@ class PlanFile:
                 f"{self.path} has rows for {_listed(extra)} that split {split!r} does not have; remove them"
             )
 
-    def samples_of(self, data: "DataSet", split: str) -> dict[str, set[tuple[Hashable, ...]]]:
-        """How rows name the samples of a split, by scene."""
-        return {name: {self._key(truth) for truth in data.truth(name)} for name in data.scene_names(split)}
+    def samples_of(self, data: "DataSet", split: str) -> "SplitSamples":
+        """Samples of a split by scene and by what rows call them, with what was recorded."""
+        return {
+            name: {self._key(truth): RecordedFuture.of(truth) for truth in data.truth(name)}
+            for name in data.scene_names(split)
+        }
 
     def by_samples(self, tokens: Mapping[str, str]) -> "PlanFile":
         """The same with names of samples.
@@ -121,6 +150,19 @@ class PlanFile:
         keys = tuple((tokens.get(str(key[0]), key[0]),) for key in self.keys)
         _require_once(self.path, keys)
         return replace(self, keys=keys)
+
+    def compared(self, samples: "SplitSamples") -> ComparedPlans:
+        """Plans of samples beside what was recorded."""
+        known = {key: future for of_scene in samples.values() for key, future in of_scene.items()}
+        rows = [row for row, key in enumerate(self.keys) if key in known]
+        futures = [known[self.keys[row]] for row in rows]
+        plans = [
+            waypoints_in_lidar(self.waypoints[row, :PLAN_STEPS], self.frames[row], future.lidar_ahead_m)
+            for row, future in zip(rows, futures, strict=True)
+        ]
+        shape = (len(rows), PLAN_STEPS, 2)
+        recorded = np.array([future.positions for future in futures]).reshape(shape)
+        return ComparedPlans.of(np.array(plans).reshape(shape), recorded)
 
     def _key(self, sample: SampleTruth | Observation) -> tuple[Hashable, ...]:
         return (sample.sample_token,) if self.by_token else (sample.scene, sample.timestamp_us)
@@ -168,25 +210,29 @@ class PlanFileFactory:
         path: The file.
         facts: Its identity: name and hash of the file.
         tokens: Sample tokens by the tokens of keyframe rows, where the file has those.
+        frame: Frame of all plans, if it is not that of the file.
+        caveats: What the record has to say of plans that were taken as they stand.
+        measured: What tests of unit, frame, origin and time measured, or that they are not testable.
     """
 
     path: Path
     facts: PlannerFacts
     tokens: Mapping[str, str] = field(default_factory=dict)
+    frame: FrameName | None = None
+    caveats: tuple[Caveat, ...] = ()
+    measured: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self) -> PlanFilePlanner:
         """Read the file again."""
-        plans = read_plan_file(self.path)
+        plans = read_plan_file(self.path, self.frame)
         return PlanFilePlanner(plans.by_samples(self.tokens) if self.tokens else plans, self.facts.name)
 
     @property
     def sentences(self) -> list[str]:
         """What there is to report of the file."""
-        if not self.tokens:
-            return []
-        return [
-            f"{self.path}: sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
-        ]
+        rows = "sample_token holds tokens of sample_data rows; each stands for the sample of its keyframe"
+        told = [f"{self.path}: {rows}"] if self.tokens else []
+        return [*told, f"{self.path}: {checks_said(self.measured)}"]
 
 
 def plan_file_factory(
@@ -200,6 +246,8 @@ def plan_file_factory(
     native: str | None = None,
     records: "Sequence[Path]" = (),
     allow_partial: bool = False,
+    frame: FrameName | None = None,
+    as_is: bool = False,
 ) -> PlanFileFactory:
     """The planner of a plan file, checked against the samples it is for.
 
@@ -213,15 +261,18 @@ def plan_file_factory(
         native: Protocol of the repository that the planner comes from, if it is known here.
         records: Folders of run records, to say what a file of other data is for.
         allow_partial: Whether samples may have no row; they have failed then.
+        frame: Frame of all plans, ``lidar`` or ``ego``, whatever the file says.
+        as_is: Take plans as they stand, whatever unit, frame, origin or time would fit better; the record says so.
 
     Returns:
         A factory for `benchmark.evaluation.evaluate`.
 
     Raises:
-        InputError: If the file is malformed, its rows do not match the samples, or the native protocol is unknown.
+        InputError: If the file is malformed, its rows do not match the samples, its plans fit far better otherwise
+            (`benchmark.plausibility`), or the native protocol is unknown.
     """
     known_native(native, f"plan file {path}")
-    plans = read_plan_file(path)
+    plans = read_plan_file(path, frame)
     chosen, samples = EvalSettings(scenes=scenes, limit=limit).chosen(data, split), plans.samples_of(data, split)
     tokens = _tokens_of_keyframes(plans, data, samples)
     plans = plans.by_samples(tokens) if tokens else plans
@@ -229,19 +280,23 @@ def plan_file_factory(
         plans.require(samples, split, chosen, allow_partial=allow_partial)
     except InputError as error:
         raise _foreign(plans, data, split, samples, records) or error from None
+    found = plausibility_of(plans.compared(samples))
+    if found.misreading is not None and not as_is:
+        raise InputError(refusal_of(path, found.misreading))
     facts = PlannerFacts(
         name=name or path.stem,
         privileged=False,
         weights_sha256=None,
         code_sha256=code_sha256(PlanFilePlanner),
-        settings={PLANS_SHA256: file_sha256(path)},
+        settings={PLANS_SHA256: file_sha256(path), **({} if frame is None else {"frame": frame})},
         native_protocol=native,
         published_as=published_as(name or path.stem),
     )
-    return PlanFileFactory(path, facts, tokens)
+    caveats = () if found.misreading is None else (caveat_as_is(found.misreading),)
+    return PlanFileFactory(path, facts, tokens, frame, caveats, found.measured)
 
 
-def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: SampleKeys) -> dict[str, str]:
+def _tokens_of_keyframes(plans: PlanFile, data: "DataSet", samples: "SplitSamples") -> dict[str, str]:
     """Sample tokens by those of keyframe rows that the file has in their place; empty where it has none."""
     named = {str(key[0]) for key in plans.keys} if plans.by_token else set()
     if named <= {str(key[0]) for keys in samples.values() for key in keys}:
@@ -254,7 +309,7 @@ def _foreign(
     plans: PlanFile,
     data: "DataSet",
     split: str,
-    samples: SampleKeys,
+    samples: "SplitSamples",
     records: Sequence[Path],
 ) -> InputError | None:
     """What to say of a file of which no row belongs to the split; ``None`` if some do."""
@@ -276,11 +331,12 @@ def _foreign(
     )
 
 
-def read_plan_file(path: Path) -> PlanFile:
+def read_plan_file(path: Path, frame: FrameName | None = None) -> PlanFile:
     """Read and check a plan file.
 
     Args:
         path: ``.csv``, ``.parquet`` or ``.json``.
+        frame: Frame of all plans, whatever the file says.
 
     Returns:
         Its rows, in the order of the file.
@@ -297,11 +353,12 @@ def read_plan_file(path: Path) -> PlanFile:
     keys = tuple(_row_key(path, key_columns, values) for values in zip(*(table[column] for column in key_columns)))
     _require_once(path, keys)
     waypoints = _numbers(path, table, keys)
-    frames = tuple(str(frame) for frame in table["frame"])
-    wrong = [f"{frame!r} ({_shown(key)})" for frame, key in zip(frames, keys) if frame not in set(PlanFrame)]
+    frames = tuple(str(own) for own in table["frame"])
+    wrong = [f"{own!r} ({_shown(key)})" for own, key in zip(frames, keys) if own not in set(PlanFrame)]
     if wrong:
         raise InputError(f"{path} has the unknown frame {_counted(wrong)}; a frame is 'lidar' or 'ego'")
-    return PlanFile(path, key_columns == _BY_TOKEN, keys, tuple(PlanFrame(frame) for frame in frames), waypoints)
+    read_as = tuple(PlanFrame(frame or own) for own in frames)
+    return PlanFile(path, key_columns == _BY_TOKEN, keys, read_as, waypoints)
 
 
 def _read_table(path: Path) -> Any:

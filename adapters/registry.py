@@ -46,7 +46,7 @@ class NamedPlanner:
         device: Passed to planners that take one; of several each process takes one.
         precision: Passed to planners that take one.
         as_published: Passed to planners that take it.
-        over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``.
+        over_http: Passed to planners behind HTTP: ``image_format``, ``deadline_s``, ``frame``.
         supervision: Limits of a process of its own; ``None`` of planners that run in this one.
         identity: Who it says that it is, if it runs in a process of its own.
     """

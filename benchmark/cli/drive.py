@@ -16,12 +16,14 @@ from benchmark.cli.options import (
     DryRunOption,
     ExecutorName,
     ExecutorOption,
+    FrameName,
     ImageFormatName,
     ImageFormatOption,
     JsonOption,
     LimitOption,
     MemoryLimitOption,
     OutOption,
+    PlanFrameOption,
     ScenesOption,
     SeedOption,
     ShardOption,
@@ -142,6 +144,7 @@ def drive_command(
         str, typer.Option(help="What cameras see: none, schematic or http://HOST:PORT; blind planners have none.")
     ] = "none",
     image_format: ImageFormatOption = None,
+    frame: PlanFrameOption = None,
     accept_torch_tensors: Annotated[
         bool, typer.Option("--accept-torch-tensors", help="A renderer's pictures may be saved tensors (pickles).")
     ] = False,
@@ -181,7 +184,7 @@ def drive_command(
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_data
     from benchmark.cli.beforehand.names import require_models, supervision_of
-    from benchmark.cli.beforehand.over_http import require_servers
+    from benchmark.cli.beforehand.over_http import require_frame, require_servers
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
     from benchmark.runs.shards import Shard
@@ -201,6 +204,7 @@ def drive_command(
     supervision = replace(supervision_of(model, None, memory_limit), sample_s=timeout)
     for each in model:
         _require_sight(api.model_that_runs(each, checkpoint, data=data), sensor)
+    require_frame(model, None if frame is None else frame.value)
     require_servers(model, image_format, sensor, tensors=accept_torch_tensors)
     mine = None if shard is None else Shard.named(shard)
     if executor is not ExecutorName.LOCAL:
@@ -213,7 +217,11 @@ def drive_command(
         say_plan(ahead.plan(then), json_output=json_output)
         return
     # A little longer than the drive itself waits, so that who is late is late for one reason.
-    over_http = {"image_format": (image_format or ImageFormatName.TORCH).value, "deadline_s": timeout + 5.0}
+    over_http = {
+        "image_format": (image_format or ImageFormatName.TORCH).value,
+        "deadline_s": timeout + 5.0,
+        "frame": (frame or FrameName.EGO).value,
+    }
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories = [
         api.load_planner(

@@ -22,6 +22,7 @@ from benchmark.cli.options import (
     LimitOption,
     MemoryLimitOption,
     OutOption,
+    PlanFrameOption,
     RecordsOption,
     SampleLimitOption,
     ScenesOption,
@@ -37,7 +38,7 @@ from benchmark.cli.options import (
     print_json,
     say_plan,
 )
-from benchmark.cli.result_files import opened_results, results_planner, write_dumps
+from benchmark.cli.result_files import ReadAs, opened_results, results_planner, write_dumps
 from benchmark.cli.shards import say_shard
 from benchmark.cli.what_next import same_place, say_next
 from benchmark.errors import InputError
@@ -89,6 +90,14 @@ def eval_command(
         str | None,
         typer.Option(help="With --plans or --results: the protocol of the repository that the planner comes from."),
     ] = None,
+    frame: PlanFrameOption = None,
+    as_is: Annotated[
+        bool,
+        typer.Option(
+            "--as-is",
+            help="With --plans or --results: judge plans as they stand, even if they fit far better otherwise; marked.",
+        ),
+    ] = False,
     checkpoint: Annotated[Path | None, typer.Option(help="Weights of the model.")] = None,
     as_published: AsPublishedOption = None,
     image_format: ImageFormatOption = None,
@@ -124,7 +133,7 @@ def eval_command(
     """Run planners on a split, write run records, and print the table."""
     from benchmark.cli.beforehand.data_sets import require_data
     from benchmark.cli.beforehand.names import require_models, require_published_runs, supervision_of
-    from benchmark.cli.beforehand.over_http import require_servers
+    from benchmark.cli.beforehand.over_http import require_frame, require_servers
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate_together, require_whole_split
     from benchmark.machine.several_devices import require_one_device, workers_for
@@ -139,6 +148,10 @@ def eval_command(
         )
     if native is not None and plans is None and not results:
         raise InputError("--native belongs to --plans and --results; planners that --model names say it themselves")
+    if as_is and plans is None and not results:
+        raise InputError(
+            "--as-is belongs to --plans and --results; the plans of running planners are judged in any case"
+        )
     require_models(model, checkpoint, data=data, device=device, precision=precision)
     shown, count = _protocols_to_show(protocol), api.worker_count(workers_for(workers, device))
     mine = None if shard is None else Shard.named(shard)
@@ -150,6 +163,7 @@ def eval_command(
         require_one_device(device, "who remembers across scenes plans all of them in one process")
         require_whole_split("the model", name_list(scenes), limit, workers)
         count = 1
+    require_frame(model, None if frame is None else frame.value, of_file=plans is not None or bool(results))
     require_servers(model, image_format)
     if plans is not None:
         require_plans(plans, native)
@@ -165,6 +179,9 @@ def eval_command(
     run_root = api.workspace(out).run_root()
     timings = api.workspace(out).timings_of(run_root)
     settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings)
+    over_http = {
+        name: option.value for name, option in (("image_format", image_format), ("frame", frame)) if option is not None
+    }
     # Planners first: a stranger's class may not be importable, and data may take minutes to build.
     factories: list[PlannerFactory] = [
         api.load_planner(
@@ -175,26 +192,36 @@ def eval_command(
             device=device,
             precision=precision,
             as_published=published,
-            over_http={} if image_format is None else {"image_format": image_format.value},
+            over_http=over_http,
             supervision=supervision,
         )
         for each in model
     ]
     source = api.open_data(data, tables=tables, workers=workers, out=out)
     dataset = api.open_split(source, split, out, workers=workers)
+    read_as: ReadAs = {"frame": None if frame is None else frame.value, "as_is": as_is}
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
         chosen = settings.chosen(dataset, split)
         from_file = plan_file_factory(
-            plans, dataset, split, scenes=chosen, native=native, records=[run_root], allow_partial=allow_partial
+            plans,
+            dataset,
+            split,
+            scenes=chosen,
+            native=native,
+            records=[run_root],
+            allow_partial=allow_partial,
+            **read_as,
         )
         for sentence in from_file.sentences:
             api.tell(sentence)
         factories.append(from_file)
     if opened:
         chosen = settings.chosen(dataset, split)
-        factories.append(results_planner(opened, dataset, split, scenes=chosen, name=name, native=native))
+        factories.append(
+            results_planner(opened, dataset, split, scenes=chosen, name=name, native=native, read_as=read_as)
+        )
     if dry_run:
         where = f"{counted(len(settings.chosen(dataset, split)), 'scene')} of {split}"
         names = ", ".join(factory.facts.name for factory in factories)

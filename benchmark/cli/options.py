@@ -159,6 +159,13 @@ class ImageFormatName(StrEnum):
     PNG = "png"
 
 
+class FrameName(StrEnum):
+    """Frame of plans that others made."""
+
+    LIDAR = "lidar"
+    EGO = "ego"
+
+
 class ExecutorName(StrEnum):
     """Where work is done."""
 
@@ -258,6 +265,14 @@ AddressOption = Annotated[str | None, typer.Option("--address", help="HOST:PORT 
 ImageFormatOption = Annotated[
     ImageFormatName | None,
     typer.Option("--image-format", help="How a model at http:// is sent pictures: torch (NeuroNCAP's) or png."),
+]
+PlanFrameOption = Annotated[
+    FrameName | None,
+    typer.Option(
+        "--frame",
+        help="Frame of the plans of a file or of a model at http://: lidar (x right, y forward) or ego (x forward, y "
+        "left), whatever the file or the protocol says.",
+    ),
 ]
 SampleLimitOption = Annotated[
     float | None,

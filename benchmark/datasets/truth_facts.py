@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from benchmark.datasets.steps import other_interval_us
 from benchmark.datasets.scene_inputs import scene_inputs
+from benchmark.datasets.steps import other_interval_us
 from benchmark.records.run_schema import TruthFacts
 from benchmark.scene import Scene
 from benchmark.truth import SampleTruth

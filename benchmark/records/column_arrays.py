@@ -37,7 +37,7 @@ def arrays_of(rows: Sequence[SampleRow]) -> dict[Name, NDArray[Any]]:
         rows: One for each sample.
 
     Returns:
-        ``planned``: places of the S rows; ``in_lidar`` (S, 6, 2) and ``moved`` (S, 3) as in
+        ``planned``: places of the S rows; ``in_lidar`` (S, 6, 2), ``recorded`` (S, 6, 2) and ``moved`` (S, 3) as in
         `benchmark.records.columns.RowColumns`; ``driving`` ``values`` and ``known``, where a row has scores; of each
         protocol whose verdicts go together its `Outcomes`; every field of `benchmark.records.columns.BriefRow`, coded.
     """
@@ -46,6 +46,7 @@ def arrays_of(rows: Sequence[SampleRow]) -> dict[Name, NDArray[Any]]:
         ("planned",): np.array([place for place, row in enumerate(rows) if row.status == "ok"], np.int64)
     }
     found[("in_lidar",)], found[("moved",)] = _plans(planned)
+    found[("recorded",)] = _recorded(planned)
     found |= _driving(rows)
     for name in sorted({name for row in planned for name in row.outcomes}):
         if all(name in row.outcomes for row in planned):
@@ -162,6 +163,14 @@ def _plans(rows: Sequence[SampleRow]) -> tuple[Floats, Floats]:
         if row.recorded_future and (pose := row.recorded_future[0]):
             moved[place] = pose
     return in_lidar, moved
+
+
+def _recorded(rows: Sequence[SampleRow]) -> Floats:
+    """Recorded positions of the lidar at the steps of plans; NaN past the end."""
+    ended = [np.nan, np.nan]
+    futures = [row.recorded_future if len(row.recorded_future) == PLAN_STEPS else [None] * PLAN_STEPS for row in rows]
+    points = [pose[:2] if pose is not None and len(pose) > 1 else ended for future in futures for pose in future]
+    return np.array(points, np.float64).reshape(-1, PLAN_STEPS, 2)
 
 
 def _driving(rows: Sequence[SampleRow]) -> dict[Name, NDArray[Any]]:

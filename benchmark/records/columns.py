@@ -108,6 +108,11 @@ class RowColumns:
         return self.arrays[("in_lidar",)]
 
     @property
+    def recorded(self) -> Floats:
+        """(S, 6, 2) recorded positions of the lidar origin at the same steps, metres; NaN past the end."""
+        return self.arrays[("recorded",)]
+
+    @property
     def moved(self) -> Floats:
         """(S, 3) x, y, yaw of the recorded lidar origin half a second later; NaN past the end."""
         return self.arrays[("moved",)]

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from itertools import chain
 
+from benchmark.plausibility.compared import ComparedPlans
+from benchmark.plausibility.verdicts import plan_caveats
 from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
 from benchmark.records.drive_schema import DriveRow, Measured
 from benchmark.records.rows import Rows
@@ -26,12 +28,14 @@ def run_caveats(
     Returns:
         The caveats, in order.
     """
+    columns = rows.columns
     return in_order(
         chain(
-            (caveat for caveat in known if caveat.kind in OF_THE_DOOR),
+            _of_the_door(known),
             time_caveats(scenes),
             data_caveats(scenes),
             planner_caveats(planner, scenes, rows),
+            _of_plans(ComparedPlans.of(columns.in_lidar, columns.recorded), known),
         )
     )
 
@@ -41,6 +45,7 @@ def drive_caveats(
     scenes: Mapping[str, SceneFacts],
     rows: Sequence[DriveRow],
     measured: Measured,
+    compared: ComparedPlans,
     known: Sequence[Caveat] = (),
 ) -> list[Caveat]:
     """`run_caveats` of a record of drives.
@@ -50,6 +55,7 @@ def drive_caveats(
         scenes: As there.
         rows: One for each drive.
         measured: Engine, agents and sensor.
+        compared: Its plans of the instants at which the ego was still where it was recorded.
         known: As there.
 
     Returns:
@@ -57,9 +63,20 @@ def drive_caveats(
     """
     return in_order(
         chain(
-            (caveat for caveat in known if caveat.kind in OF_THE_DOOR),
+            _of_the_door(known),
             time_caveats(scenes),
             data_caveats(scenes),
             drive_input_caveats(planner, scenes, measured),
+            _of_plans(compared, known),
         )
     )
+
+
+def _of_the_door(known: Sequence[Caveat]) -> list[Caveat]:
+    """What is kept of what is known."""
+    return [caveat for caveat in known if caveat.kind in OF_THE_DOOR]
+
+
+def _of_plans(compared: ComparedPlans, known: Sequence[Caveat]) -> list[Caveat]:
+    """Whether plans fit better otherwise; of those that a file was taken in with, that has been said."""
+    return [] if any(caveat.kind == "as-is" for caveat in known) else plan_caveats(compared)

@@ -23,15 +23,18 @@ from benchmark.machine.metering import Meter
 from benchmark.machine.pages import keep_pages_of
 from benchmark.machine.storage import content_key, content_seed, read_json, write_json
 from benchmark.planning import Planner, SupervisedPlanner
+from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.considered import read_considered, write_considered
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.planner_cost import SceneCost
 from benchmark.runs.beginning_again import begun_again
+from benchmark.runs.compared_drives import compared_drive
 from benchmark.runs.drive_jobs import Job, Task, Unit
 from benchmark.runs.drive_rows import considered_of, row_of
 from benchmark.runs.ladders import ladder_rows
 from benchmark.runs.plan_rows import cost_so_far, seed_everything
 from benchmark.runs.redriving import can_of, considered_again, driven_again
+from benchmark.scene import Scene
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -49,12 +52,14 @@ class UnitResult:
         row: Of the record.
         seconds: How long it took with those beside it, or ``None`` where it was kept from before.
         cost: What its planner took, likewise.
+        compared: Its plans of the instants at which the ego was still where it was recorded.
     """
 
     unit: Unit
     row: DriveRow
     seconds: float | None
     cost: SceneCost | None
+    compared: ComparedPlans
 
 
 def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> list[UnitResult]:
@@ -84,17 +89,17 @@ def work_here(data: "DataSet", planners: "Planners", tasks: Sequence[Task]) -> l
             row = driven_again(job.maker, data.scene(unit.scene), data, row)
             write_kept(job.path(unit), key, row)
         _keep_considered(data, job, row)
-        found[place] = UnitResult(unit, row, None, None)
+        found[place] = UnitResult(unit, row, None, None, compared_drive(data.scene(unit.scene), row))
     started = time.perf_counter()
     driven = _driven(data, planners, {place: tasks[place] for place in left}, [*left.values()]) if left else ()
-    for place, row, track, spent in driven:
+    for place, scene, row, track, spent in driven:
         job, unit = tasks[place]
         if job.keep_considered and track is not None:
             write_considered(job.directory, row, considered_of(track))
         if row.failure is None or row.failure.reason not in _TRIED_AGAIN:
             write_kept(job.path(unit), left[place], row)
         seconds = time.perf_counter() - started
-        found[place] = UnitResult(unit, row, seconds, spent(seconds))
+        found[place] = UnitResult(unit, row, seconds, spent(seconds), compared_drive(scene, row))
     results = [found[place] for place in range(len(tasks))]
     return [with_ladder(data, task, result) for task, result in zip(tasks, results, strict=True)]
 
@@ -203,8 +208,8 @@ def _header(key: str, row: Any, scoring: int) -> dict[str, Any]:
 
 def _driven(
     data: "DataSet", planners: Planners, tasks: Mapping[int, Task], keys: Sequence[str]
-) -> Iterator[tuple[int, DriveRow, AdversaryTrack | None, Callable[[float], SceneCost]]]:
-    """Rows of tasks by their places, as their drives end, with adversaries and what planners took in some seconds.
+) -> Iterator[tuple[int, Scene, DriveRow, AdversaryTrack | None, Callable[[float], SceneCost]]]:
+    """Scenes and rows of tasks by their places, as drives end, with adversaries and what planners took in some seconds.
 
     What cannot be driven is raised at last.
     """
@@ -228,7 +233,7 @@ def _driven(
         scores = None if found.failure is not None else score_drive(stage.scene, found)
         assert stage.meter is not None
         spent = partial(cost_so_far, ready[number], stage.meter)
-        yield places[number], row_of(stage, found, scores), found.adversary, spent
+        yield places[number], stage.scene, row_of(stage, found, scores), found.adversary, spent
     if broken:
         raise broken[0]
 

@@ -28,6 +28,7 @@ from benchmark.machine.progress import Count
 from benchmark.machine.storage import content_key, file_name, only_writer, writing_to
 from benchmark.machine.workers import Executor, LocalProcesses
 from benchmark.planning import Planner, RemotePlanner, remembers_across_scenes
+from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.considered import FOLDER as CONSIDERED
 from benchmark.records.drive_schema import MOST_RUNS, Measured
 from benchmark.records.drives import DriveRecord, write_drives
@@ -343,7 +344,10 @@ def _records(
             rows = [result.row for result in own]
             door = getattr(job.factory, "caveats", ())
             described["scene_facts"] = with_truth(described["scene_facts"], truths)
-            described["caveats"] = drive_caveats(job.planner, described["scene_facts"], rows, job.measured, door)
+            compared = ComparedPlans.joined(result.compared for result in own)
+            described["caveats"] = drive_caveats(
+                job.planner, described["scene_facts"], rows, job.measured, compared, door
+            )
             records.append(write_drives(job.directory, described, rows, seed=settings.seed))
             if job.costs is not None:
                 note_cost(job.costs, job.planner, costs_of(job, own, settings.processes))

@@ -10,9 +10,11 @@ from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
+from benchmark.plausibility.compared import ComparedPlans
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
+from benchmark.runs.compared_drives import compared_drive
 from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring import Rescored, require_same_data, scene_facts_now
@@ -90,12 +92,13 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
         require_same_data(directory, facts, data, again="drive")
         maker = rides_as(measured)
         rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
+        compared = ComparedPlans.joined(compared_drive(data.scene(row.scene), row) for row in rows)
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
         scene_facts = with_truth(scene_facts_now(facts, data), truths_of(data, facts.scenes))
         described |= {
             "scoring": VERSION,
             "scene_facts": scene_facts,
-            "caveats": drive_caveats(facts.planner, scene_facts, rows, measured, facts.caveats),
+            "caveats": drive_caveats(facts.planner, scene_facts, rows, measured, compared, facts.caveats),
         }
         same = list(old.rows) == rows and all(getattr(facts, name) == value for name, value in described.items())
         if same and old.summary == summarise(rows, described["scene_facts"], seed=facts.seed, engine=measured.engine):

@@ -24,8 +24,8 @@ BRIEF_NOTE = (
     "agree. Increase: (adv − val) / val of the averages, as the paper computes it."
 )
 RATES_NOTE = f"{BRIEF_NOTE.removesuffix('.')}; beside it the same over val-r."
-_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "scenes failed")
-"""What a terminal shows behind planner, split and protocol."""
+_BRIEF_COLUMNS = ("col. avg", "95 % of avg", "increase", "L2 avg", "scenes failed")
+"""What a terminal shows behind planner, split and protocol; nonsense shows at once in L2."""
 BEFORE_MASK = "collision_before_mask"
 MASK_COLUMNS = ("avg before mask", "steps masked", "masked for adversaries", "masked for others")
 
