@@ -59,6 +59,8 @@ class SampleTruth:
         seen_before: (M,) whether the object was annotated now or in the second before, and more than 40 % visible
             there; ``None``: those that are annotated now.
         roads: The roads around, or ``None`` where the data set has no map.
+        labelled: Whether objects were looked for now and at all steps that were recorded
+            (`benchmark.datasets.labelled`); where not, nothing can be said of contacts.
     """
 
     scene: str
@@ -80,6 +82,7 @@ class SampleTruth:
     axle_poses: Floats | None = None
     seen_before: Bools | None = None
     roads: Roads | None = None
+    labelled: bool = True
 
     @property
     def complete(self) -> bool:

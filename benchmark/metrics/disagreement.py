@@ -211,6 +211,7 @@ def _some_of(outcomes: Outcomes, samples: NDArray[np.int64]) -> Outcomes:
         l2=outcomes.l2[samples],
         valid=outcomes.valid[samples],
         counted=outcomes.counted[samples],
+        known=None if outcomes.known is None else outcomes.known[samples],
         steps={name: column[samples] for name, column in outcomes.steps.items()},
     )
 
@@ -228,7 +229,7 @@ def any_contact(outcomes: Outcomes) -> Bools:
 
 
 def compared(exact: Outcomes, official: Outcomes) -> Bools:
-    """Samples on which two protocols can be compared: those that both count.
+    """Samples on which two protocols can be compared: those that both count and whose collisions are known.
 
     Args:
         exact: S verdicts.
@@ -237,4 +238,4 @@ def compared(exact: Outcomes, official: Outcomes) -> Bools:
     Returns:
         (S,) verdicts.
     """
-    return exact.counted & official.counted
+    return exact.decided & official.decided

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmark.constants import HORIZON_STEPS
 from benchmark.geometry import Bools, Floats
 from benchmark.machine.storage import content_seed
-from benchmark.protocols import CollisionProtocol, Outcomes
+from benchmark.protocols import CollisionProtocol, Outcomes, published_values
 
 RESAMPLES = 2000
 INTERVAL = (2.5, 97.5)
@@ -112,7 +112,7 @@ def rates(
         says nothing at a horizon (NaN) is in neither sum there; in those of the average where it does at all three.
     """
     columns: dict[str, dict[str, Rate]] = {}
-    for column, by_horizon in definition.sample_values(outcomes).items():
+    for column, by_horizon in published_values(definition, outcomes).items():
         values = with_average(by_horizon)
         said = ~np.isnan(values)
         weights = np.where(said, outcomes.counted[:, None], False).astype(np.float64)

@@ -41,6 +41,7 @@ class Exact:
     name = "exact"
     version = 1
     counts_incomplete = False
+    uses_categories = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Everything that is annotated at the step.

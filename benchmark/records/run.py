@@ -209,7 +209,7 @@ def summarise(
                 column: {horizon: RateRow(**dataclasses.asdict(rate)) for horizon, rate in by_horizon.items()}
                 for column, by_horizon in found.items()
             },
-            counted=int(outcomes.counted.sum()),
+            counted=int(outcomes.decided.sum()),
             incomplete=int((~outcomes.counted).sum()),
             scenes_failed=sum(decided),
             scenes_decided=len(decided),
@@ -236,6 +236,7 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
     removed = outcomes.steps["before_mask"] & outcomes.steps[touching]
     # Some protocols leave out whole samples.
     enters = outcomes.counted | np.array(outcomes.facts.get("left_out", False), np.bool_)
+    enters = enters if outcomes.known is None else enters & outcomes.known
     return int((removed & outcomes.valid & enters[:, None]).sum())
 
 
@@ -247,8 +248,8 @@ def scene_failures(rows: Sequence[SampleRow] | RowColumns, protocol: str) -> dic
         protocol: Name of the protocol that judges.
 
     Returns:
-        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample, or no contact but the
-        planner raised on a sample that could have shown one.
+        Scene name to verdict, by name; ``None`` where no verdict is possible: no counted sample whose collisions are
+        known, or no contact but the planner raised on a sample that could have shown one.
 
     Raises:
         InputError: If the protocol is unknown or did not judge the rows.

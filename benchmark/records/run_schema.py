@@ -248,7 +248,7 @@ class ProtocolSummary(Stored):
     Attributes:
         version: Version of the protocol.
         columns: Column name (``collision``, ``l2``, ...) to horizon (``1s``, ``2s``, ``3s``, ``avg``) to rate.
-        counted: Samples in the denominators.
+        counted: Samples in the denominators of collision rates.
         incomplete: Samples that were planned but that the protocol does not count.
         scenes_failed: Scenes with a counted sample that collides.
         scenes_decided: Scenes of which that can be said (see `scene_failures`).
