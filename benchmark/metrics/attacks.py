@@ -71,7 +71,7 @@ def has_adversaries(record: RunRecord) -> bool:
 
 
 def says_severity(record: RunRecord) -> bool:
-    """Whether a record says of plans how severe they are; older ones do not, and none does where no sample is labelled."""
+    """Whether a record says of its plans how severe they are; older ones do not."""
     said = record.columns.values("severity")
     return any(said[place] is not None for place in record.columns.planned.tolist())
 

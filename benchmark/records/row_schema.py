@@ -180,8 +180,8 @@ class SampleRow(Stored):
         longer: Verdicts beyond 3 s, or null where the plan ends there.
         place: What kind of place the recorded car is on (docs/manoeuvres.md); null in older records.
         speed_m_s: Its speed; null in older records.
-        severity: How severe the plan is (docs/severity.md); null where there is no plan or the surroundings are not annotated,
-            and in older records.
+        severity: How severe the plan is (docs/severity.md); null where there is no plan or the surroundings are not
+            annotated, and in older records.
     """
 
     scene: str

@@ -24,6 +24,7 @@ Told = str | int | float | bool | None
 Name = Annotated[str, Field(max_length=200)]
 """Of something that files are named after, and text wherever it is shown."""
 SceneCount = Annotated[int, Field(strict=True, ge=0, le=10_000_000)]
+BoxCount = Annotated[int, Field(strict=True, ge=0)]
 LightName = Literal["day", "dusk", "night", "rain"]
 
 
@@ -58,9 +59,18 @@ class TruthFacts(Stored):
 
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
+        unlabelled: Samples of which nothing can be said of contacts because labels are missing now or within 3 s
+            (`benchmark.datasets.labelled`).
+        without_size: Boxes without length, width or height; they are ignored.
+        unknown: Boxes of categories that nuScenes does not have, by name.
+        motionless: Whether the ego pose is the same number at every sample of a scene of 5 s and more.
     """
 
-    annotations: Annotated[int, Field(strict=True, ge=0)]
+    annotations: BoxCount
+    unlabelled: BoxCount = 0
+    without_size: BoxCount = 0
+    unknown: dict[Name, BoxCount] = Field(default_factory=dict)
+    motionless: bool = False
 
 
 class SceneFacts(Stored):

@@ -6,6 +6,7 @@ from benchmark.records.caveats import OF_THE_DOOR, Caveat, in_order
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.rows import Rows
 from benchmark.records.run_schema import PlannerFacts, SceneFacts
+from benchmark.runs.truth_caveats import drive_truth, run_truth
 
 
 def run_caveats(
@@ -23,7 +24,8 @@ def run_caveats(
     Returns:
         The caveats, in order.
     """
-    return in_order(caveat for caveat in known if caveat.kind in OF_THE_DOOR)
+    of_door = (caveat for caveat in known if caveat.kind in OF_THE_DOOR)
+    return in_order([*of_door, *run_truth(scenes, rows)])
 
 
 def drive_caveats(
@@ -40,4 +42,5 @@ def drive_caveats(
     Returns:
         The caveats, in order.
     """
-    return in_order(caveat for caveat in known if caveat.kind in OF_THE_DOOR)
+    of_door = (caveat for caveat in known if caveat.kind in OF_THE_DOOR)
+    return in_order([*of_door, *drive_truth(scenes)])

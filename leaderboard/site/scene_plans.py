@@ -77,9 +77,9 @@ def sample_entry(row: SampleRow, axle: Floats, protocols: Sequence[str], agents:
         at the sample and at the six waypoints, heading at the latter), ``modes`` (paths without the first point),
         ``forecasts`` (x, y, length and width in decimetres, yaw in hundredths of a radian, and the path in decimetres
         if it moves), ``verdicts`` (for each protocol six bits, the first step lowest, and `COUNTED`; null if it did not
-        judge or the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null), ``cause``, ``reason``, ``hit`` and
-        ``l2`` (metres at the six steps; null past the recording). Every plan has ``path`` and ``yaw``, ``verdicts`` and
-        ``contact``; what there is none of beyond them is left out.
+        judge or the surroundings are not annotated), ``contact`` (seconds to each protocol's first contact, or null),
+        ``cause``, ``reason``, ``hit`` and ``l2`` (metres at the six steps; null past the recording). Every plan has
+        ``path`` and ``yaw``, ``verdicts`` and ``contact``; what there is none of beyond them is left out.
 
     Raises:
         InputError: If the plan has lists of the wrong lengths.
