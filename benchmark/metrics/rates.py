@@ -116,7 +116,12 @@ def rates(
         values = with_average(by_horizon)
         said = ~np.isnan(values)
         weights = np.where(said, outcomes.counted[:, None], False).astype(np.float64)
-        found = ratios_over_scenes(np.where(said, values, 0.0) * weights, weights, scenes, seed=seed)
+        values, own = np.where(said, values, 0.0) * weights, scenes
+        if outcomes.known is not None and not said.all():
+            # A scene whose surroundings are not annotated is not drawn either.
+            rows = np.flatnonzero(said.any(axis=1)).tolist()
+            values, weights, own = values[rows], weights[rows], [scenes[row] for row in rows]
+        found = ratios_over_scenes(values, weights, own, seed=seed)
         columns[column] = dict(zip(HORIZONS, found))
     return columns
 

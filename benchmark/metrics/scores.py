@@ -64,6 +64,8 @@ class Scored:
         return self.kept[key][1]
 
     def _sums(self, unit_of: Mapping[str, str], rows: NDArray[np.int64]) -> SceneSums:
+        # A scene of which nothing is said is not drawn either.
+        rows = rows[~np.isnan(self.values[rows]).all(axis=1)]
         values = self.values[rows]
         said = ~np.isnan(values)
         weights = (said & self.counted[rows, None]).astype(np.float64)

@@ -236,7 +236,10 @@ def _removed_by_mask(outcomes: Outcomes, touching: str = "recorded") -> int | No
     removed = outcomes.steps["before_mask"] & outcomes.steps[touching]
     # Some protocols leave out whole samples.
     enters = outcomes.counted | np.array(outcomes.facts.get("left_out", False), np.bool_)
-    enters = enters if outcomes.known is None else enters & outcomes.known
+    if outcomes.known is not None:
+        if not outcomes.known.any():
+            return None
+        enters = enters & outcomes.known
     return int((removed & outcomes.valid & enters[:, None]).sum())
 
 

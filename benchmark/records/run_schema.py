@@ -208,6 +208,11 @@ class RecordFacts(Stored):
     environment: dict[str, Told | dict[str, Told]]
     files: dict[str, str]
 
+    @property
+    def says_truth(self) -> bool:
+        """Whether the record says what the data set holds of the truth of its scenes; older ones do not."""
+        return all(name in self.scene_facts and self.scene_facts[name].truth is not None for name in self.scenes)
+
     @model_validator(mode="after")
     def _scenes_agree(self) -> Self:
         """Judging anew replaces much of this, so that damage in it would be gone without a word."""

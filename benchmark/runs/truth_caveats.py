@@ -24,7 +24,7 @@ def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
         The caveats.
     """
     known = _known(scenes)
-    yield from _labels(known, "its collision rates and counts of failed scenes leave them out")
+    yield from _labels(known, "collision rates and counts of failed scenes leave them out")
     for name, truth in known.items():
         if truth.annotations and truth.unlabelled:
             samples = len(rows.columns.places_of_scenes[name])
@@ -57,7 +57,7 @@ def drive_truth(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
             sentence=f"{_scenes(partly, len(known))} annotations in a part only: {_DRIVES}",
         )
     yield from _boxes(known)
-    yield from _categories(known, "who is at fault, and scores that ask who moves by itself, are wrong")
+    yield from _categories(known, "who is at fault, and scores that ask who moves by itself, may be wrong")
     yield from _poses(known, len(scenes))
 
 
