@@ -104,8 +104,8 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
     verdicts = [scene_failures(record.rows, judge) for record, judge in zip(records, judges)]
     if all(failed is None for verdict in verdicts for failed in verdict.values()):
         raise InputError(
-            f"no scene of split {records[0].run.split!r} has a verdict of {' or '.join(dict.fromkeys(judges))}: none has "
-            "a complete sample whose surroundings are annotated; choose another split or protocol"
+            f"no scene of split {records[0].run.split!r} has a verdict of {' or '.join(dict.fromkeys(judges))}, for no "
+            "sample is complete and has its surroundings annotated; choose another split or protocol"
         )
     every_scene = sorted({scene for verdict in verdicts for scene in verdict})
     sources = {scene: source for record in records for scene, source in source_of_scenes(record).items()}
