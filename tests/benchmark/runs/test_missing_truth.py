@@ -233,6 +233,23 @@ def test_an_ego_pose_that_never_moves_is_named(edited: Root, tmp_path: Path) -> 
     )
 
 
+def test_an_empty_map_is_a_dash_under_scores_that_need_one(edited: Root, tmp_path: Path) -> None:
+    def emptied(root: Path) -> None:
+        for path in (root / "maps" / "expansion").glob("*.json"):
+            layers = json.loads(path.read_text())
+            kept = {"canvas_edge", "version"}
+            empty = {name: value if name in kept else type(value)() for name, value in layers.items()}
+            path.write_text(json.dumps(empty))
+
+    judges = EvalSettings(("exact", "bev-planner", "omnidrive"))
+    record = evaluate(open_data(edited(emptied)), "val", Straight(), tmp_path / "out", judges)
+    assert record.summary.driving is None
+    of = record.summary.protocols
+    for name, column in (("bev-planner", "kerb"), ("bev-planner", "kerb_point"), ("omnidrive", "off_road")):
+        assert {rate.value for rate in of[name].columns[column].values()} == {None}
+    assert of["exact"].columns["collision"]["avg"].value is not None
+
+
 def test_drives_of_scenes_that_are_not_labelled_throughout_say_nothing_of_contacts(
     edited: Root, town: Path, tmp_path: Path
 ) -> None:
