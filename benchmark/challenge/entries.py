@@ -7,6 +7,8 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from benchmark.datasets.annotation_counts import AnnotationCount
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.roots import DataSet
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.judging.scenes import TracksAtHand, judge_scene
@@ -68,6 +70,19 @@ class CheckedEntry:
         seconds = self.data.scene(name).seconds
         starts = {each.instance: int(np.argmin(np.abs(seconds - each.from_s))) for each in self.verdicts[name].changed}
         return TracksAtHand(generated=False, launches=starts)
+
+    @property
+    def categories(self) -> CategoryNames:
+        """Those of the entry's data."""
+        return self.data.categories
+
+    def with_categories(self, categories: CategoryNames) -> Self:
+        """The same entry with other names of categories replaced."""
+        return replace(self, data=self.data.with_categories(categories))
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, by name."""
+        return self.data.annotation_counts(names)
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """The accepted scenes."""

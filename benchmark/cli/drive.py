@@ -12,6 +12,7 @@ from benchmark import api
 from benchmark.cli.caveats import warn_of_caveats
 from benchmark.cli.options import (
     AddressOption,
+    CategoriesOption,
     DataOption,
     DryRunOption,
     ExecutorName,
@@ -112,6 +113,7 @@ def drive_command(
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     engine: Annotated[
         EngineName, typer.Option(help="Who drives the plans (docs/closed-loop.md).")
     ] = EngineName.DEFAULT,
@@ -183,7 +185,7 @@ def drive_command(
 ) -> None:
     """Drive planners in closed loop: the plan is driven and the world answers; the same command resumes."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models, supervision_of
+    from benchmark.cli.beforehand.names import require_categories, require_models, supervision_of
     from benchmark.cli.beforehand.over_http import require_frame, require_servers
     from benchmark.cli.beforehand.places import require_place
     from benchmark.machine.several_devices import require_one_device, workers_for
@@ -200,6 +202,7 @@ def drive_command(
     names = tuple(dict.fromkeys([*model, *(BASELINES if baselines else ())]))
     if not names:
         raise InputError("name a planner with --model (for example constant-velocity), or leave --no-baselines out")
+    require_categories(categories)
     require_models(model, checkpoint, data=data, device=device, precision=precision)
     supervision = replace(supervision_of(model, None, memory_limit), sample_s=timeout)
     for each in model:
@@ -238,7 +241,7 @@ def drive_command(
         else api.load_planner(each, data=data)
         for each in names
     ]
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
     dataset = api.open_split(source, split, out, workers=workers)
     how = api.drive_settings(
         split,
@@ -272,7 +275,7 @@ def drive_command(
         say_plan(said, json_output=json_output)
         return
     if mine is not None:
-        again = same_place(data, out, tables)
+        again = same_place(data, out, tables, categories)
         _drive_shard(dataset, split, factories, root, how, mine, json_output=json_output, again=again)
         return
     records = _driven(dataset, split, factories, root, how)
@@ -280,7 +283,7 @@ def drive_command(
     sound = _show(records, wide=wide, json_output=json_output)
     say_next(
         f"records: {', '.join(str(record.directory) for record in records)}",
-        (f"eval --split {split}{same_place(data, out, tables)}", "the same planners in open loop"),
+        (f"eval --split {split}{same_place(data, out, tables, categories)}", "the same planners in open loop"),
         json_output=json_output,
     )
     if not sound:

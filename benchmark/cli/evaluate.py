@@ -13,6 +13,7 @@ from benchmark.cli.caveats import warn_of_caveats
 from benchmark.cli.options import (
     AsPublishedOption,
     ByOption,
+    CategoriesOption,
     DataOption,
     DryRunOption,
     Frames,
@@ -64,6 +65,7 @@ def eval_command(
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
+    categories: CategoriesOption = None,
     plans: Annotated[Path | None, typer.Option(help="Plan file (CSV, Parquet, JSON) instead of a model.")] = None,
     results: Annotated[
         list[Path] | None,
@@ -132,7 +134,12 @@ def eval_command(
 ) -> None:
     """Run planners on a split, write run records, and print the table."""
     from benchmark.cli.beforehand.data_sets import require_data
-    from benchmark.cli.beforehand.names import require_models, require_published_runs, supervision_of
+    from benchmark.cli.beforehand.names import (
+        require_categories,
+        require_models,
+        require_published_runs,
+        supervision_of,
+    )
     from benchmark.cli.beforehand.over_http import require_frame, require_servers
     from benchmark.cli.beforehand.places import require_place, require_plans
     from benchmark.evaluation import EvalSettings, evaluate_together, require_whole_split
@@ -163,6 +170,7 @@ def eval_command(
         require_one_device(device, "who remembers across scenes plans all of them in one process")
         require_whole_split("the model", name_list(scenes), limit, workers)
         count = 1
+    require_categories(categories)
     require_frame(model, None if frame is None else frame.value, of_file=plans is not None or bool(results))
     require_servers(model, image_format)
     if plans is not None:
@@ -178,7 +186,8 @@ def eval_command(
     judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)]))
     run_root = api.workspace(out).run_root()
     timings = api.workspace(out).timings_of(run_root)
-    settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings)
+    asked = () if "all" in (protocol or ()) else tuple(shown or ())
+    settings = EvalSettings(judges, name_list(scenes), limit, count, seed, timings=timings, asked=asked)
     over_http = {
         name: option.value for name, option in (("image_format", image_format), ("frame", frame)) if option is not None
     }
@@ -197,7 +206,7 @@ def eval_command(
         )
         for each in model
     ]
-    source = api.open_data(data, tables=tables, workers=workers, out=out)
+    source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
     dataset = api.open_split(source, split, out, workers=workers)
     read_as: ReadAs = {"frame": None if frame is None else frame.value, "as_is": as_is}
     if plans is not None:
@@ -230,7 +239,13 @@ def eval_command(
     planners = [(each, _also_by_its_own(settings, each)) for each in factories]
     if mine is not None:
         _plan_shard(
-            dataset, split, planners, run_root, mine, json_output=json_output, again=same_place(data, out, tables)
+            dataset,
+            split,
+            planners,
+            run_root,
+            mine,
+            json_output=json_output,
+            again=same_place(data, out, tables, categories),
         )
         return
     records = evaluate_together(dataset, split, planners, run_root)
@@ -242,7 +257,7 @@ def eval_command(
     sound = _show_runs(
         source.name, records, shown, by or (), allow_partial=allow_partial, wide=wide, json_output=json_output
     )
-    again = same_place(data, out, tables)
+    again = same_place(data, out, tables, categories)
     say_next(
         "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
         (f"sheets --split {split}{again}", "what films and the site show of the scenes"),

@@ -180,6 +180,14 @@ DataOption = Annotated[
 TablesOption = Annotated[
     str | None, typer.Option("--tables", help="Version folder below the root, if there are several.")
 ]
+CategoriesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--categories",
+        metavar="<str>",
+        help="What categories that are not nuScenes' mean: short, lyft, t4, argoverse2 or a JSON file (docs/data.md).",
+    ),
+]
 OutOption = Annotated[Path, typer.Option("--out", help="Folder for everything that commands make.")]
 SplitOption = Annotated[str, typer.Option("--split", help="val, val-r, adv, or a split of the data set's own.")]
 ScenesOption = Annotated[str | None, typer.Option("--scenes", help="Only these scenes, separated by commas.")]

@@ -1,8 +1,8 @@
 """Data sets in nuScenes format, through the devkit, one scene at a time."""
 
 import functools
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections import Counter, OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -10,7 +10,9 @@ from shapely.geometry import MultiPolygon
 
 from benchmark.constants import LIDAR_NAME
 from benchmark.datasets.annotated import read_objects
+from benchmark.datasets.annotation_counts import AnnotationCount
 from benchmark.datasets.can_bus import CanBus
+from benchmark.datasets.categories import KNOWN, CategoryNames
 from benchmark.datasets.devkit import OpenTables, open_tables
 from benchmark.datasets.fingerprint import fingerprint_of
 from benchmark.datasets.judged import read_judgements
@@ -28,7 +30,7 @@ from benchmark.datasets.timeline import read_timeline, samples_of_scene
 from benchmark.datasets.videos import videos_of_scene
 from benchmark.errors import InputError
 from benchmark.geometry import Floats
-from benchmark.machine.storage import read_json
+from benchmark.machine.storage import content_key, read_json
 from benchmark.planning import CameraView, Observation
 from benchmark.records.judgement import SceneJudgement
 from benchmark.records.review import SplitReview, read_review
@@ -49,12 +51,14 @@ class NuScenesData:
         root: Root folder.
         version: Version folder in it.
         name: Shown in tables.
+        categories: Names of categories that were replaced, and what by.
     """
 
     def __init__(self, tables: OpenTables, root: Path, version: str, name: str) -> None:
         self.root = root
         self.version = version
         self.name = name
+        self.categories = tables.categories
         self._tables = tables
         self._rows: dict[str, Row] = {row["name"]: row for row in tables.rows("scene")}
         self._logs: dict[str, Row] = {row["token"]: row for row in tables.rows("log")}
@@ -68,7 +72,13 @@ class NuScenesData:
 
     @classmethod
     def open(
-        cls, root: Path, *, version: str | None = None, name: str | None = None, rates: FaultList | None = None
+        cls,
+        root: Path,
+        *,
+        version: str | None = None,
+        name: str | None = None,
+        rates: FaultList | None = None,
+        categories: Mapping[str, str] | None = None,
     ) -> Self:
         """Open a data set: any version folder, any scene names, with or without CAN bus, lidar or image files.
 
@@ -77,6 +87,7 @@ class NuScenesData:
             version: Version folder; needed only where there are several.
             name: Shown in tables; the root's name by default.
             rates: Gets scenes whose keyframes are not half a second apart.
+            categories: What other names of categories mean (`benchmark.datasets.categories.read_categories`).
 
         Returns:
             The data set, its tables loaded and checked.
@@ -86,11 +97,38 @@ class NuScenesData:
         """
         root = Path(root)
         version = find_version(root, version)
-        return cls(open_tables(root, version, rates), root, version, name or root.resolve().name)
+        return cls(open_tables(root, version, rates, categories), root, version, name or root.resolve().name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a path; each process loads the tables once."""
-        return _reopened, (str(self.root), self.version, self.name)
+        return _reopened, (str(self.root), self.version, self.name, self.categories)
+
+    def with_categories(self, categories: CategoryNames) -> Self:
+        """The same root with other names of categories replaced."""
+        if categories == self.categories:
+            return self
+        return type(self).open(self.root, version=self.version, name=self.name, categories=dict(categories))
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        """How many annotations scenes have, and how many of them are of no category of nuScenes.
+
+        Args:
+            names: Scene names.
+
+        Returns:
+            Counts by name; scenes are read only where there are such categories.
+
+        Raises:
+            InputError: If there is no such scene, or a table cannot be read.
+        """
+        foreign = {row["name"] for row in self._tables.rows("category")} - KNOWN
+        found = {}
+        for name in names:
+            row = self._row(name)
+            by_category = self._tables.annotations_by_category(row) if foreign else Counter()
+            unknown = {category: count for category, count in by_category.items() if category in foreign}
+            found[name] = AnnotationCount(self._tables.annotation_count(row), unknown)
+        return found
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """Splits that ``splits.json`` defines (in the version folder or in the root), scene names by split."""
@@ -247,9 +285,13 @@ class NuScenesData:
         return LIDAR_NAME in samples_of_scene(self._devkit(row), row)[0]["data"]
 
     def fingerprint(self) -> str:
-        """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits."""
+        """Content hash of tables, maps and file manifest (`fingerprint_of`), 64 hexadecimal digits.
+
+        Names of categories that were replaced are content, too: planners that see objects go by them.
+        """
         if self._fingerprint is None:
-            self._fingerprint = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
+            found = fingerprint_of(self.root, self.version, self._tables.keyframe_images())
+            self._fingerprint = content_key("categories", found, self.categories) if self.categories else found
         return self._fingerprint
 
     def provenance(self) -> dict[str, Any] | None:
@@ -328,8 +370,8 @@ class NuScenesData:
 
 
 @functools.lru_cache(maxsize=2)
-def _reopened(root: str, version: str, name: str) -> NuScenesData:
-    return NuScenesData.open(Path(root), version=version, name=name)
+def _reopened(root: str, version: str, name: str, categories: CategoryNames) -> NuScenesData:
+    return NuScenesData.open(Path(root), version=version, name=name, categories=dict(categories))
 
 
 def _read_provenance(path: Path, scenes: set[str]) -> dict[str, Any] | None:

@@ -71,13 +71,13 @@ def has_adversaries(record: RunRecord) -> bool:
 
 
 def says_severity(record: RunRecord) -> bool:
-    """Whether a record says of every plan how severe it is; older ones do not."""
+    """Whether a record says of its plans how severe they are; older ones do not."""
     said = record.columns.values("severity")
-    return all(said[place] is not None for place in record.columns.planned.tolist())
+    return any(said[place] is not None for place in record.columns.planned.tolist())
 
 
 def counted_rows(record: RunRecord) -> list[BriefRow]:
-    """Samples that have a plan and whose recording goes on for 3 s."""
+    """Samples that have a plan, whose recording goes on for 3 s, and whose surroundings are annotated."""
     return [row for row in record.columns.brief if row.status == "ok" and row.complete and row.severity is not None]
 
 

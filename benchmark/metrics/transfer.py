@@ -97,11 +97,16 @@ def transfer(records: Sequence[RunRecord], *, protocol: str = "exact", seed: int
         The matrix.
 
     Raises:
-        InputError: If there is no record, a planner appears twice, the records are not of the same data and split, or a
-            record was not judged by the protocol or by another version of it.
+        InputError: If there is no record, a planner appears twice, the records are not of the same data and split, a
+            record was not judged by the protocol or by another version of it, or no scene has a verdict.
     """
     judges = _judges(records, protocol)
     verdicts = [scene_failures(record.rows, judge) for record, judge in zip(records, judges)]
+    if all(failed is None for verdict in verdicts for failed in verdict.values()):
+        raise InputError(
+            f"no scene of split {records[0].run.split!r} has a verdict of {' or '.join(dict.fromkeys(judges))}, for no "
+            "sample is complete and has its surroundings annotated; choose another split or protocol"
+        )
     every_scene = sorted({scene for verdict in verdicts for scene in verdict})
     sources = {scene: source for record in records for scene, source in source_of_scenes(record).items()}
     failures = Failures.of(verdicts, sources)

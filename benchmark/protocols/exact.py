@@ -47,6 +47,7 @@ class Exact:
     version = 2
     counts_incomplete = False
     goes_by_clock = True
+    uses_categories = False
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """Everything that is annotated at the step.

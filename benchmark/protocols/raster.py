@@ -140,10 +140,12 @@ class RasterProtocol(ABC):
 
     Attributes:
         counts_incomplete: Whether samples count whose recording ends before 3 s.
+        uses_categories: Whether it depends on an object's category whether it is drawn.
         first_row_ahead: Whether row 0 of the grid lies far ahead, not far behind.
     """
 
     counts_incomplete: bool
+    uses_categories: bool
     first_row_ahead: bool
 
     @abstractmethod

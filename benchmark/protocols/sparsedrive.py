@@ -42,6 +42,7 @@ class SparseDrive:
 
     version = 1
     counts_incomplete = False
+    uses_categories = False
 
     def __init__(self, name: str = "sparsedrive") -> None:
         self.name = name

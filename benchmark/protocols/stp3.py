@@ -47,6 +47,7 @@ class STP3:
     name = "stp3"
     version = 1
     counts_incomplete = False
+    uses_categories = True
 
     def counted_objects(self, truths: StackedTruths) -> Bools:
         """People and vehicles of the step that were seen now or in the second before.

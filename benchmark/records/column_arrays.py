@@ -25,6 +25,8 @@ OUTCOMES: Final = "outcomes"
 CODES, TEXTS = "codes", "texts"
 """Of each row the number of its value; the different values, as JSON."""
 STEPS, FACTS = "steps", "facts"
+KNOWN: Final = "known"
+"""Of a protocol's verdicts, only where some are unknown."""
 _NUMBERS: Final = "bifu"
 """Kinds of arrays that are kept as they are."""
 _PLAIN: Final = frozenset({str, int, bool, type(None)})
@@ -126,6 +128,7 @@ def outcomes_in(arrays: Arrays, protocol: str) -> Outcomes | None:
         counted=arrays[(*above, "counted")],
         steps={name[3]: values for name, values in arrays.items() if name[:3] == (*above, STEPS)},
         facts=Facts(arrays, protocol),
+        known=arrays.get((*above, KNOWN)),
     )
 
 
@@ -139,6 +142,8 @@ def _outcomes(protocol: str, planned: Sequence[SampleRow]) -> dict[Name, NDArray
     above: Name = (OUTCOMES, protocol)
     arrays = {(*above, name): getattr(found, name) for name in ("collision", "l2", "valid", "counted")}
     arrays |= {(*above, STEPS, name): values for name, values in found.steps.items()}
+    if found.known is not None:
+        arrays[(*above, KNOWN)] = found.known
     if any(values.dtype.kind not in _NUMBERS for values in arrays.values()):
         return {}
     for name, values in found.facts.items():

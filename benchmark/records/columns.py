@@ -140,11 +140,11 @@ class RowColumns:
         """(R,) whether a row counts under a protocol and its plan collides; rows without a plan do not."""
         found = np.zeros(len(self), np.bool_)
         outcomes = self.outcomes(protocol)
-        found[self.planned] = outcomes.counted & outcomes.collision.any(axis=1)
+        found[self.planned] = outcomes.decided & outcomes.collision.any(axis=1)
         return found
 
     def counted(self, protocol: str) -> Bools:
-        """(R,) whether a row counts under a known protocol, at all three horizons."""
+        """(R,) whether a row counts under a known protocol, at all three horizons, and its collisions are known."""
         found = np.zeros(len(self), np.bool_)
         found[self.planned] = says_all(PROTOCOLS[protocol], self.outcomes(protocol))
         return found

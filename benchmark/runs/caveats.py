@@ -11,6 +11,7 @@ from benchmark.records.rows import Rows
 from benchmark.records.run_schema import PlannerFacts, SceneFacts
 from benchmark.runs.input_caveats import data_caveats, drive_input_caveats, planner_caveats
 from benchmark.runs.time_caveat import time_caveats
+from benchmark.runs.truth_caveats import drive_truth, run_truth
 
 
 def run_caveats(
@@ -32,6 +33,7 @@ def run_caveats(
     return in_order(
         chain(
             _of_the_door(known),
+            run_truth(scenes, rows),
             time_caveats(scenes),
             data_caveats(scenes),
             planner_caveats(planner, scenes, rows),
@@ -64,6 +66,7 @@ def drive_caveats(
     return in_order(
         chain(
             _of_the_door(known),
+            drive_truth(scenes),
             time_caveats(scenes),
             data_caveats(scenes),
             drive_input_caveats(planner, scenes, measured),

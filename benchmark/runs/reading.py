@@ -48,7 +48,7 @@ class SceneReading:
     @cached_property
     def truth_facts(self) -> TruthFacts:
         """What the data set holds of the scene's truth."""
-        return truth_facts(self._data.scene(self.name), self.truth, lidar=self._data.has_lidar(self.name))
+        return truth_facts(self._data, self.name, self.truth)
 
     def longer(self, steps: int) -> tuple[SampleTruth, ...]:
         """The same for more steps than protocols need."""

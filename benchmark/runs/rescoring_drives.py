@@ -15,9 +15,10 @@ from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
 from benchmark.runs.compared_drives import compared_drive
+from benchmark.runs.drive_rows import with_labels
 from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import driven_again
-from benchmark.runs.rescoring import Rescored, require_same_data, scene_facts_now
+from benchmark.runs.rescoring import Opened, Rescored, opened_as, require_same_data, scene_facts_now
 
 if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
@@ -60,15 +61,12 @@ def rescore_all_drives(root: Path, open_split: Callable[[str], "DataSet"], data_
     """
     if not root.is_dir():
         raise InputError(f"there is no folder {root}; run challenger-bench drive first, or name the right --out")
-    opened: dict[str, DataSet] = {}
+    opened: Opened = {}
 
     def open_for(record: DriveRecord) -> "DataSet | None":
-        split = record.facts.split
         if record.facts.data.name != data_name:
             return None
-        if split not in opened:
-            opened[split] = open_split(split)
-        return opened[split]
+        return opened_as(record.facts, opened, open_split)
 
     names = (DRIVE_FILE, pending(Path(), DRIVE_FILE).name)
     for directory in sorted({path.parent for name in names for path in root.rglob(name)}):
@@ -91,10 +89,11 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
             return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
         require_same_data(directory, facts, data, again="drive")
         maker = rides_as(measured)
-        rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
+        truths = truths_of(data, facts.scenes)
+        rows = with_labels([driven_again(maker, data.scene(row.scene), data, row) for row in old.rows], truths)
         compared = ComparedPlans.joined(compared_drive(data.scene(row.scene), row) for row in rows)
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
-        scene_facts = with_truth(scene_facts_now(facts, data), truths_of(data, facts.scenes))
+        scene_facts = with_truth(scene_facts_now(facts, data), truths)
         described |= {
             "scoring": VERSION,
             "scene_facts": scene_facts,

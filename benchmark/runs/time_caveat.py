@@ -30,8 +30,8 @@ def time_caveats(scenes: Mapping[str, SceneFacts]) -> list[Caveat]:
     if irregular:
         samples, cut = (sum(getattr(truth, name) for truth in irregular) for name in ("irregular", "cut_short"))
         found.append(
-            f"{counted(samples, 'sample')} of {counted(len(irregular), 'scene')} have key frames ahead that are not half "
-            "a second apart: exact and driving scores interpolate steps there"
+            f"{counted(samples, 'sample')} of {counted(len(irregular), 'scene')} have key frames ahead that are not "
+            "half a second apart: exact and driving scores interpolate steps there"
             + (f" and say nothing beyond a gap over 0.75 s ({counted(cut, 'sample')})" if cut else "")
             + ", and official protocols take the k-th key frame for step k"
         )

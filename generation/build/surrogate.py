@@ -127,15 +127,13 @@ def judged(record: RunRecord) -> Judgement:
         InputError: If the planner failed on any sample.
     """
     require_all_planned(record)
-    outcomes = [row.outcomes[PROTOCOL] for row in record.rows]
-    counted = [outcome for outcome in outcomes if outcome.counted and not outcome.cut_short]
     verdicts = scene_failures(record.rows, PROTOCOL)
     return Judgement(
         planner=record.planner,
         failed=frozenset(scene for scene, failed in verdicts.items() if failed),
         scenes=len(verdicts),
-        samples=len(counted),
-        colliding_samples=sum(any(outcome.collision) for outcome in counted),
+        samples=int(record.columns.counted(PROTOCOL).sum()),
+        colliding_samples=int(record.columns.collides(PROTOCOL).sum()),
         record=record.directory,
     )
 

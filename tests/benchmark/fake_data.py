@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from benchmark.constants import COMMAND_LATERAL_M, PLAN_STEPS
+from benchmark.datasets.annotation_counts import AnnotationCount
 from benchmark.datasets.can_bus import CanBus, ego_state
+from benchmark.datasets.categories import CategoryNames
 from benchmark.datasets.scene_facts import scene_facts_of
 from benchmark.geometry import Bools, Floats, to_local, wrap_angle
 from benchmark.machine.storage import content_key, token
@@ -43,6 +45,13 @@ class FakeData:
     name: str = "fake"
     views: dict[str, CameraView] = field(default_factory=dict)
     train: tuple[str, ...] = ()
+    categories: CategoryNames = ()
+
+    def with_categories(self, categories: CategoryNames) -> "FakeData":
+        return self
+
+    def annotation_counts(self, names: Sequence[str]) -> dict[str, AnnotationCount]:
+        return {name: AnnotationCount(int(self.scenes[name].annotations.valid.sum()), {}) for name in names}
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         return {split: self.scene_names(split) for split in self.split_names()}
