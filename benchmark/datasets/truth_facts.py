@@ -1,23 +1,28 @@
 """What a data set holds of the truth of a scene, so that a record can say which of its numbers rest on nothing."""
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from benchmark.datasets.scene_inputs import scene_inputs
 from benchmark.records.run_schema import TruthFacts
-from benchmark.scene import Scene
-from benchmark.truth import SampleTruth
+
+if TYPE_CHECKING:
+    from benchmark.datasets.roots import DataSet
 
 
-def truth_facts(scene: Scene, truths: Sequence[SampleTruth], *, lidar: bool) -> TruthFacts:
+def truth_facts(data: "DataSet", name: str) -> TruthFacts:
     """Count what is annotated in a scene, and look at what else there is.
 
     Args:
-        scene: The scene.
-        truths: One for each sample of the scene, in time order.
-        lidar: Whether its data set says where the lidar sits.
+        data: The data set.
+        name: Scene name.
 
     Returns:
         The counts.
+
+    Raises:
+        InputError: If the scene is broken.
     """
-    annotations = sum(int(truth.annotated[:, 0].sum()) for truth in truths)
-    return TruthFacts(annotations=annotations, inputs=scene_inputs(scene, lidar=lidar))
+    scene = data.scene(name)
+    return TruthFacts(
+        annotations=int(scene.annotations.valid.sum()), inputs=scene_inputs(scene, lidar=data.has_lidar(name))
+    )

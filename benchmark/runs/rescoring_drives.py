@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.datasets.scene_facts import with_truth
+from benchmark.datasets.truth_facts import truth_facts
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
-from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring import Rescored, require_same_data, scene_facts_now
 
@@ -91,7 +91,8 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
         maker = rides_as(measured)
         rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
-        scene_facts = with_truth(scene_facts_now(facts, data), truths_of(data, facts.scenes))
+        truths = {scene: truth_facts(data, scene) for scene in facts.scenes}
+        scene_facts = with_truth(scene_facts_now(facts, data), truths)
         described |= {
             "scoring": VERSION,
             "scene_facts": scene_facts,
