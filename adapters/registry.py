@@ -143,7 +143,8 @@ def planner_factory(
         settings |= {"checkpoint": checkpoint.name, "checkpoint_sha256": file_sha256(checkpoint)}
     known = {"settings": settings, "seed": seed, "published_as": published_as(facts.name)}
     model = MODELS.get(name)
-    known["wants"] = [] if model is None else list(model.wants)
+    # A model server is sent both; what other planners use of an observation is not known.
+    known["wants"] = list(model.wants) if model is not None else ["images", "motion"] if is_address(name) else []
     if model is not None and model.network is not None:
         # Planners do not read the table, so that of it their own entry alone counts.
         known["code_sha256"] = content_key(facts.code_sha256, model.identity)

@@ -89,9 +89,7 @@ def planner_caveats(planner: PlannerFacts, scenes: Mapping[str, SceneFacts], row
     facts = inputs_of(scenes)
     blind = [name for name, each in facts.items() if not each.cameras]
     if blind and "images" in planner.wants:
-        yield Caveat(
-            kind="images", sentence=f"{_of(blind, facts)} {_have(blind)} no camera: it plans from nothing there"
-        )
+        yield Caveat(kind="images", sentence=f"{_of(blind, facts)} {_have(blind)} no camera, and it plans from images")
     derived: list[str] = []
     offered, without = 0, 0
     for scene, lines in rows.texts():

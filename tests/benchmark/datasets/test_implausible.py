@@ -21,10 +21,11 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def in_each(table: str, change: Callable[[Row], None]) -> Callable[[Path], None]:
-    def changed(root: Path) -> None:
-        edit(root, table, lambda rows: [change(row) for row in rows] and None)
+    def of_rows(rows: list[Row]) -> None:
+        for row in rows:
+            change(row)
 
-    return changed
+    return lambda root: edit(root, table, of_rows)
 
 
 def moved_away(row: Row) -> None:
