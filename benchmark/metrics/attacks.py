@@ -165,9 +165,11 @@ def attack_facts(record: RunRecord) -> dict[str, Any]:
     if not (has_adversaries(record) and says_severity(record)):
         return {}
     found = attack_rates(record)
+    of_samples: dict[str, Rate] = {name: found.samples[name] for name in READINGS}
+    of_scenes: dict[str, Rate] = {name: found.scenes[name] for name in READINGS}
     parts = {
-        "samples": {**found.samples, "bystander": found.bystander_samples},
-        "scenes": {**found.scenes, "bystander": found.bystander_scenes},
+        "samples": of_samples | {"bystander": found.bystander_samples},
+        "scenes": of_scenes | {"bystander": found.bystander_scenes},
     }
     return {
         "attack_success": {part: {name: asdict(rate) for name, rate in rates.items()} for part, rates in parts.items()}

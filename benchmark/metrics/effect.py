@@ -23,7 +23,8 @@ from benchmark.protocols.touched import HIT_ADVERSARY
 from benchmark.records.run import RunRecord
 
 HORIZON_S: Final = (1.0, 2.0, 3.0)
-_AT_3_S: Final = 2
+AT_3_S: Final = 2
+"""Column of values at 1, 2 and 3 s and their mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +197,9 @@ def _paired(found: SampleContacts, record: RunRecord, unchanged: RunRecord) -> P
     partner = _partners(base)
     rows = np.array([row for row in np.flatnonzero(found.counted).tolist() if found.keys[row] in partner], np.int64)
     weights = found.weights[rows]
-    adversarial = found.any_contact[rows, _AT_3_S]
+    adversarial = found.any_contact[rows, AT_3_S]
     before = np.array([partner[found.keys[row]] for row in rows.tolist()])
-    others = adversarial * (found.adversary[rows, _AT_3_S] == 0.0)
+    others = adversarial * (found.adversary[rows, AT_3_S] == 0.0)
     names = sorted({found.keys[row][0] for row in rows.tolist()})
     place = {name: number for number, name in enumerate(names)}
     own = np.array([place[found.keys[row][0]] for row in rows.tolist()], np.int64)
@@ -223,7 +224,7 @@ def _partners(base: SampleContacts) -> Mapping[tuple[str, int], float]:
     """Contact up to 3 s of each sample that counts on the unchanged side; the mean where a recording is there twice."""
     sums: dict[tuple[str, int], list[float]] = {}
     for row in np.flatnonzero(base.counted).tolist():
-        sums.setdefault(base.keys[row], []).append(float(base.any_contact[row, _AT_3_S]))
+        sums.setdefault(base.keys[row], []).append(float(base.any_contact[row, AT_3_S]))
     return {key: sum(values) / len(values) for key, values in sums.items()}
 
 
