@@ -41,7 +41,9 @@ class Agreement:
         neither: Scenes that none of them fails.
         phi: Correlation of the two verdicts, -1..1; it does not exist where one of them fails all or none.
         lift: How many times more often they fail together than by chance: both * all / (fails of the first * fails of
-            the second); it does not exist where one of them fails none.
+            the second); ``None`` where one of them fails none.
+        lift_low: Lower end of its 95 % interval.
+        lift_high: Upper end.
     """
 
     planners: tuple[str, str]
@@ -50,7 +52,9 @@ class Agreement:
     only_second: int
     neither: int
     phi: Estimate
-    lift: Estimate
+    lift: float | None
+    lift_low: float | None
+    lift_high: float | None
 
     @property
     def scenes(self) -> int:
@@ -199,13 +203,17 @@ class Failures:
         intervals = self._ends(tables, shared, asked, (-1.0, 1.0), lambda drawn: _phi_of(*drawn), seed)
         lifts = _lift_of(*totals)
         asked = ~np.isnan(lifts) & (np.count_nonzero(shared, axis=1) > 1)
-        of_lift = self._ends(tables, shared, asked, (0.0, np.inf), lambda drawn: _lift_of(*drawn), seed)
+        # The most there can be: both fail one scene, the same one.
+        most = float(self.fails.shape[1])
+        of_lift = self._ends(tables, shared, asked, (0.0, most), lambda drawn: _lift_of(*drawn), seed)
         return [
             Agreement(
                 (names[first], names[first + 1 + place]),
                 **dict(zip(("both", "only_first", "only_second", "neither"), map(round, total))),
                 phi=Estimate(None if math.isnan(phi) else phi, *interval),
-                lift=Estimate(None if math.isnan(lift) else lift, *ends),
+                lift=None if math.isnan(lift) else lift,
+                lift_low=ends[0],
+                lift_high=ends[1],
             )
             for place, (total, phi, interval, lift, ends) in enumerate(
                 zip(totals.T.tolist(), values.tolist(), intervals, lifts.tolist(), of_lift, strict=True)

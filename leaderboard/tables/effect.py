@@ -13,7 +13,7 @@ from benchmark.records.run import RunRecord
 from benchmark.report.cells import UNDEFINED, Origin, Shown, record_name
 from benchmark.report.table import Brief, Table, table_of
 from benchmark.report.words import counted
-from leaderboard.tables.rows import in_table_order, row_name, run_notes
+from leaderboard.tables.rows import in_table_order, notes_of_marks, row_name, run_notes
 
 _NOTE: Final = (
     "Adversary: samples whose plan touches the adversary before anything else within 3 s (avg: mean of 1, 2 and 3 s); "
@@ -82,7 +82,8 @@ def effect_table(data_name: str, records: Sequence[RunRecord], against: Sequence
             (f"paired with the unchanged recordings, {EXACT}", 7),
             (f"counted, {EXACT}", 4),
         ),
-        brief=Brief(title, tuple(_COLUMNS.index(head) for head in _BRIEF), notes, 2),
+        # The rest of what has to be said of the runs stands below the rates already.
+        brief=Brief(title, tuple(_COLUMNS.index(head) for head in _BRIEF), (*notes, *notes_of_marks(runs)), 2),
     )
 
 

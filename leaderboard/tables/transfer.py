@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from benchmark.metrics.disagreement import EXACT
-from benchmark.metrics.rates import Rate
+from benchmark.metrics.rates import Estimate, Rate
 from benchmark.metrics.transfer import Agreement, TransferMatrix, transfer
 from benchmark.records.planner_versions import labelled
 from benchmark.records.run import NATIVE, RunRecord
@@ -15,7 +15,12 @@ from leaderboard.tables.rows import FEW_NOTE, FEW_SCENES, in_table_order, judges
 
 
 def transfer_matrices(
-    records: Sequence[RunRecord], split: str, *, protocol: str = EXACT, data: str | None = None
+    records: Sequence[RunRecord],
+    split: str,
+    *,
+    protocol: str = EXACT,
+    data: str | None = None,
+    adversary_only: bool = False,
 ) -> dict[str, TransferMatrix]:
     """Transfer matrices of a split from whatever records there are; those of a part of the split are left out.
 
@@ -24,6 +29,7 @@ def transfer_matrices(
         split: The split.
         protocol: Whose verdicts count; ``native`` takes those of each planner's own repository.
         data: Only the data set of this name.
+        adversary_only: Whether only first contacts with an adversary fail a scene.
 
     Returns:
         A matrix for each data set that has records of the whole split, by its name; planners in the order of tables.
@@ -33,7 +39,11 @@ def transfer_matrices(
     """
     of_split = [record for record in labelled(records) if record.run.split == split and record.covers_split]
     return {
-        name: transfer(in_table_order([each for each in of_split if each.run.data.name == name]), protocol=protocol)
+        name: transfer(
+            in_table_order([each for each in of_split if each.run.data.name == name]),
+            protocol=protocol,
+            adversary_only=adversary_only,
+        )
         for name in sorted({record.run.data.name for record in of_split})
         if data in (None, name)
     }
@@ -96,7 +106,7 @@ def agreement_table(data_name: str, matrix: TransferMatrix) -> Table:
     """
     return table_of(
         f"agreement-{matrix.split}-{_kind(matrix)}",
-        f"{titled(data_name, matrix.split)}: do planners fail the same scenes by {_failures(matrix)}, "
+        f"{titled(data_name, matrix.split)}: do planners fail the same scenes{_BY[matrix.adversary_only]}, "
         f"{judges(matrix.protocol)}",
         ("first", "second", "both", "only first", "only second", "neither", "φ", "95 % of φ", "lift", "95 % of lift"),
         [_agreement_row(matrix, agreement) for agreement in matrix.agreements],
@@ -128,7 +138,8 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
     for agreement in matrix.agreements:
         first, second = (matrix.planners.index(name) for name in agreement.planners)
         origin, scenes = _origin(matrix, first, second), agreement.scenes
-        for place, found, unit in (((first, second), agreement.lift, "×"), ((second, first), agreement.phi, "φ")):
+        lift = Estimate(agreement.lift, agreement.lift_low, agreement.lift_high)
+        for place, found, unit in (((first, second), lift, "×"), ((second, first), agreement.phi, "φ")):
             cell = origin.cell(found.value, unit, scenes, "scenes", low=found.low, high=found.high)
             ends = interval(cell.low, cell.high, digits=1)
             cells[place] = cell.shown(1, after="" if ends == UNDEFINED else f" {ends}")
@@ -142,7 +153,7 @@ def lift_table(data_name: str, matrix: TransferMatrix) -> Table:
     ]
     return table_of(
         f"lift-{matrix.split}-{_kind(matrix)}",
-        f"{titled(data_name, matrix.split)}: do planners fail the same scenes by {_failures(matrix)}, "
+        f"{titled(data_name, matrix.split)}: do planners fail the same scenes{_BY[matrix.adversary_only]}, "
         f"{judges(matrix.protocol)}",
         ("planner", "fails %", *names),
         rows,
@@ -167,6 +178,7 @@ def _failures(matrix: TransferMatrix) -> str:
     return "contacts with the adversary" if matrix.adversary_only else "failures"
 
 
+_BY: Final = {False: "", True: " by contacts with the adversary"}
 _FAILS: Final = {
     False: "any counted sample of it collides, whoever it is with",
     True: "the first contact of any counted sample is with the adversary",
@@ -220,9 +232,7 @@ def _agreement_row(matrix: TransferMatrix, agreement: Agreement) -> tuple[str | 
     names, origin = planner_names(matrix), _origin(matrix, *places)
     counts = (agreement.both, agreement.only_first, agreement.only_second, agreement.neither)
     phi = origin.cell(agreement.phi.value, "φ", sum(counts), "scenes", low=agreement.phi.low, high=agreement.phi.high)
-    lift = origin.cell(
-        agreement.lift.value, "×", sum(counts), "scenes", low=agreement.lift.low, high=agreement.lift.high
-    )
+    lift = origin.cell(agreement.lift, "×", sum(counts), "scenes", low=agreement.lift_low, high=agreement.lift_high)
     return (
         *(Shown(names[place], miniature=matrix.miniatures[place]) for place in places),
         *(origin.count(count, "scenes", sum(counts)).shown() for count in counts),

@@ -192,7 +192,7 @@ def test_phi_is_a_dash_where_a_planner_fails_all_or_none() -> None:
     matrix = transfer([some, every, none])
     assert [agreement.phi.value for agreement in matrix.agreements] == [None] * 3
     assert [agreement.phi.low for agreement in matrix.agreements] == [None] * 3
-    assert [agreement.lift.value for agreement in matrix.agreements] == [1.0, None, None]
+    assert [agreement.lift for agreement in matrix.agreements] == [1.0, None, None]
 
 
 def test_few_failures_say_little() -> None:
