@@ -184,6 +184,24 @@ def sample_contacts(record: RunRecord) -> SampleContacts:
     )
 
 
+def attributed_collisions(record: RunRecord) -> Bools:
+    """(R,) samples that count under ``exact`` and whose collision is the adversary's doing.
+
+    Args:
+        record: Judged by ``exact``.
+
+    Returns:
+        On a split with adversaries those whose first contact is with one; of recordings, and where the record does not
+        say whom contacts are with, any collision.
+    """
+    columns = record.columns
+    found = columns.collides(EXACT)
+    if any(facts.adversaries for facts in record.run.scene_facts.values()) and says_whom(record):
+        hits = columns.outcomes(EXACT).facts[HIT_ADVERSARY]
+        found[columns.planned] &= np.array([bool(one) for one in hits], np.bool_)
+    return found
+
+
 _FIRST: Final = ("hit", "first_contact_s", HIT_ADVERSARY)
 
 
