@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from benchmark.datasets.roots import DataSet
     from benchmark.evaluation import EvalSettings
     from benchmark.machine.workspace import Workspace
+    from benchmark.metrics.transfer import TransferMatrix
     from benchmark.records.run import RunRecord
     from benchmark.runs.plan_rows import PlannerFactory
     from benchmark.runs.shards import Shard
@@ -341,17 +342,19 @@ def transfer_command(
     protocol: Annotated[str, typer.Option(help="Whose verdicts count; native: of each planner's own.")] = "exact",
     data: Annotated[str | None, typer.Option("--data", help="Only records of the data set of this name.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Write a heat map to this .png or .svg file.")] = None,
+    pairs: Annotated[bool, typer.Option("--pairs", help="Also a row for every two planners.")] = False,
     wide: WideOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Show who else fails the scenes that one planner fails: the surrogate-filtered matrix, from run records."""
     from benchmark.cli.beforehand.places import require_output_file
     from benchmark.drawing.plots import FORMATS
+    from benchmark.metrics.disagreement import EXACT
     from benchmark.protocols import protocol as known_protocol
     from benchmark.records.inventory import recorded, said_of
     from benchmark.records.run import NATIVE, find_records
     from leaderboard.figures.heat_map import write_heat_map
-    from leaderboard.tables.transfer import agreement_table, transfer_matrices, transfer_table
+    from leaderboard.tables.transfer import agreement_table, lift_table, transfer_matrices, transfer_table
 
     if protocol != NATIVE:
         known_protocol(protocol)
@@ -373,11 +376,35 @@ def transfer_command(
             raise InputError(f"--figure draws one matrix and there are {', '.join(matrices)}; choose one with --data")
         write_heat_map(next(iter(matrices.values())), figure)
     if json_output:
-        print_json({name: asdict(matrix) for name, matrix in matrices.items()})
+        print_json(
+            {
+                name: {
+                    **asdict(matrix),
+                    "adversary": [asdict(one) for one in _of_adversary(known, split, name)]
+                    if protocol == EXACT
+                    else [],
+                }
+                for name, matrix in matrices.items()
+            }
+        )
         return
     for name, matrix in matrices.items():
-        typer.echo(transfer_table(name, matrix).plain(wide=wide))
-        typer.echo(agreement_table(name, matrix).plain(wide=wide))
+        shown = [matrix] if protocol != EXACT else [matrix, *_of_adversary(known, split, name)]
+        for one in shown:
+            typer.echo(transfer_table(name, one).plain(wide=wide))
+            typer.echo(lift_table(name, one).plain(wide=wide))
+            if pairs:
+                typer.echo(agreement_table(name, one).plain(wide=wide))
+
+
+def _of_adversary(known: "Sequence[RunRecord]", split: str, data: str) -> "list[TransferMatrix]":
+    """The matrix of contacts with the adversary alone, where the records say whom contacts are with."""
+    from benchmark.metrics.effect import says_whom
+    from leaderboard.tables.transfer import transfer_matrices
+
+    telling = [record for record in known if record.run.split != split or says_whom(record)]
+    found = transfer_matrices(telling, split, data=data, adversary_only=True)
+    return [matrix for matrix in found.values() if len(matrix.planners) > 1]
 
 
 def quality_command(

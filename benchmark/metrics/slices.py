@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from benchmark.geometry import Bools, Floats
 from benchmark.metrics.disagreement import EXACT
+from benchmark.metrics.effect import attributed_collisions
 from benchmark.metrics.rates import HORIZONS, Rate, SceneSums, ratios_of_sums, sums_by_scene, with_average
 from benchmark.metrics.scores import require_current, source_of_scenes
 from benchmark.protocols import PROTOCOLS, published_values
@@ -167,7 +168,7 @@ def causes_by(record: RunRecord, kind: SliceKind) -> list[Slice]:
     """
     require_current(record, EXACT)
     parts = slicing(record, kind)
-    chosen = np.flatnonzero(record.columns.collides(EXACT))
+    chosen = np.flatnonzero(attributed_collisions(record))
     diagnoses = record.columns.values("diagnosis")
     causes = [None if (said := diagnoses[place]) is None else said.cause for place in chosen.tolist()]
     if parts is None or not causes or None in causes:

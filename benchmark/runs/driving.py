@@ -20,7 +20,6 @@ from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.datasets.annotation_counts import require_annotated
 from benchmark.datasets.scene_facts import frozen_split_of, with_truth
-from benchmark.datasets.truth_facts import truth_facts
 from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
@@ -46,6 +45,7 @@ from benchmark.runs.drive_work import Planners, UnitResult, costs_of, kept_drive
 from benchmark.runs.kept_shards import DRIVES, FinishedShard, note_done, require_shards
 from benchmark.runs.plan_rows import PlannerFactory, supervision_said
 from benchmark.runs.planner_facts import facts_of
+from benchmark.runs.reading import truths_of
 from benchmark.runs.redriving import can_of
 from benchmark.runs.run_directory import run_directory
 from benchmark.runs.scene_work import reopening
@@ -342,7 +342,7 @@ def _records(
                 gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
-        truths = {scene: truth_facts(data, scene) for scene in scenes}
+        truths = truths_of(data, scenes)
         for place, job in enumerate(jobs):
             described = _described(data, split, job, scenes, settings)
             described["scene_facts"] = with_truth(described["scene_facts"], truths)

@@ -12,6 +12,7 @@ from benchmark.datasets.scene_facts import with_truth
 from benchmark.errors import InputError
 from benchmark.pdm.definition import DEFINITION, VERSION
 from benchmark.protocols import PROTOCOLS
+from benchmark.protocols.touched import ADVERSARY_S, HIT_ADVERSARY, TOUCHED, TOUCHED_ADVERSARY
 from benchmark.records.drives import DriveRecord
 from benchmark.records.drives import summarise as summarise_drives
 from benchmark.records.row_schema import OutcomeRow, SampleRow
@@ -30,7 +31,18 @@ if TYPE_CHECKING:
 
 SAME_M_S: Final = 0.01
 """Speeds that are this close are the same: processors differ in the last bits of a fit."""
-_LATER: Final = frozenset({"recorded_adversary", "recorded", "before_mask", "left_out"})
+_LATER: Final = frozenset(
+    {
+        "recorded_adversary",
+        "recorded",
+        "before_mask",
+        "left_out",
+        TOUCHED,
+        TOUCHED_ADVERSARY,
+        HIT_ADVERSARY,
+        ADVERSARY_S,
+    }
+)
 """Columns and facts of verdicts that records of the same protocol version need not have yet."""
 _LATER_COUNTS: Final = frozenset({"mask_removed_steps", "mask_removed_for_adversary"})
 """Counts of a summary that may be null in older records."""
