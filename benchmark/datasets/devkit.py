@@ -9,11 +9,12 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames, names_in
 from benchmark.datasets.devkit_import import devkit_module
+from benchmark.datasets.integrity.further_tables import FURTHER_TABLES
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.kept_tables import read_or_kept
@@ -28,9 +29,6 @@ from benchmark.datasets.scene_tables import (
 from benchmark.datasets.schema import FaultList, Refusal, check_table
 from benchmark.datasets.tables import Row, Tables
 from benchmark.errors import InputError
-
-_FURTHER_TABLES: Final = ("lidarseg", "panoptic", "image_annotations")
-"""Tables that the devkit reads where they are, and nobody here."""
 
 
 class OpenTables(ABC):
@@ -181,7 +179,7 @@ def open_tables(
     """
     folder = root / version
     rates = Refusal(folder=folder) if rates is None else rates
-    if not any((folder / f"{table}.json").exists() for table in _FURTHER_TABLES):
+    if not any((folder / f"{table}.json").exists() for table in FURTHER_TABLES):
         tables = read_or_kept(folder, rates)
         if tables is not None:
             _require_masks(root, tables.shared["map"])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.datasets.devkit_import import devkit_module
+from benchmark.datasets.tables import splits_file
 from benchmark.errors import InputError, did_you_mean
 from benchmark.foreign.files import one_line
 from benchmark.machine.storage import read_json
@@ -30,10 +31,8 @@ def read_splits(root: Path, version: str) -> dict[str, tuple[str, ...]]:
     Raises:
         InputError: If the file is not an object of lists of names.
     """
-    for path in (root / version / "splits.json", root / "splits.json"):
-        if path.is_file():
-            return _checked(read_json(path), path)
-    return {}
+    path = splits_file(root / version, root)
+    return {} if path is None else _checked(read_json(path), path)
 
 
 def _checked(value: Any, path: Path) -> dict[str, tuple[str, ...]]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from benchmark.datasets.tables import Row
 from benchmark.errors import InputError
+from benchmark.foreign.json_text import require_utf8
 from benchmark.machine.user_cache import Stamp, stamp_of
 
 _CHUNK_BYTES: Final = 1 << 20
@@ -142,17 +143,23 @@ def _stamp(stream: IO[bytes]) -> Stamp:
 
 
 class _Text:
-    """Text of a file, decoded as it is read, with the place in bytes of the character that is next."""
+    """Text of a file, decoded as it is read, with the place in bytes of the character that is next.
+
+    Raises:
+        ValueError: If it is not UTF-8.
+    """
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
         self._decoded = codecs.getincrementaldecoder("utf-8")()
         self.ended = False
-        self.text, self.at, self.byte = "", 0, 0
+        first = stream.read(_CHUNK_BYTES)
+        self.text, self.at, self.byte = "", 0, require_utf8(first)
+        self._first = first[self.byte :]
 
     def more(self) -> None:
         """Read on; forget what was passed."""
-        chunk = self._stream.read(_CHUNK_BYTES)
+        chunk, self._first = self._first or self._stream.read(_CHUNK_BYTES), b""
         self.ended = not chunk
         self.text, self.at = self.text[self.at :] + self._decoded.decode(chunk, final=self.ended), 0
 

@@ -91,6 +91,19 @@ def _require_all_tables(folder: Path) -> None:
         raise InputError(f"{folder} lacks {names}; all 13 nuScenes tables must be there (they may be empty lists)")
 
 
+def splits_file(folder: Path, root: Path) -> Path | None:
+    """Where a data set says which splits it has.
+
+    Args:
+        folder: Version folder.
+        root: Data set root.
+
+    Returns:
+        ``splits.json`` in the former, else in the latter; ``None`` where neither has one.
+    """
+    return next((path for path in (folder / "splits.json", root / "splits.json") if path.is_file()), None)
+
+
 def scene_number(name: str) -> int | None:
     """Number of an official scene name such as ``scene-0061``, or ``None`` for any other name."""
     match = re.fullmatch(r"scene-(\d{4})", name)

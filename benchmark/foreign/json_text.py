@@ -1,5 +1,6 @@
 """Foreign JSON: so many bytes, values and containers within containers, and no text that cannot be written again."""
 
+import codecs
 import json
 import re
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ _STRINGS: Final = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
 _STARTS: Final = frozenset(b'[{"-0123456789tfnNI')
 _SPACE: Final = b" \t\r\n"
 _FIRST_BYTES: Final = 4096
+_BYTES_OF_ENCODING: Final = 4
 
 
 class TooDeepError(ValueError):
@@ -26,13 +28,31 @@ class TooLargeError(ValueError):
     """More values than there may be, or than fit into memory."""
 
 
-def parse_json(data: bytes, limits: Limits = JSON, *, any_text: bool = False) -> Any:
+def require_utf8(start: bytes) -> int:
+    """Refuse JSON text in another encoding than UTF-8.
+
+    Args:
+        start: The first bytes of the text, four if there are so many.
+
+    Returns:
+        How many of them are the mark that some programs put before UTF-8; what follows is the text.
+
+    Raises:
+        ValueError: If it is UTF-16 or UTF-32; says which.
+    """
+    encoding = json.detect_encoding(start[:_BYTES_OF_ENCODING])
+    # Zeros alone are a hole in a file, no text.
+    if not encoding.startswith("utf-8") and start[:_BYTES_OF_ENCODING].strip(b"\0"):
+        raise ValueError(f"it is text in {encoding[:6].upper()}, save it as UTF-8")
+    return len(codecs.BOM_UTF8) if start.startswith(codecs.BOM_UTF8) else 0
+
+
+def parse_json(data: bytes, limits: Limits = JSON) -> Any:
     """The value of a JSON text.
 
     Args:
-        data: UTF-8 text.
+        data: UTF-8 text, after a mark perhaps.
         limits: How many values it may have, and how deep they may lie.
-        any_text: Leaves text that is not Unicode to the caller, who can say where it stands.
 
     Returns:
         The value; NaN and infinity are read, as Python writes them.
@@ -42,6 +62,7 @@ def parse_json(data: bytes, limits: Limits = JSON, *, any_text: bool = False) ->
     """
     if data.count(b",") + data.count(b"[") + data.count(b"{") > limits.values:
         raise TooLargeError(f"it holds more than {limits.values} values")
+    require_utf8(data)
     too_deep = f"its containers lie more than {limits.depth} deep"
     try:
         value = json.loads(data)
@@ -52,7 +73,7 @@ def parse_json(data: bytes, limits: Limits = JSON, *, any_text: bool = False) ->
     if _is_deeper(data, limits.depth):
         raise TooDeepError(too_deep)
     # Halves of a pair of UTF-16 codes, escaped or as bytes; looked for only where there can be any.
-    if not any_text and (b"\xed" in data or b"\\ud" in data or b"\\uD" in data):
+    if b"\xed" in data or b"\\ud" in data or b"\\uD" in data:
         try:
             json.dumps(value, ensure_ascii=False).encode()
         except UnicodeEncodeError:
@@ -75,13 +96,12 @@ def _layers_left(data: bytes, depth: int) -> bool:
     return bool(left)
 
 
-def read_json(path: Path, limits: Limits = JSON, *, any_text: bool = False) -> Any:
+def read_json(path: Path, limits: Limits = JSON) -> Any:
     """Read a JSON file.
 
     Args:
         path: The file.
         limits: How large and deep it may be.
-        any_text: Leaves text that is not Unicode to the caller, who can say where it stands.
 
     Returns:
         The value.
@@ -90,7 +110,7 @@ def read_json(path: Path, limits: Limits = JSON, *, any_text: bool = False) -> A
         InputError: If it is absent, unreadable, not JSON or more than the limits allow.
     """
     try:
-        return parse_json(_bytes(path, limits), limits, any_text=any_text)
+        return parse_json(_bytes(path, limits), limits)
     except ValueError as error:
         raise InputError(
             f"{path} is not valid JSON ({one_line(error)}); it may be truncated, fetch or make it again"
@@ -182,7 +202,7 @@ def _bytes(path: Path, limits: Limits) -> bytes:
             start = stream.peek(_FIRST_BYTES)[:_FIRST_BYTES].lstrip(_SPACE)
             if start and start[0] not in _STARTS and not start.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
                 # In the words that the whole of it would give.
-                return start[:1] if start[0] < 0x80 else stream.read(_FIRST_BYTES)
+                return start[:1] if 0 < start[0] < 0x80 else stream.read(_FIRST_BYTES)
             return stream.read()
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error

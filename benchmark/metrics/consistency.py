@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import PLAN_STEP_S, PLAN_STEPS
+from benchmark.datasets.steps import is_step
 from benchmark.geometry import Floats, to_global
 from benchmark.metrics.rates import Rate, ratios_over_scenes
 from benchmark.metrics.scores import source_of_scenes
@@ -58,8 +59,10 @@ def consistency(record: RunRecord) -> Consistency:
     scenes, place_of = columns.values("scene"), {row: place for place, row in enumerate(columns.planned.tolist())}
     pairs = [
         (at, at + 1)
-        for at, (first, second) in enumerate(pairwise(zip(scenes, columns.values("index"))))
-        if first[0] == second[0] and second[1] == first[1] + 1
+        for at, (first, second) in enumerate(
+            pairwise(zip(scenes, columns.values("index"), columns.values("timestamp_us")))
+        )
+        if first[0] == second[0] and second[1] == first[1] + 1 and is_step(second[2] - first[2])
     ]
     still = np.isnan(columns.moved[:, 0]).tolist()
     found = [

@@ -16,6 +16,9 @@ Definition:
 Known faults: a plan of a nearly standing car that jitters turns the box at will; one that turns back and ends where it
 began keeps looking ahead; reversing puts the box 0.5 m behind. Objects without a lidar point vanish, so an adversary
 written with a count of 0 cannot be hit. Nothing is checked between the waypoints.
+
+Step k is the k-th following key frame, whenever that is: where key frames are not half a second apart, the horizons are
+other times (scenes at another rate are not counted, `benchmark.datasets.steps`).
 """
 
 from collections.abc import Sequence

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.integrity.files import check_files
+from benchmark.datasets.integrity.further_tables import check_further_tables
 from benchmark.datasets.integrity.links import check_chains, check_links, check_sample_chains
 from benchmark.datasets.integrity.maps import check_maps
 from benchmark.datasets.integrity.motion import EgoAtSamples, check_motion
@@ -67,8 +68,9 @@ def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list
     check_maps(data_root, tables, ego, faults)
     check_motion(tables, ego, faults)
     check_truth(tables, categories, faults)
-    check_splits(folder, tables, faults)
+    check_splits(folder, data_root, tables, faults)
     check_provenance(folder, tables, faults)
+    check_further_tables(folder, data_root, faults)
     return faults.told()
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 from benchmark.constants import VEHICLE_CATEGORIES
 from benchmark.datasets.integrity.tables import CheckedTables, Row
 from benchmark.datasets.schema import FaultList
+from benchmark.datasets.tables import splits_file
 from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 
@@ -15,9 +16,10 @@ SPLITS: Final = "splits.json"
 PROVENANCE: Final = "challenger.json"
 
 
-def check_splits(folder: Path, tables: CheckedTables, faults: FaultList) -> None:
+def check_splits(folder: Path, root: Path, tables: CheckedTables, faults: FaultList) -> None:
     """Note splits that name scenes which are not there."""
-    content = _read(folder / SPLITS, faults)
+    path = splits_file(folder, root)
+    content = None if path is None else _read(path, faults)
     if content is None:
         return
     known = {row["name"] for row in tables.having("scene", "name")}
@@ -37,6 +39,8 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
     content = _read(folder / PROVENANCE, faults)
     if content is None:
         return
+    if not isinstance(content.get("split"), str):
+        faults.add("no split", PROVENANCE, "", f"{PROVENANCE} does not name the split that it was built as")
     scenes = content.get("scenes")
     if not isinstance(scenes, dict):
         faults.add("no scenes", PROVENANCE, "", f"{PROVENANCE} has no object named scenes")
@@ -49,7 +53,11 @@ def check_provenance(folder: Path, tables: CheckedTables, faults: FaultList) -> 
             faults.add("unknown scenes", PROVENANCE, "", f"{name} is not in scene.json")
             continue
         adversaries = entry.get("adversaries", []) if isinstance(entry, dict) else None
-        if not isinstance(adversaries, list) or not all(isinstance(token, str) for token in adversaries):
+        if isinstance(entry, dict) and not isinstance(entry.get("source_scene", ""), str):
+            faults.add("no source scenes", PROVENANCE, "", f"the source_scene of {name} must be the name of a scene")
+        if not isinstance(adversaries, list) or not all(
+            isinstance(token, str) and token.isprintable() for token in adversaries
+        ):
             faults.add(
                 "scenes without adversaries list", PROVENANCE, "", f"the adversaries of {name} must be a list of tokens"
             )

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Self
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.schema import FaultList, check_table
+from benchmark.datasets.stored_rows import PassOverRows
 from benchmark.errors import InputError
-from benchmark.foreign.json_text import read_json
-from benchmark.foreign.limits import TABLE
 
 Row = dict[str, Any]
 
@@ -70,7 +70,7 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
     unreadable = set()
     for table in NUSCENES_TABLES:
         content = _content(folder / f"{table}.json", table, faults)
-        if not isinstance(content, list):
+        if content is None:
             unreadable.add(table)
         rows[table], found = ([], {}) if content is None else check_table(table, content, faults)
         unsound |= found
@@ -78,18 +78,15 @@ def read_checked(folder: Path, faults: FaultList) -> CheckedTables:
     return CheckedTables(rows, by_token, frozenset(unreadable), unsound)
 
 
-def _content(path: Path, table: str, faults: FaultList) -> Any | None:
-    """What a file holds; nothing, and a fault, where it cannot be read."""
+def _content(path: Path, table: str, faults: FaultList) -> list[Row] | None:
+    """The rows in a file, as whoever opens the data set reads them; nothing, and a fault, where it cannot be read."""
     if not path.exists():
         faults.add(
             "missing table", table, "", f"{path.name} is missing; a data set has all 13 tables, if need be empty"
         )
         return None
     try:
-        content = read_json(path, TABLE, any_text=True)
+        return list(chain.from_iterable(PassOverRows(path).batches()))
     except InputError as error:
         faults.add("unreadable table", table, "", f"{path.name} cannot be read: {error}")
         return None
-    if content is None:
-        check_table(table, content, faults)
-    return content

@@ -121,7 +121,8 @@ def _within(*limits_m: float) -> Callable[[Any], Any]:
 
 
 def _of_norm_one(values: Any) -> Any:
-    return np.abs((values * values).sum(axis=-1) - 1.0) <= 2 * NORM_TOLERANCE
+    with np.errstate(over="ignore"):
+        return np.abs((values * values).sum(axis=-1) - 1.0) <= 2 * NORM_TOLERANCE
 
 
 def _size(values: Any) -> Any:

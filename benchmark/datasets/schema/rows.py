@@ -14,31 +14,20 @@ Row = dict[str, Any]
 _SHOWN_CHARACTERS: Final = 60
 
 
-def check_table(table: str, content: Any, faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
+def check_table(table: str, content: list[Row], faults: FaultList) -> tuple[list[Row], dict[int, frozenset[str]]]:
     """Note what is wrong with a whole table, links apart.
 
     Args:
         table: Its name.
-        content: What its file holds.
+        content: The rows in its file.
         faults: Gets the faults.
 
     Returns:
-        Rows that are objects with a sound token of their own; and the fields that are absent or unsound, by identity of
+        Rows with a sound token of their own; and the fields that are absent or unsound, by identity of
         the row.
     """
-    if type(content) is not list:
-        faults.add(
-            "not a list", table, "", f"{table}.json must be a list of rows, it is a JSON {type(content).__name__}"
-        )
-        return [], {}
-    objects = [row for row in content if type(row) is dict]
-    if len(objects) < len(content):
-        for number, row in enumerate(content):
-            if type(row) is not dict:
-                sentence = f"row {number} is a {type(row).__name__}, not an object"
-                faults.add("rows that are no objects", table, "", sentence)
-    unsound = check_rows(table, objects, faults)
-    rows = _with_tokens(table, objects, unsound, faults)
+    unsound = check_rows(table, content, faults)
+    rows = _with_tokens(table, content, unsound, faults)
     for name, field in SCHEMA[table].items():
         if field.unique and name != "token":
             _require_unique(table, name, field.kind, [row for row in rows if _has(row, name, unsound)], faults)

@@ -83,7 +83,9 @@ def moments_of_run(rows: Sequence[SampleRow], truths: Sequence[SampleTruth]) -> 
     speeds: dict[int, tuple[float, float]] = {}
     for index, row in enumerate(rows):
         before, now = (steps[index - 2], steps[index - 1]) if index >= 2 else (None, None)
-        if row.plan is not None and row.complete and before is not None and now is not None:
+        # Speeds and what is planned are compared at steps of half a second.
+        regular = all(truth.timed is None for truth in truths[max(index - 2, 0) : index + 1])
+        if row.plan is not None and row.complete and before is not None and now is not None and regular:
             speeds[index] = (float(np.hypot(*before)) / PLAN_STEP_S, float(np.hypot(*now)) / PLAN_STEP_S)
     dangerous = _dangerous([truths[index] for index in speeds], [now for _, now in speeds.values()])
     found = {}

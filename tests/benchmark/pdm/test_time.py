@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.geometry import Floats
 from benchmark.pdm.comfort import comfort_series, extremes_of
 from benchmark.pdm.judging import DrivenPlan, judge_scene
 from benchmark.pdm.motion import tracked
@@ -66,7 +67,7 @@ def test_a_drive_through_180_degrees_scores_as_the_same_one_turned_by_a_quarter(
 def test_comfort_is_that_of_unwrapped_headings() -> None:
     samples = np.arange(3, 10)
 
-    def extremes(scene: Scene) -> np.ndarray:
+    def extremes(scene: Scene) -> Floats:
         recorded = RecordedScene(scene)
         around = recorded.surroundings(samples)
         return extremes_of(comfort_series(tracked(recorded.recorded_plans(samples), around.now), around.history))
