@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,6 +35,15 @@ class ComparedPlans:
         """
         complete = np.isfinite(recorded).all(axis=(1, 2))
         return cls(plan[complete, :PLAN_STEPS], recorded[complete])
+
+    @classmethod
+    def from_lists(cls, plan: list[Any], recorded: list[Any]) -> Self:
+        """What was written as lists; raises `ValueError` for what is none."""
+        shape = (-1, PLAN_STEPS, 2)
+        made = cls(np.array(plan, np.float64).reshape(shape), np.array(recorded, np.float64).reshape(shape))
+        if made.plan.shape != made.recorded.shape:
+            raise ValueError("there is a plan for each recording")
+        return made
 
     @classmethod
     def joined(cls, parts: "Iterable[ComparedPlans]") -> Self:

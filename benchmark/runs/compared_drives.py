@@ -32,9 +32,9 @@ def compared_drive(scene: Scene, row: DriveRow) -> ComparedPlans:
         The plans and the recording.
     """
     count = len(row.plans)
-    times, ego = np.array(row.ticks.time_us[:count], np.int64), np.array(row.ticks.ego[:count]).reshape(count, -1)
     if not count:
         return ComparedPlans.joined([])
+    times, ego = np.array(row.ticks.time_us[:count], np.int64), np.array(row.ticks.ego[:count])
     now, before = recorded_poses(scene, times), recorded_poses(scene, times - _JUST_NOW_US)
     speed = np.hypot(*(now - before)[:, :2].T) / (_JUST_NOW_US * 1e-6)
     near = np.hypot(*(ego[:, :2] - now[:, :2]).T) < NEAR_M

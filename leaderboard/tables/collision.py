@@ -174,7 +174,7 @@ def _table(
         rows,
         notes=(*notes, RATES_NOTE, *of_columns, *said),
         brief=Brief(
-            title.replace(" and L2 (m)", ""),
+            title,
             (*range(texts), *(columns.index(head) for head in _BRIEF_COLUMNS)),
             (*notes, BRIEF_NOTE, *_mask_notes(records, judge_of), *said),
             texts,
