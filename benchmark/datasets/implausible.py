@@ -23,6 +23,8 @@ UPRIGHT: Final = 0.7
 """Least vertical part of a car's own vertical: 45 degrees of roll and pitch together."""
 SENSIBLE_SHARE: Final = 0.9
 """Of the rotations of a data set that is read in the right order, at least; in a wrong one it is less than half."""
+MISFIT_SHARE: Final = 0.2
+"""Of the samples, at which the recorded ego is off the drivable area: more, and the map is of another place."""
 LEAST_MOVING: Final = 3
 """Fewer moving objects say nothing of how boxes lie."""
 

@@ -1,17 +1,14 @@
 """What planners, engines and driving scores want of a data set and do not get, and what of it cannot be, as caveats."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
 
-from benchmark.datasets.implausible import lie_across
+from benchmark.datasets.implausible import MISFIT_SHARE, lie_across
 from benchmark.records.caveats import Caveat
 from benchmark.records.drive_schema import Measured
 from benchmark.records.rows import Rows
 from benchmark.records.run_schema import InputFacts, PlannerFacts, SceneFacts
 from benchmark.report.words import counted
 
-MISFIT_SHARE: Final = 0.2
-"""Of the samples, at which the recorded ego is off the drivable area: more, and the map is of another place."""
 _DERIVED, _OFFERED, _WITHOUT = '"ego_motion":"derived"', '"forecasts":{', '"forecasts":null'
 """In the JSON of a row, where text that a planner wrote cannot have them: its quotation marks are escaped."""
 

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from benchmark.constants import MAP_LAYERS, OFFICIAL_LOCATIONS
+from benchmark.datasets.implausible import MISFIT_SHARE
 from benchmark.datasets.integrity.motion import EgoAtSamples
 from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.map_layers import expansion_file, read_road_map
@@ -15,8 +16,6 @@ from benchmark.errors import InputError
 from benchmark.machine.storage import read_json
 from benchmark.road_map import RoadMap
 
-MISFIT_SHARE: Final = 0.2
-"""Of the samples of a log, off the drivable area: more, and the map is of another place."""
 _EXPANSION_KEYS: Final = (*MAP_LAYERS, "canvas_edge", "connectivity", "arcline_path_3")
 _ELSEWHERE: Final = ("../maps/expansion", "maps", "../maps", "expansion", "../expansion")
 """Folders in which expansions are found that were unpacked in the wrong one."""
