@@ -60,8 +60,8 @@ def judge(
         longer: The truths with more steps than a plan of 3 s has, asked for where plans go on; without it nothing is
             said beyond 3 s.
         recorded: What the scene gives to judge driving by, if that is there already.
-        unjudged: Protocols, ``nuscenes-pdm`` among them perhaps, that cannot tell whom a plan could touch because the
-            data have other categories than they know (`benchmark.runs.vocabulary`).
+        unjudged: Protocols, and perhaps ``pdm``, that cannot tell whom a plan could touch because the data have other
+            categories than they know (`benchmark.runs.vocabulary`).
 
     Returns:
         One row for each sample. A sample without a plan has no outcome, no diagnosis and no disagreement. Nothing is

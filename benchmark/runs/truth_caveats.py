@@ -25,21 +25,22 @@ def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
     """
     known = _known(scenes)
     yield from _labels(known, "collision rates and counts of failed scenes leave them out")
-    for name, truth in known.items():
-        if truth.annotations and truth.unlabelled:
-            samples = len(rows.columns.places_of_scenes[name])
-            yield Caveat(
-                kind="truth",
-                sentence=f"annotations are missing in a part of {name}: {truth.unlabelled} of its "
-                f"{counted(samples, 'sample')} are in no collision rate",
-            )
+    partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
+    if partly:
+        of = counted(sum(len(rows.columns.places_of_scenes[name]) for name in partly), "sample")
+        unlabelled = sum(known[name].unlabelled for name in partly)
+        yield Caveat(
+            kind="truth",
+            sentence=f"{_scenes(partly, len(scenes))} annotations in a part only: {unlabelled} of {of} there are in no "
+            "collision rate",
+        )
     complete = rows.columns.flags("complete")
     short = [name for name, places in rows.columns.places_of_scenes.items() if not complete[places].any()]
     if short:
         yield Caveat(
             kind="truth",
-            sentence=f"{_scenes(short, len(scenes))} no sample with a recording of 3 s ahead: it is in the rates of "
-            "protocols that count incomplete samples, and in no other",
+            sentence=f"{_scenes(short, len(scenes))} no sample with a recording of 3 s ahead: only protocols that "
+            "count incomplete samples have a rate there",
         )
     yield from _boxes(known)
     yield from _categories(known, "protocols that go by categories say nothing of contacts")

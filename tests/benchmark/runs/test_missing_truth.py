@@ -132,7 +132,7 @@ def test_samples_that_look_beyond_the_labels_are_unknown(edited: Root, tmp_path:
     before = [row.outcomes["exact"] for row in whole.rows_of(SCENES[0])[:14]]
     assert [row.outcomes["exact"] for row in record.rows_of(SCENES[0])[:14]] == before
     assert sentences(record, "truth") == [
-        "annotations are missing in a part of scene-8000: 26 of its 40 samples are in no collision rate"
+        "1 of 3 scenes (scene-8000) has annotations in a part only: 26 of 40 samples there are in no collision rate"
     ]
 
 
@@ -215,8 +215,8 @@ def test_a_scene_without_a_complete_sample_has_no_rate_and_is_named(tmp_path: Pa
     record = evaluate(short, "val", Straight(), tmp_path)
     assert record.summary.protocols["exact"].columns["collision"]["avg"].value is None
     assert sentences(record, "truth") == [
-        "1 of 1 scene (scene-9901) has no sample with a recording of 3 s ahead: it is in the rates of protocols that "
-        "count incomplete samples, and in no other"
+        "1 of 1 scene (scene-9901) has no sample with a recording of 3 s ahead: only protocols that count incomplete "
+        "samples have a rate there"
     ]
 
 
