@@ -155,8 +155,8 @@ def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(
         for name in ("wrong", "right")
         for path in (tmp_path / name).rglob("drive.json")
     }
-    wrong, right = ([share for share in shares[name] if share is not None] for name in ("wrong", "right"))
-    assert wrong and right and max(wrong) < 0.1 < min(right)
+    sideways, along = ([share for share in shares[name] if share is not None] for name in ("wrong", "right"))
+    assert sideways and along and max(sideways) < 0.1 < min(along)
 
 
 def test_options_without_anything_that_they_are_about_are_refused(root: Path) -> None:
