@@ -13,8 +13,7 @@ from typing import Any
 
 from benchmark.constants import NUSCENES_TABLES
 from benchmark.datasets.categories import CategoryNames, names_in
-from benchmark.datasets.devkit_import import devkit_module
-from benchmark.datasets.integrity.further_tables import FURTHER_TABLES
+from benchmark.datasets.devkit_rows import FURTHER_TABLES, devkit_with
 from benchmark.datasets.integrity.opened import check_opened, check_scene
 from benchmark.datasets.integrity.tables import CheckedTables
 from benchmark.datasets.kept_tables import read_or_kept
@@ -105,7 +104,7 @@ class SceneByScene(OpenTables):
         token = scene["token"]
         if self._kept[0] != token:
             self._kept = ("", None)
-            self._kept = (token, _devkit_with(self._root, self._version, self._tables.of_scene(token, adversaries)))
+            self._kept = (token, devkit_with(self._root, self._version, self._tables.of_scene(token, adversaries)))
         return self._kept[1]
 
 
@@ -188,7 +187,7 @@ def open_tables(
     _require_masks(root, rows["map"])
     names = _replaced(rows, categories)
     rows = {**rows, "category": renamed_rows(rows["category"], names)}
-    return AllScenes(_devkit_with(root, version, rows), rows, folder, names)
+    return AllScenes(devkit_with(root, version, rows), rows, folder, names)
 
 
 def _replaced(tables: Tables, categories: Mapping[str, str] | None) -> CategoryNames:
@@ -232,21 +231,3 @@ def _require_masks(root: Path, maps: list[Row]) -> None:
                 f"map mask {root / row['filename']} of map.json is missing; the devkit needs the file (any small PNG "
                 "does)"
             )
-
-
-def _devkit_with(root: Path, version: str, tables: Tables) -> Any:
-    as_published: Any = devkit_module("nuscenes.nuscenes").NuScenes
-
-    class NuScenesWithRows(as_published):  # type: ignore[misc]
-        """Is given its rows instead of reading files; it reads tables that nobody here does."""
-
-        def __load_table__(self, table: str) -> list[Row]:
-            rows: list[Row] = tables[table] if table in tables else super().__load_table__(table)
-            return rows
-
-    try:
-        return NuScenesWithRows(version=version, dataroot=str(root), verbose=False)
-    except Exception as error:
-        raise InputError(
-            f"nuscenes-devkit cannot open {root / version} ({type(error).__name__}: {error}); correct the tables"
-        ) from error

@@ -70,7 +70,7 @@ def _check(folder: Path, data_root: Path, categories: Mapping[str, str]) -> list
     check_truth(tables, categories, faults)
     check_splits(folder, data_root, tables, faults)
     check_provenance(folder, tables, faults)
-    check_further_tables(folder, data_root, faults)
+    check_further_tables(folder, data_root, tables, faults)
     return faults.told()
 
 

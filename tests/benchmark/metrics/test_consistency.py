@@ -42,7 +42,8 @@ def rows_of(poses: Floats, planned: Callable[[int], Floats], scene: str = "a") -
                 yaw = then[2] - pose[2] + np.pi / 2
                 future[step] = [*in_lidar(then[None, :2], pose)[0].tolist(), float(yaw)]
         plan = PlanRow(frame="lidar", waypoints=in_lidar(planned(index), pose).tolist())
-        found.append(row(scene, index).model_copy(update={"plan": plan, "recorded_future": future}))
+        changed = {"plan": plan, "recorded_future": future}
+        found.append(row(scene, index).model_copy(update=changed))
     return found
 
 
@@ -123,3 +124,9 @@ def test_plans_of_the_rear_axle_are_moved_to_the_lidar_first() -> None:
     rows = [one.model_copy(update={"plan": PlanRow(frame="ego", waypoints=straight)}) for one in rows]
     assert apart(*rows) == pytest.approx(np.zeros(5), abs=1e-9)
     assert waypoints_in_lidar(np.array(straight), "ego", 0.94)[0] == pytest.approx([0.0, 2.0])
+
+
+def test_samples_that_are_not_half_a_second_apart_are_not_compared() -> None:
+    rows = rows_of(driven(np.random.default_rng(1), 6), lambda _: np.zeros((6, 2)))
+    late = [one.model_copy(update={"timestamp_us": one.timestamp_us + 500_000 * (one.index > 2)}) for one in rows]
+    assert [consistency(record_of(some)).pairs for some in (rows, late)] == [5, 4]
