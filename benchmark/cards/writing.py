@@ -124,7 +124,7 @@ def ending() -> list[str]:
 def _require_own(page: Path) -> None:
     """Refuse to write over a ``README.md`` that somebody wrote."""
     try:
-        theirs = page.exists() and _OURS not in page.read_text(errors="replace")
+        theirs = page.exists() and _OURS not in page.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise InputError(f"cannot read {page}: {error.strerror or error}; name another folder with --to") from error
     if theirs:

@@ -25,6 +25,7 @@ from benchmark.cli import (
     verify,
     weights,
 )
+from benchmark.cli.streams import replace_what_cannot_be_shown
 from benchmark.cli.whole_help import WholeSummaries
 from benchmark.constants import VERSION
 from benchmark.errors import InputError
@@ -74,6 +75,7 @@ _OF_A_PLACE: Final = frozenset((errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, e
 def main() -> None:
     """Run the command line; errors of the user are one sentence and exit code 2."""
     collect_rarely()
+    replace_what_cannot_be_shown()
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     command = typer.main.get_command(app)

@@ -23,7 +23,7 @@ class Meter:
         """Begin."""
         self.latency_s: list[float | None] = []
         with suppress(OSError):
-            Path("/proc/self/clear_refs").write_text(_CLEAR_PEAK)
+            Path("/proc/self/clear_refs").write_text(_CLEAR_PEAK, encoding="utf-8")
         cuda = _gpu()
         if cuda is not None:
             cuda.reset_peak_memory_stats()
@@ -58,7 +58,7 @@ def peak_memory_mb(pid: int | None = None) -> float | None:
         Megabytes, or ``None`` where the system does not tell.
     """
     with suppress(OSError, ValueError, IndexError):
-        for line in Path(f"/proc/{pid or 'self'}/status").read_text().splitlines():
+        for line in Path(f"/proc/{pid or 'self'}/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024 / _MB
     return None

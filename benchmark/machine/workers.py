@@ -7,6 +7,7 @@ one worker and many give the same bytes. Items are drawn only a little ahead of 
 import functools
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -14,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
@@ -133,6 +135,7 @@ class LocalProcesses:
         workers, before = min(self.workers, total), set(multiprocessing.active_children())
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(_imported_before_the_first(function))
+        needs_script = _needs_script(function)
         begun = context.Value("i", 0)
         _started = True
         with (
@@ -140,11 +143,18 @@ class LocalProcesses:
             WATCH.work(label, total, count) as work,
         ):
             try:
-                yield from results_in_order(lambda item: told(pool.submit(function, item), work), items, workers)
+
+                def submit(item: Item) -> "Future[Result]":
+                    with nullcontext() if needs_script else _script_not_run_again():
+                        return told(pool.submit(function, item), work)
+
+                yield from results_in_order(submit, items, workers)
             except BrokenProcessPool as error:
+                guard = ', or where the script that workers take definitions from lacks `if __name__ == "__main__":`'
                 raise InputError(
-                    f"a worker process ended abruptly ({label}), as happens where memory runs out; run the same "
-                    "command again with fewer --workers (finished work is kept)"
+                    f"a worker process ended abruptly ({label}), as happens where memory runs out"
+                    f"{guard if needs_script else ''}; run the same command again with fewer --workers (finished work "
+                    "is kept)"
                 ) from error
             except BaseException:
                 # Nobody wants the rest, and a unit may take minutes: interrupted work is made again anyway.
@@ -223,6 +233,31 @@ def results_in_order(
             yield ordered.popleft().result()
         elif exhausted or not room:
             wait(unfinished, return_when=FIRST_COMPLETED)
+
+
+def _needs_script(function: Callable[..., Any]) -> bool:
+    """Whether workers need what the script that runs defines, so that each has to run it, too."""
+    try:
+        return b"__main__" in pickle.dumps(function)
+    except Exception:
+        # Whatever is wrong with it is reported where it is sent.
+        return True
+
+
+@contextmanager
+def _script_not_run_again() -> Iterator[None]:
+    """Processes that begin in here do not run the script that this process runs, with or without a guard.
+
+    Python's own way for notebooks and ``python -c``: a main module without a file is none to run.
+    """
+    script = vars(sys.modules["__main__"])
+    hidden: dict[str, Any] = {name: script[name] for name in ("__file__", "__spec__") if name in script}
+    script.pop("__file__", None)
+    script["__spec__"] = None
+    try:
+        yield
+    finally:
+        script.update(hidden)
 
 
 def _module_of(function: Callable[..., Any]) -> tuple[str, ...]:

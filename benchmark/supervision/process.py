@@ -145,7 +145,9 @@ class PlannerProcess:
     def pid(self) -> int | None:
         """The planner's process, the first child of its guardian; ``None`` where the system does not tell."""
         with contextlib.suppress(OSError, ValueError, IndexError):
-            return int(Path(f"/proc/{self._guardian}/task/{self._guardian}/children").read_text().split()[0])
+            return int(
+                Path(f"/proc/{self._guardian}/task/{self._guardian}/children").read_text(encoding="utf-8").split()[0]
+            )
         return None
 
     def end(self, *, at_once: bool = False) -> None:

@@ -3,6 +3,7 @@
 import ast
 import doctest
 import importlib
+import os
 import pkgutil
 import re
 import subprocess
@@ -147,3 +148,32 @@ def test_the_examples_run(page: str, cache: Path, tmp_path: Path, monkeypatch: p
     test = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, page, page, 0)
     said: list[str] = []
     assert doctest.DocTestRunner().run(test, out=said.append).failed == 0, "".join(said)
+
+
+SMALLER = """
+from functools import partial
+
+import generation.sources.mini as mini
+import generation.splits.cached as cached
+from generation.splits.packaged import NamedSplit, newest_split
+
+mini.TownSettings = partial(mini.TownSettings, val_scenes=2, width=96, height=54, frames="keyframes")
+whole = newest_split("mini")
+of_each = {scene.source: scene for scene in whole.frozen.scenes if scene.source in ("scene-8000", "scene-8001")}
+few = NamedSplit(whole.name, whole.frozen.model_copy(update={"scenes": tuple(of_each.values())}))
+cached.newest_split = lambda *_: few
+"""
+
+
+def test_the_examples_of_the_documentation_run_as_a_plain_script(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "python.md").read_text()
+    blocks = re.findall(r"```python\n(>>>.*?)```", page, re.DOTALL)
+    examples = [example.source for block in blocks for example in doctest.DocTestParser().get_examples(block)]
+    (tmp_path / "script.py").write_text(SMALLER + "".join(examples))
+    # Nothing is built yet, so that processes are started wherever a reader's first script starts them.
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "CHALLENGER_BENCH_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("protocol exact") == 2

@@ -191,3 +191,43 @@ def test_workers_never_outlive_their_command(tmp_path: Path, number: int, code: 
     while any(Path(f"/proc/{worker.name}").exists() for worker in workers):
         assert time.perf_counter() < deadline_s
         time.sleep(0.05)
+
+
+WITHOUT_GUARD = """
+from benchmark.machine.workers import map_ordered
+from tests.benchmark.machine.units_of_work import doubled
+
+print("once", list(map_ordered(doubled, range(4), workers=2, label="test")))
+"""
+WITH_GUARD = """
+from benchmark.machine.workers import map_ordered
+
+def tripled(item):
+    return 3 * item
+
+if __name__ == "__main__":
+    print("once", list(map_ordered(tripled, range(4), workers=2, label="test")))
+"""
+
+
+def run_script(text: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "script.py").write_text(text)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [sys.executable, "script.py"], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_a_script_without_a_guard_runs_once_and_its_workers_do_not_run_it_again(tmp_path: Path) -> None:
+    done = run_script(WITHOUT_GUARD, tmp_path)
+    assert (done.returncode, done.stdout) == (0, "once [0, 2, 4, 6]\n"), done.stderr
+
+
+def test_workers_know_what_a_guarded_script_defines(tmp_path: Path) -> None:
+    done = run_script(WITH_GUARD, tmp_path)
+    assert (done.returncode, done.stdout) == (0, "once [0, 3, 6, 9]\n"), done.stderr
+
+
+def test_a_script_whose_definitions_workers_need_is_told_of_the_guard(tmp_path: Path) -> None:
+    done = run_script(WITH_GUARD.replace('if __name__ == "__main__":', "if True:"), tmp_path)
+    assert done.returncode != 0 and '`if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
