@@ -62,7 +62,12 @@ def eval_command(
             "--model", metavar="<str>", help="Planner name, package.module:Class or http://HOST:PORT; may be repeated."
         ),
     ] = [],  # noqa: B006 - typer reads the default, nothing changes it
-    split: SplitOption = "val",
+    split: Annotated[
+        list[str],
+        typer.Option(
+            "--split", metavar="<str>", help="val, val-r, adv, or a split of the data set's own; may be repeated."
+        ),
+    ] = ["val"],  # noqa: B006 - typer reads the default, nothing changes it
     data: DataOption = "mini",
     out: OutOption = api.OUT,
     tables: TablesOption = None,
@@ -133,7 +138,7 @@ def eval_command(
     json_output: JsonOption = False,
     dry_run: DryRunOption = False,
 ) -> None:
-    """Run planners on a split, write run records, and print the table."""
+    """Run planners on splits, write run records, and print the tables."""
     from benchmark.cli.beforehand.data_sets import require_data
     from benchmark.cli.beforehand.names import (
         require_categories,
@@ -177,12 +182,21 @@ def eval_command(
     if plans is not None:
         require_plans(plans, native)
     opened = opened_results(results, results_format, name, native, dump_results)
-    ahead = require_data(data, tables, split, out, scenes=name_list(scenes), limit=limit)
+    splits = tuple(dict.fromkeys(split))
+    _require_one_split(splits, plans=plans, results=results, dump_results=dump_results, shard=shard)
+    every_ahead = {
+        each: require_data(data, tables, each, out, scenes=name_list(scenes), limit=limit) for each in splits
+    }
     require_place(out, "--out")
-    if dry_run and ahead.builds:
+    if dry_run and any(ahead.builds for ahead in every_ahead.values()):
         running = [api.model_that_runs(each, checkpoint, data=data) for each in model]
         runs = [*running, *([] if plans is None else [str(plans)]), *map(str, results or ())]
-        say_plan(ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {split}"), json_output=json_output)
+        planned = [
+            line
+            for each, ahead in every_ahead.items()
+            for line in ahead.plan(f"run {', '.join(runs)} on {ahead.counted()} of {each}")
+        ]
+        say_plan(list(dict.fromkeys(planned)), json_output=json_output)
         return
     judges = tuple(dict.fromkeys([*STANDARD, *(name for name in shown or () if name in PROTOCOLS)]))
     run_root = api.workspace(out).run_root()
@@ -208,16 +222,16 @@ def eval_command(
         for each in model
     ]
     source = api.open_data(data, tables=tables, workers=workers, out=out, categories=categories)
-    dataset = api.open_split(source, split, out, workers=workers)
+    dataset = api.open_split(source, splits[0], out, workers=workers)
     read_as: ReadAs = {"frame": None if frame is None else frame.value, "as_is": as_is}
     if plans is not None:
         from adapters.plan_file import plan_file_factory
 
-        chosen = settings.chosen(dataset, split)
+        chosen = settings.chosen(dataset, splits[0])
         from_file = plan_file_factory(
             plans,
             dataset,
-            split,
+            splits[0],
             scenes=chosen,
             native=native,
             records=[run_root],
@@ -228,20 +242,23 @@ def eval_command(
             api.tell(sentence)
         factories.append(from_file)
     if opened:
-        chosen = settings.chosen(dataset, split)
+        chosen = settings.chosen(dataset, splits[0])
         factories.append(
-            results_planner(opened, dataset, split, scenes=chosen, name=name, native=native, read_as=read_as)
+            results_planner(opened, dataset, splits[0], scenes=chosen, name=name, native=native, read_as=read_as)
         )
     if dry_run:
-        where = f"{counted(len(settings.chosen(dataset, split)), 'scene')} of {split}"
         names = ", ".join(factory.facts.name for factory in factories)
-        say_plan([f"would run {names} on {where}"], json_output=json_output)
+        opened_splits = {each: api.open_split(source, each, out, workers=workers) for each in splits}
+        where = [
+            f"{counted(len(settings.chosen(one, each)), 'scene')} of {each}" for each, one in opened_splits.items()
+        ]
+        say_plan([f"would run {names} on {each}" for each in where], json_output=json_output)
         return
     planners = [(each, _also_by_its_own(settings, each)) for each in factories]
     if mine is not None:
         _plan_shard(
             dataset,
-            split,
+            splits[0],
             planners,
             run_root,
             mine,
@@ -249,24 +266,35 @@ def eval_command(
             again=same_place(data, out, tables, categories),
         )
         return
-    records = evaluate_together(dataset, split, planners, run_root)
-    records = with_reproductions(records, find_reproductions([run_root]))
-    if explain_protocols:
-        _explain(source.name, dataset, records, api.workspace(out), wide=wide, json_output=json_output)
+    records: list[RunRecord] = []
+    for place, each in enumerate(splits):
+        here = dataset if place == 0 else api.open_split(source, each, out, workers=workers)
+        of_split = with_reproductions(evaluate_together(here, each, planners, run_root), find_reproductions([run_root]))
+        if explain_protocols:
+            _explain(source.name, here, of_split, api.workspace(out), wide=wide, json_output=json_output)
+        records += of_split
     warn_of_caveats(record.run for record in records)
-    dumped = write_dumps(records, dataset, split, dump_results, api.workspace(out))
+    dumped = write_dumps(records, dataset, splits[0], dump_results, api.workspace(out))
     sound = _show_runs(
-        source.name, records, shown, by or (), allow_partial=allow_partial, wide=wide, json_output=json_output
+        source.name, records, shown, by or (), run_root, allow_partial=allow_partial, wide=wide, json_output=json_output
     )
     again = same_place(data, out, tables, categories)
     say_next(
         "; ".join([f"records: {', '.join(str(record.directory) for record in records)}", *dumped]),
-        (f"sheets --split {split}{again}", "what films and the site show of the scenes"),
+        (f"sheets --split {splits[-1]}{again}", "what films and the site show of the scenes"),
         (f"leaderboard{same_place('mini', out)}", "tables, figures and a site of all records"),
         json_output=json_output,
     )
     if not sound:
         raise typer.Exit(1)
+
+
+def _require_one_split(splits: tuple[str, ...], **options: object) -> None:
+    """Refuse several splits with what belongs to one."""
+    given = next((name for name, value in options.items() if value), None)
+    if len(splits) > 1 and given is not None:
+        option = given.replace("_", "-")
+        raise InputError(f"--{option} belongs to one split, and --split names {', '.join(splits)}; give one at a time")
 
 
 def _plan_shard(
@@ -534,6 +562,7 @@ def _show_runs(
     records: "Sequence[RunRecord]",
     protocols: tuple[str, ...] | None,
     by: "Sequence[SliceName]",
+    run_root: Path,
     *,
     allow_partial: bool,
     wide: bool,
@@ -542,6 +571,7 @@ def _show_runs(
     """Print the tables of runs; whether all is well: a run that failed on samples is not unless that is allowed."""
     from benchmark.metrics.attacks import attack_facts
     from benchmark.metrics.slices import kinds_named
+    from benchmark.metrics.unchanged import unchanged_candidates
     from benchmark.runs.failures import FAILURES_FILE, first_failure
     from leaderboard.tables.collision import run_tables
     from leaderboard.tables.slices import run_slices
@@ -560,7 +590,9 @@ def _show_runs(
         ]
         print_json({"runs": rows, "slices": [table.as_json() for table in sliced]} if by else rows)
     else:
-        for table in (*run_tables(data_name, records, protocols, allow_partial=allow_partial), *sliced):
+        against = unchanged_candidates(run_root, records)
+        shown = run_tables(data_name, records, protocols, allow_partial=allow_partial, against=against)
+        for table in (*shown, *sliced):
             typer.echo(table.plain(wide=wide))
     for record in partial:
         typer.echo(
