@@ -28,7 +28,7 @@ def in_global(plan: Floats) -> Floats:
     heading = np.linspace(0.0, 6.0, count)[:, None]
     x, y = plan[..., 0], plan[..., 1]
     turned = np.stack([np.cos(heading) * x - np.sin(heading) * y, np.sin(heading) * x + np.cos(heading) * y], axis=-1)
-    return turned + np.array([410.0, 1180.0]) + np.arange(count)[:, None, None]
+    return np.asarray(turned + np.array([410.0, 1180.0]) + np.arange(count)[:, None, None])
 
 
 def at_10_hz(plan: Floats) -> Floats:

@@ -35,11 +35,11 @@ def futures(town: DataSet) -> Floats:
 
 
 def moving(futures: Floats) -> Floats:
-    return futures[np.linalg.norm(futures[:, -1], axis=1) > MOVED_M]
+    return np.asarray(futures[np.linalg.norm(futures[:, -1], axis=1) > MOVED_M])
 
 
 def turning(futures: Floats) -> Floats:
-    return futures[np.abs(futures[:, -1, 0]) >= ASIDE_M]
+    return np.asarray(futures[np.abs(futures[:, -1, 0]) >= ASIDE_M])
 
 
 def noise(count: int, seed: int, sigma_m: float = 2.0) -> Floats:
