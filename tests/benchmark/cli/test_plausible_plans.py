@@ -151,7 +151,7 @@ def test_a_server_in_axes_of_the_lidar_is_named_and_driven_right_with_its_frame(
     for done in (right, read):
         assert done.code == 0 and "warning" not in done.err and "¶" not in done.out
     shares = {
-        name: [row.scores.route_share for row in load_drives(path.parent).rows if row.scores]
+        name: [row.scores.route_share or 0.0 for row in load_drives(path.parent).rows if row.scores]
         for name in ("wrong", "right")
         for path in (tmp_path / name).rglob("drive.json")
     }
