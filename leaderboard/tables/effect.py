@@ -68,13 +68,13 @@ def effect_table(data_name: str, records: Sequence[RunRecord], against: Sequence
         rows.append(_row(record, effect))
         found += [] if effect is None else [effect]
     title = f"{data_name}: effect of the adversary (%, samples), protocol {EXACT}"
-    notes = (_NOTE, _OTHERS_NOTE, *_missing(runs, found), *dict.fromkeys(refused))
+    lacking = (*_missing(runs, found), *dict.fromkeys(refused))
     return table_of(
         "effect",
         title,
         _COLUMNS,
         rows,
-        notes=(*notes, *run_notes(runs, ())),
+        notes=(_NOTE, _OTHERS_NOTE, *lacking, *run_notes(runs, ())),
         text_columns=2,
         groups=(
             ("", 2),
@@ -83,7 +83,7 @@ def effect_table(data_name: str, records: Sequence[RunRecord], against: Sequence
             (f"counted, {EXACT}", 4),
         ),
         # The rest of what has to be said of the runs stands below the rates already.
-        brief=Brief(title, tuple(_COLUMNS.index(head) for head in _BRIEF), (*notes, *notes_of_marks(runs)), 2),
+        brief=Brief(title, tuple(_COLUMNS.index(head) for head in _BRIEF), (_NOTE, *lacking, *notes_of_marks(runs)), 2),
     )
 
 
