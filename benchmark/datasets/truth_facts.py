@@ -1,6 +1,7 @@
 """What a data set holds of the truth of a scene, so that a record can say which of its numbers rest on nothing."""
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -46,6 +47,23 @@ def truth_facts(data: "DataSet", name: str) -> TruthFacts:
         unknown=dict(sorted(unknown.items())),
         motionless=_motionless(scene),
     )
+
+
+def counted_truth(data: "DataSet", names: Sequence[str]) -> dict[str, TruthFacts]:
+    """What tables say of the truth of scenes, without reading a scene.
+
+    Args:
+        data: The data set.
+        names: Scene names.
+
+    Returns:
+        The counts by name; what takes a reading is null.
+    """
+    counts = data.annotation_counts(names)
+    return {
+        name: TruthFacts(annotations=each.annotations, unknown=dict(sorted(each.unknown.items())))
+        for name, each in counts.items()
+    }
 
 
 def _motionless(scene: Scene) -> bool:

@@ -60,17 +60,17 @@ class TruthFacts(Stored):
     Attributes:
         annotations: Boxes at its samples; without any there is no truth, and nothing can be said of contacts.
         unlabelled: Samples of which nothing can be said of contacts because labels are missing now or within 3 s
-            (`benchmark.datasets.labelled`).
-        without_size: Boxes without length, width or height; they are ignored.
+            (`benchmark.datasets.labelled`); null of drives, whose rows say it.
+        without_size: Boxes without length, width or height; they are ignored. Null of drives.
         unknown: Boxes of categories that nuScenes does not have, by name.
-        motionless: Whether the ego pose is the same number at every sample of a scene of 5 s and more.
+        motionless: Whether the ego pose is the same number at every sample of a scene of 5 s and more. Null of drives.
     """
 
     annotations: BoxCount
-    unlabelled: BoxCount = 0
-    without_size: BoxCount = 0
+    unlabelled: BoxCount | None = None
+    without_size: BoxCount | None = None
     unknown: dict[Name, BoxCount] = Field(default_factory=dict)
-    motionless: bool = False
+    motionless: bool | None = None
 
 
 class SceneFacts(Stored):

@@ -43,4 +43,4 @@ def drive_caveats(
         The caveats, in order.
     """
     of_door = (caveat for caveat in known if caveat.kind in OF_THE_DOOR)
-    return in_order([*of_door, *drive_truth(scenes)])
+    return in_order([*of_door, *drive_truth(scenes, rows)])

@@ -9,6 +9,7 @@ import numpy as np
 from benchmark.closed_loop.agents.adversary import AdversaryTrack, Replanning
 from benchmark.closed_loop.drives.driving import Drive, Stage
 from benchmark.closed_loop.scores.scoring import DriveScores
+from benchmark.datasets.labelled import labelled_keyframes
 from benchmark.records.considered import ConsideredFrame
 from benchmark.records.drive_schema import DriveRow
 from benchmark.records.run_schema import TruthFacts
@@ -53,12 +54,13 @@ def row_of(stage: Stage, drive: Drive, scores: DriveScores | None) -> DriveRow:
             "scores": None if scores is None else _score_row(drive, scores),
             "failure": None if failure is None else {"reason": failure.reason.value, "text": failure.text},
             "adversary": None if drive.adversary is None else adversary_row(stage, drive.adversary),
+            "unlabelled": not labelled_keyframes(stage.scene.annotations.valid.sum(axis=0)).all(),
         }
     )
 
 
 def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> list[DriveRow]:
-    """Rows that say whether their scenes are labelled throughout.
+    """Rows that say so where a scene has no annotations, those that were kept by earlier versions too.
 
     Args:
         rows: One for each drive.
@@ -67,10 +69,9 @@ def with_labels(rows: Sequence[DriveRow], scenes: Mapping[str, TruthFacts]) -> l
     Returns:
         The rows.
     """
-    missing = {name for name, truth in scenes.items() if truth.unlabelled}
+    none = {name for name, truth in scenes.items() if not truth.annotations}
     return [
-        row if row.unlabelled == (row.scene in missing) else row.model_copy(update={"unlabelled": not row.unlabelled})
-        for row in rows
+        row.model_copy(update={"unlabelled": True}) if row.scene in none and not row.unlabelled else row for row in rows
     ]
 
 

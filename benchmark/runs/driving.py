@@ -20,7 +20,7 @@ from benchmark.closed_loop.drives.sensors import NoSensor, RemoteSensor, Sensor
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.datasets.annotation_counts import require_annotated
 from benchmark.datasets.scene_facts import frozen_split_of, with_truth
-from benchmark.datasets.truth_facts import truth_facts
+from benchmark.datasets.truth_facts import counted_truth
 from benchmark.drivers.driving import LADDER
 from benchmark.errors import InputError
 from benchmark.evaluation import EvalSettings
@@ -341,7 +341,7 @@ def _records(
                 gather_costs(job.costs, job.planner, division.of)
         results = list(_results(settings.groups(tasks), partial(work_here, data, planners), elsewhere, settings, label))
         records = []
-        truths = {scene: truth_facts(data, scene) for scene in scenes}
+        truths = counted_truth(data, scenes)
         for place, job in enumerate(jobs):
             described = _described(data, split, job, scenes, settings)
             described["scene_facts"] = with_truth(described["scene_facts"], truths)

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 from benchmark.closed_loop.engines import rides_as
 from benchmark.closed_loop.scores.scoring import VERSION
 from benchmark.datasets.scene_facts import with_truth
-from benchmark.datasets.truth_facts import truth_facts
+from benchmark.datasets.truth_facts import counted_truth
 from benchmark.errors import InputError
 from benchmark.machine.environment import facts as environment_facts
 from benchmark.machine.storage import only_writer
 from benchmark.records.drives import DRIVE_FILE, DRIVE_FILES, DriveRecord, load_drives, summarise, write_drives
 from benchmark.records.store import pending, settle
 from benchmark.runs.caveats import drive_caveats
-from benchmark.runs.drive_rows import with_labels
 from benchmark.runs.redriving import driven_again
 from benchmark.runs.rescoring import Opened, Rescored, opened_as, require_same_data, scene_facts_now
 
@@ -87,10 +86,9 @@ def _rescore(directory: Path, open_for: "Callable[[DriveRecord], DataSet | None]
             return old, f"left alone, it is of the data set {facts.data.name}; choose that one with --data"
         require_same_data(directory, facts, data, again="drive")
         maker = rides_as(measured)
-        truths = {scene: truth_facts(data, scene) for scene in facts.scenes}
-        rows = with_labels([driven_again(maker, data.scene(row.scene), data, row) for row in old.rows], truths)
+        rows = [driven_again(maker, data.scene(row.scene), data, row) for row in old.rows]
         described = {name: getattr(facts, name) for name in type(facts).model_fields if name not in _MADE_BY_WRITING}
-        scene_facts = with_truth(scene_facts_now(facts, data), truths)
+        scene_facts = with_truth(scene_facts_now(facts, data), counted_truth(data, facts.scenes))
         described |= {
             "scoring": VERSION,
             "scene_facts": scene_facts,

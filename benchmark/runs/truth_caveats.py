@@ -5,6 +5,7 @@ from typing import Final
 
 from benchmark.datasets.annotation_counts import AnnotationCount
 from benchmark.records.caveats import Caveat
+from benchmark.records.drive_schema import DriveRow
 from benchmark.records.rows import Rows
 from benchmark.records.run_schema import SceneFacts, TruthFacts
 from benchmark.report.words import counted
@@ -28,7 +29,7 @@ def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
     partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
     if partly:
         of = counted(sum(len(rows.columns.places_of_scenes[name]) for name in partly), "sample")
-        unlabelled = sum(known[name].unlabelled for name in partly)
+        unlabelled = sum(known[name].unlabelled or 0 for name in partly)
         yield Caveat(
             kind="truth",
             sentence=f"{_scenes(partly, len(scenes))} annotations in a part only: {unlabelled} of {of} there are in no "
@@ -47,19 +48,17 @@ def run_truth(scenes: Mapping[str, SceneFacts], rows: Rows) -> Iterator[Caveat]:
     yield from _poses(known, len(scenes))
 
 
-def drive_truth(scenes: Mapping[str, SceneFacts]) -> Iterator[Caveat]:
+def drive_truth(scenes: Mapping[str, SceneFacts], rows: Sequence[DriveRow]) -> Iterator[Caveat]:
     """Caveats of a record of drives; arguments as of `run_truth`."""
-    known = _known(scenes)
+    known, without = _known(scenes), {row.scene for row in rows if row.unlabelled}
     yield from _labels(known, _DRIVES)
-    partly = [name for name, truth in known.items() if truth.annotations and truth.unlabelled]
+    partly = [name for name, truth in known.items() if truth.annotations and name in without]
     if partly:
         yield Caveat(
             kind="truth",
             sentence=f"{_scenes(partly, len(known))} annotations in a part only: {_DRIVES}",
         )
-    yield from _boxes(known)
     yield from _categories(known, "who is at fault, and scores that ask who moves by itself, may be wrong")
-    yield from _poses(known, len(scenes))
 
 
 def _known(scenes: Mapping[str, SceneFacts]) -> dict[str, TruthFacts]:
